@@ -1,0 +1,188 @@
+"""Time limits around foreign code: one worker thread a call, given up when it is late.
+
+`run` hands a step to a daemon thread and waits for it no longer than its limit. A step that
+itself calls `run` stays in its thread: the waiter then watches the inner step's limit and names
+the inner step when it gives up, so that a whole transaction of many steps costs one hop.
+A late result is handed to `on_late`, which puts it away.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, TypeVar
+
+from uoarm.errors import BridgeTimeoutError
+
+__all__ = ["run"]
+
+T = TypeVar("T")
+
+_log = logging.getLogger("uoarm")
+_IDLE_SECONDS = 10.0
+_GLANCE_SECONDS = 0.05
+
+
+class _Job(Generic[T]):
+    """One outermost step on its worker thread, and the deadline that holds at this moment."""
+
+    def __init__(
+        self, step: str, limit: float, action: Callable[[], T], on_late: Callable[[T], None] | None
+    ) -> None:
+        self.step = step
+        self.limit = limit
+        self.deadline = time.monotonic() + limit
+        self._given_up = False
+        self._action = action
+        self._on_late = on_late
+        self._finished = threading.Lock()
+        self._finished.acquire()
+        self._verdict = threading.Lock()
+        self._result: T
+        self._error: BaseException | None = None
+
+    def given_up(self) -> bool:
+        return self._given_up
+
+    def work(self) -> None:
+        try:
+            self._result = self._action()
+        except BaseException as error:  # noqa: BLE001 - handed to the waiter whole
+            self._error = error
+        with self._verdict:
+            self._finished.release()
+            late = self._given_up
+        if late:
+            self._put_away()
+
+    def _put_away(self) -> None:
+        if self._error is not None:
+            _log.warning("%s failed after it was given up: %s", self.step, self._error)
+        elif self._on_late is not None:
+            self._on_late(self._result)
+
+    def wait(self) -> T:
+        """Wait for the result; the deadline may move to an inner step's meanwhile."""
+        while not self._finished.acquire(
+            timeout=max(0.0, min(self.deadline - time.monotonic(), _GLANCE_SECONDS))
+        ):
+            if time.monotonic() < self.deadline:
+                continue
+            with self._verdict:
+                if self._finished.acquire(blocking=False):
+                    break
+                self._given_up = True
+            raise BridgeTimeoutError(
+                f"{self.step} did not finish within {self.limit:g} s and was given up"
+            )
+        if self._error is not None:
+            raise self._error
+        return self._result
+
+
+class _Workers:
+    """Daemon threads that wait a while for the next job and then end."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._idle: list[SimpleQueue[_Job[Any]]] = []
+
+    def submit(self, job: _Job[Any]) -> None:
+        with self._lock:
+            inbox = self._idle.pop() if self._idle else None
+        if inbox is None:
+            inbox = SimpleQueue()
+            threading.Thread(
+                target=self._serve, args=(inbox,), name="uoarm-step", daemon=True
+            ).start()
+        inbox.put(job)
+
+    def _serve(self, inbox: SimpleQueue[_Job[Any]]) -> None:
+        while True:
+            try:
+                job = inbox.get(timeout=_IDLE_SECONDS)
+            except Empty:
+                with self._lock:
+                    if inbox not in self._idle:
+                        continue
+                    self._idle.remove(inbox)
+                return
+            _current.job = job
+            job.work()
+            _current.job = None
+            del job
+            with self._lock:
+                self._idle.append(inbox)
+
+
+class _Current(threading.local):
+    job: _Job[Any] | None = None
+
+
+_current = _Current()
+_workers = _Workers()
+
+
+def _forget_threads() -> None:
+    global _workers, _current
+    _workers, _current = _Workers(), _Current()
+
+
+os.register_at_fork(after_in_child=_forget_threads)
+
+
+def run(
+    step: str,
+    limit: float,
+    action: Callable[[], T],
+    *,
+    on_late: Callable[[T], None] | None = None,
+) -> T:
+    """Run an action under a time limit and return what it returns.
+
+    Args:
+        step: what is being done, as the subject of the error's sentence.
+        limit: seconds.
+        action: called once, in another thread unless this is already one of ours.
+        on_late: takes a result that came after the step was given up, in the worker's thread.
+
+    Raises:
+        BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
+        BaseException: whatever the action raised.
+    """
+    outer = _current.job
+    if outer is None:
+        job = _Job(step, limit, action, on_late)
+        _workers.submit(job)
+        return job.wait()
+    return _run_inside(outer, step, limit, action, on_late)
+
+
+def _run_inside(
+    outer: _Job[Any],
+    step: str,
+    limit: float,
+    action: Callable[[], T],
+    on_late: Callable[[T], None] | None,
+) -> T:
+    if outer.given_up():
+        raise BridgeTimeoutError(f"{step} was not begun: {outer.step} had been given up")
+    before = outer.step, outer.limit, outer.deadline
+    deadline = time.monotonic() + limit
+    if deadline < outer.deadline:
+        outer.limit, outer.deadline = limit, deadline
+    outer.step = step
+    try:
+        result = action()
+    finally:
+        if not outer.given_up():
+            outer.step, outer.limit, outer.deadline = before
+    if outer.given_up():
+        if on_late is not None:
+            on_late(result)
+        raise BridgeTimeoutError(f"{step} finished only after it had been given up")
+    return result

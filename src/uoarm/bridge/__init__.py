@@ -1,0 +1,24 @@
+"""The bridge contract: what a framework plugin implements and what the manager may rely on."""
+
+from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
+from uoarm.bridge._channel import Channel, Sink
+from uoarm.bridge._description import Capabilities, Description, Discovered, HealthEvent
+from uoarm.bridge._plugin import BridgeType, hookimpl, hookspec
+from uoarm.bridge._registry import PluginProblem, Registry
+
+__all__ = [
+    "CONTRACT_VERSION",
+    "Bridge",
+    "BridgeType",
+    "Capabilities",
+    "Channel",
+    "Description",
+    "Discovered",
+    "Handler",
+    "HealthEvent",
+    "PluginProblem",
+    "Registry",
+    "Sink",
+    "hookimpl",
+    "hookspec",
+]

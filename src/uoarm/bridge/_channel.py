@@ -1,0 +1,81 @@
+"""Channels: one open native link each, with a close that always ends."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from uoarm import _bounded
+from uoarm.bridge._border import translated
+from uoarm.model import Endpoint, Message
+
+__all__ = ["Channel", "Sink"]
+
+_CLOSE_SECONDS = 5.0
+
+
+class Channel(ABC):
+    """One open native link of a bridge.
+
+    Must implement: `_close`.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self._closing = threading.Lock()
+        self._closed = False
+        self._when_closed: Callable[[Channel], None] | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called, whatever it came to."""
+        return self._closed
+
+    def close(self, *, timeout: float = _CLOSE_SECONDS) -> None:
+        """Close the link. May be called from any thread, `deliver`'s too; once is enough.
+
+        The channel counts as closed from the beginning of the call, also when it raises.
+
+        Raises:
+            BridgeTimeoutError: the framework did not let go within `timeout` seconds.
+            BridgeError: the framework failed while closing.
+        """
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+        if self._when_closed is not None:
+            self._when_closed(self)
+        step = f"bridge {self.endpoint.bridge!r}: closing {self.endpoint}"
+        with translated(step):
+            _bounded.run(step, timeout, self._close)
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go of the native link; called once.
+
+        When it is called from the thread that delivers, it must not wait for that thread.
+        """
+
+
+class Sink(Channel):
+    """A channel into a component.
+
+    Must implement: `_close`, `send`.
+
+    Attributes:
+        blocking: whether `send` may wait or compute. The manager calls a sink that does not
+            block in the thread in which the message arrived; before any other it puts a
+            bounded queue with one worker. True unless the bridge says otherwise.
+    """
+
+    blocking: bool = True
+
+    @abstractmethod
+    def send(self, message: Message) -> None:
+        """Hand one message to the component.
+
+        Called by one thread at a time, without any wrapper: what it raises is counted,
+        translated and shown in the status by the route that called it.
+        """

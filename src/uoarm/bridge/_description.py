@@ -1,0 +1,68 @@
+"""What a bridge knows of an endpoint, of itself, and of what happens to it: plain values."""
+
+from __future__ import annotations
+
+from attrs import frozen
+
+from uoarm.bridge._channel import Channel
+from uoarm.model import Endpoint, Health, MessageStructure
+
+__all__ = ["Capabilities", "Description", "Discovered", "HealthEvent"]
+
+
+@frozen
+class Description:
+    """The message structures of one endpoint.
+
+    A stream has `message`; a service has `request` and `reply`. None where the framework does
+    not know: the configuration must then declare the structure.
+    """
+
+    message: MessageStructure | None = None
+    request: MessageStructure | None = None
+    reply: MessageStructure | None = None
+
+
+@frozen
+class Discovered:
+    """A component that is visible now, without having been configured."""
+
+    name: str
+    endpoints: tuple[tuple[Endpoint, Description], ...]
+    detail: str = ""
+
+
+@frozen
+class Capabilities:
+    """What a bridge can do, checked when a plan is made and never found out in motion.
+
+    Attributes:
+        discover: lists components by itself.
+        call: reaches services of components.
+        serve: offers a function to the framework as a service.
+        link: connects two of its own endpoints without the manager in between.
+    """
+
+    discover: bool = False
+    call: bool = False
+    serve: bool = False
+    link: bool = False
+
+
+@frozen(eq=False)
+class HealthEvent:
+    """A change for the better or the worse that a bridge noticed by itself.
+
+    Attributes:
+        bridge: name of the instance.
+        health: what it is now. LOST ends every connection that needs it.
+        cause: why, in one sentence.
+        channel: the channel concerned; None when it is the whole bridge or `component`.
+        component: the component concerned; None when it is the channel or the whole bridge.
+    """
+
+    bridge: str
+    health: Health
+    cause: str
+    channel: Channel | None = None
+    component: str | None = None

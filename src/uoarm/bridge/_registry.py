@@ -1,0 +1,131 @@
+"""Which bridge plugins are installed, which of them are broken, and why."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+
+import pluggy
+from attrs import frozen
+
+from uoarm.bridge._border import translated
+from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
+from uoarm.bridge._plugin import SPECIFICATION, BridgeType
+from uoarm.errors import BridgeError, PluginError
+from uoarm.model import BridgeSpec
+
+__all__ = ["PluginProblem", "Registry"]
+
+_GROUP = "uoarm.bridges"
+_KNOWN = {"ros2": "uoarm-ros2", "rtm": "uoarm-rtm", "rocos": "uoarm-rocos"}
+
+
+@frozen
+class PluginProblem:
+    """An installed plugin that cannot be used."""
+
+    name: str
+    cause: str
+
+
+class Registry:
+    """The bridge types of the installed plugins, read once when it is made.
+
+    A plugin that fails to load is listed in `problems` and hurts nobody else.
+
+    Args:
+        points: entry points to read instead of the installed ones.
+    """
+
+    def __init__(self, points: Iterable[EntryPoint] | None = None) -> None:
+        self._types: dict[str, BridgeType] = {}
+        self._problems: list[PluginProblem] = []
+        found = entry_points(group=_GROUP) if points is None else points
+        for point in sorted(found, key=lambda point: point.name):
+            try:
+                types = _types_of(point)
+            except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
+                self._problems.append(PluginProblem(point.name, f"{type(error).__name__}: {error}"))
+                continue
+            for kind in types:
+                self._admit(point.name, kind)
+
+    @property
+    def types(self) -> Mapping[str, BridgeType]:
+        """Usable bridge types by name."""
+        return self._types
+
+    @property
+    def problems(self) -> tuple[PluginProblem, ...]:
+        """Plugins that cannot be used, each with its cause."""
+        return tuple(self._problems)
+
+    def add(self, kind: BridgeType) -> None:
+        """Add a bridge type that no installed plugin provides, as tests and programs do.
+
+        Raises:
+            PluginError: the name is taken, or the contract version is another.
+        """
+        before = len(self._problems)
+        self._admit(kind.name, kind)
+        if len(self._problems) > before:
+            problem = self._problems.pop()
+            raise PluginError(f"bridge plugin {problem.name!r}: {problem.cause}")
+
+    def create(self, spec: BridgeSpec) -> Bridge:
+        """Make the bridge instance that a configuration asks for.
+
+        Raises:
+            PluginError: no such plugin, a broken one, or its middleware is missing.
+            BridgeError: the plugin raised something else.
+        """
+        kind = self._types.get(spec.plugin)
+        if kind is None:
+            raise PluginError(f"bridge {spec.name!r}: {self.missing(spec.plugin)}")
+        with translated(f"bridge {spec.name!r}: starting plugin {spec.plugin!r}"):
+            bridge: object = kind.create(spec.name, spec.options)
+        if not isinstance(bridge, Bridge):
+            text = f"plugin {spec.plugin!r} made a {type(bridge).__name__}, not a Bridge"
+            raise BridgeError(text)
+        return bridge
+
+    def missing(self, plugin: str) -> str:
+        """Say why there is no bridge type of this name and what to do."""
+        for problem in self._problems:
+            if problem.name == plugin:
+                return f"plugin {plugin!r} is installed but cannot be used: {problem.cause}"
+        if plugin in _KNOWN:
+            return f"plugin {plugin!r} is not installed: pip install {_KNOWN[plugin]}"
+        close = difflib.get_close_matches(plugin, self._types, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        return f"there is no plugin {plugin!r} (installed: {', '.join(self._types)}){hint}"
+
+    def _admit(self, plugin: str, kind: BridgeType) -> None:
+        if kind.contract != CONTRACT_VERSION:
+            cause = (
+                f"bridge type {kind.name!r} implements contract version {kind.contract}, "
+                f"this uoarm has version {CONTRACT_VERSION}: install matching versions"
+            )
+        elif kind.name in self._types:
+            cause = f"bridge type {kind.name!r} is already provided by another plugin"
+        else:
+            self._types[kind.name] = kind
+            return
+        self._problems.append(PluginProblem(plugin, cause))
+
+
+def _types_of(point: EntryPoint) -> list[BridgeType]:
+    """Load one plugin on its own, so that its mistakes stay its own."""
+    manager = pluggy.PluginManager("uoarm")
+    manager.add_hookspecs(SPECIFICATION)
+    manager.register(point.load(), name=point.name)
+    manager.check_pending()
+    answers: list[list[BridgeType]] = manager.hook.uoarm_bridge_types()
+    types = [kind for answer in answers for kind in answer]
+    if not types:
+        raise PluginError("it implements no uoarm_bridge_types hook")
+    for kind in types:
+        if not isinstance(kind, BridgeType):
+            raise PluginError(f"uoarm_bridge_types returned a {type(kind).__name__}")
+    return types

@@ -1,0 +1,64 @@
+"""Frozen values that every layer shares. They hold facts and do nothing."""
+
+from uoarm.model._component import (
+    Component,
+    Endpoint,
+    Function,
+    Input,
+    Output,
+    PortRef,
+    Role,
+    Service,
+)
+from uoarm.model._control import ControlMessage, Op
+from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
+from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
+from uoarm.model._robot import BridgeSpec, Robot
+from uoarm.model._status import (
+    BridgeStatus,
+    ComponentStatus,
+    ConnectionState,
+    ConnectionStatus,
+    Health,
+    RouteStatus,
+    StatusEvent,
+    StatusMap,
+)
+from uoarm.model._structure import MessageStructure
+from uoarm.model._values import Deliver, Message, Options, Schema
+
+__all__ = [
+    "BridgeSpec",
+    "BridgeStatus",
+    "Component",
+    "ComponentStatus",
+    "ConnectionState",
+    "ConnectionStatus",
+    "ControlMessage",
+    "Deliver",
+    "Edge",
+    "Endpoint",
+    "Function",
+    "Health",
+    "Input",
+    "Message",
+    "MessageStructure",
+    "Op",
+    "Options",
+    "Output",
+    "OverflowPolicy",
+    "Plan",
+    "PortRef",
+    "QueuePolicy",
+    "Reason",
+    "Rejection",
+    "Robot",
+    "Role",
+    "RouteStatus",
+    "Schema",
+    "Service",
+    "StatusEvent",
+    "StatusMap",
+    "Step",
+    "ValidationMode",
+]

@@ -1,0 +1,97 @@
+"""The immutable result of resolving one request."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from attrs import field, frozen
+
+from uoarm.model._component import Component
+from uoarm.model._structure import MessageStructure
+
+__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step"]
+
+
+@frozen
+class Reason:
+    """One cause of a refusal.
+
+    Attributes:
+        sentence: what is wrong, in one sentence.
+        path: field path within the message, empty for the whole.
+        producer: what the producing side may emit there.
+        consumer: what the consuming side takes there.
+        example: the smallest part of a message that shows it.
+        suggestion: configuration lines that would mend it, ready to paste.
+    """
+
+    sentence: str
+    path: str = ""
+    producer: str = ""
+    consumer: str = ""
+    example: object = field(default=None, hash=False)
+    suggestion: str = ""
+
+
+@frozen
+class Rejection:
+    """A candidate that was tried and not taken, with every reason.
+
+    `because_of` lists the rejected candidates of the functions that it depends on.
+    """
+
+    function: str
+    component: str
+    priority: int
+    reasons: tuple[Reason, ...]
+    because_of: tuple[Rejection, ...] = ()
+
+
+@frozen
+class Edge:
+    """A checked connection from one component's output to another's input."""
+
+    producer: str
+    output: str
+    consumer: str
+    input: str
+    producer_structure: MessageStructure
+    consumer_structure: MessageStructure
+    mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    losses: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@frozen
+class Step:
+    """One chosen component with the structure of each of its ports by name.
+
+    A service has the two structures `request` and `reply`.
+    """
+
+    component: Component
+    structures: Mapping[str, MessageStructure] = field(hash=False)
+
+
+@frozen
+class Plan:
+    """What will be opened for one request: steps, producers first, and the edges between.
+
+    Attributes:
+        function: the function asked for; provided by the last step.
+        steps: chosen components; each stands after all that it depends on.
+        edges: connections between steps; `Edge.producer` and `.consumer` name components.
+        rejected: candidates of higher priority that were passed over, with their reasons.
+        warnings: what a careful reader should know, none of which stops the plan.
+    """
+
+    function: str
+    steps: tuple[Step, ...]
+    edges: tuple[Edge, ...] = ()
+    rejected: tuple[Rejection, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def provider(self) -> Step:
+        """The step whose component provides the function asked for."""
+        return self.steps[-1]

@@ -1,0 +1,45 @@
+"""The configuration of one robot, read and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from attrs import field, frozen
+
+from uoarm.model._component import Function
+from uoarm.model._values import Options
+
+__all__ = ["BridgeSpec", "Robot"]
+
+
+@frozen
+class BridgeSpec:
+    """One bridge instance as the configuration asks for it.
+
+    Attributes:
+        name: name of the instance, by which components refer to it.
+        plugin: name of the plugin that makes it.
+        options: settings handed to the plugin.
+        host: settings of the process it runs in; None: the application's own.
+    """
+
+    name: str
+    plugin: str
+    options: Options = field(factory=dict, hash=False)
+    host: Options | None = field(default=None, hash=False)
+
+
+@frozen
+class Robot:
+    """Bridges and functions by name, in the order of the file.
+
+    Attributes:
+        warnings: remarks about the file that do not stop it from being used.
+        origin: the file it was read from, empty when it was built in memory.
+    """
+
+    bridges: Mapping[str, BridgeSpec] = field(converter=MappingProxyType, hash=False)
+    functions: Mapping[str, Function] = field(converter=MappingProxyType, hash=False)
+    warnings: tuple[str, ...] = ()
+    origin: str = ""

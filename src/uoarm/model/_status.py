@@ -1,0 +1,126 @@
+"""Snapshots of the live system: bridges, components, connections and routes."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from attrs import frozen
+
+__all__ = [
+    "BridgeStatus",
+    "ComponentStatus",
+    "ConnectionState",
+    "ConnectionStatus",
+    "Health",
+    "RouteStatus",
+    "StatusEvent",
+    "StatusMap",
+]
+
+
+class Health(Enum):
+    """How a bridge, component or channel is doing."""
+
+    OK = "ok"
+    DEGRADED = "degraded"
+    LOST = "lost"
+
+
+class ConnectionState(Enum):
+    """Life of a connection; it moves down this list only."""
+
+    OPENING = "opening"
+    RUNNING = "running"
+    CLOSING = "closing"
+    CLOSED = "closed"
+    FAILED = "failed"
+
+
+@frozen
+class BridgeStatus:
+    """One bridge instance."""
+
+    name: str
+    plugin: str
+    health: Health
+    open_channels: int
+    cause: str = ""
+
+
+@frozen
+class ComponentStatus:
+    """One open component and the connections that use it."""
+
+    name: str
+    function: str
+    bridge: str
+    health: Health
+    users: tuple[str, ...]
+    cause: str = ""
+
+
+@frozen
+class RouteStatus:
+    """One flow of messages, with its counters since it was opened.
+
+    Attributes:
+        producer: component and output, `head_camera.default`.
+        consumer: component and input, or the connection's id when the application receives.
+        received: messages that arrived from the producer.
+        delivered: messages that the consumer took.
+        dropped: messages lost on the way, by reason.
+        invalid: messages found not to match the declared structure.
+        rate: messages a second over the last seconds, None until two have arrived.
+        age: seconds since the last message arrived, None before the first.
+        last_error: text of the last failure on this route.
+    """
+
+    producer: str
+    consumer: str
+    received: int
+    delivered: int
+    dropped: tuple[tuple[str, int], ...] = ()
+    invalid: int = 0
+    rate: float | None = None
+    age: float | None = None
+    last_error: str = ""
+
+
+@frozen
+class ConnectionStatus:
+    """One request that an application made."""
+
+    id: str
+    function: str
+    state: ConnectionState
+    components: tuple[str, ...]
+    cause: str = ""
+
+
+@frozen
+class StatusMap:
+    """The whole system at one moment."""
+
+    bridges: tuple[BridgeStatus, ...] = ()
+    components: tuple[ComponentStatus, ...] = ()
+    connections: tuple[ConnectionStatus, ...] = ()
+    routes: tuple[RouteStatus, ...] = ()
+
+
+@frozen
+class StatusEvent:
+    """One change, in the order in which it happened.
+
+    Attributes:
+        number: counts up by one with every event of a manager.
+        time: seconds of the manager's clock.
+        subject: what changed, `connection c3`, `component head_camera`, `bridge ros`.
+        change: the new state, one word.
+        cause: why, empty for what the application asked for itself.
+    """
+
+    number: int
+    time: float
+    subject: str
+    change: str
+    cause: str = ""
