@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping
 
@@ -12,6 +13,7 @@ from uoarm.model import BridgeSpec, BridgeStatus, Health
 
 __all__ = ["BridgeSet"]
 
+_log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
 
 
@@ -59,6 +61,16 @@ class BridgeSet:
             if name not in self._bridges:
                 self._bridges[name] = self._start(name)
             return self._bridges[name]
+
+    def retire(self, name: str) -> None:
+        """Close a bridge that is lost; `get` makes a new one. Failures while closing are logged."""
+        with self._lock:
+            bridge = self._bridges.pop(name, None)
+        if bridge is not None:
+            try:
+                bridge.close()
+            except BridgeError as error:
+                _log.warning("%s", error)
 
     def statuses(self) -> tuple[BridgeStatus, ...]:
         """Return the started bridges as the status map shows them."""

@@ -51,6 +51,7 @@ class Connection:
         self._tell: Callable[[Connection], None] | None = None
         self._state = ConnectionState.OPENING
         self._cause = ""
+        self._open = threading.Event()
         self._lock = threading.Lock()
 
     @property
@@ -155,7 +156,9 @@ class Connection:
                 self._state = ConnectionState.RUNNING
         if given_up:
             self._opened.close()
-            raise ConnectionClosedError(f"connection {self.id} ended while it was being opened")
+            text = f"connection {self.id} ended while it was being opened"
+            raise ConnectionClosedError(f"{text}: {self._cause or 'kill'}")
+        self._open.set()
         self._changed()
 
     def end(self, state: ConnectionState, cause: str) -> None:
@@ -165,6 +168,7 @@ class Connection:
                 return
             self._state = ConnectionState.CLOSING
             self._cause = cause
+        self._open.set()
         try:
             self._opened.close()
         finally:
@@ -185,7 +189,11 @@ class Connection:
         return self._opened.uses(live)
 
     def drain(self, timeout: float) -> None:
-        """Wait until what is under way has reached the application or time ran out."""
+        """Wait until what is under way has reached the application.
+
+        Waits `timeout` seconds at most for the opening, and as long for each queue.
+        """
+        self._open.wait(timeout)
         order = {step.component.name: n for n, step in enumerate(self.plan.steps)}
         for joined in sorted(self._opened.edges, key=lambda one: order[one.edge.producer]):
             if joined.route is not None:

@@ -72,7 +72,13 @@ class RobotManager:
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge)
         self._pool = Pool(self._bridges.get, clock)
-        self._health = HealthDesk(self._pool, self._ledger, self._board, self._resolver.invalidate)
+        self._health = HealthDesk(
+            self._pool,
+            self._ledger,
+            self._board,
+            forget=self._resolver.invalidate,
+            retire=self._bridges.retire,
+        )
 
     @classmethod
     def from_file(
