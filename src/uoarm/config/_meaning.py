@@ -90,15 +90,13 @@ class Checker:
                     self._refuse(where, f"not a JSON Schema: {error.message[:200]}")
 
     def _check_sources(self, component: Any, path: Path) -> None:
-        for one, several in (("input", "inputs"),):
-            for name, port in ports(component, one, several).items():
-                if "from" not in port:
-                    continue
-                where = (
-                    (*path, one)
-                    if name == "default" and one in component
-                    else (*path, several, name)
-                )
+        for name, port in ports(component, "input", "inputs").items():
+            if "from" in port:
+                lone = name == "default" and "input" in component
+                where: Path = (*path, "input") if lone else (*path, "inputs", name)
+                self._check_source(port["from"], (*where, "from"))
+
+    def _check_source(self, source: str, where: Path) -> None:
         functions = self._value["functions"]
         function, _, output = source.partition(".")
         if function not in functions:
