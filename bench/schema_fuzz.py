@@ -15,11 +15,28 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.schema._judge import WrongVerdictError, judge, shown
+from tests.schema._finite import finite_schema
+from tests.schema._hand_schemas import hand_schema
+from tests.schema._judge import Body, WrongVerdictError, judge, shown
 from tests.schema._random_choices import RandomChoices
+from tests.schema._reference import Reference
+from tests.schema._rewrites import negated
 from tests.schema._strategies import related_pair
 from tests.schema._universe import universe
 from uoarm.schema import check
+
+from uoarm.testing._choices import chance
+
+
+def _question(choices: RandomChoices) -> tuple[Body, Body, str | None]:
+    """A pair, and the true answer where the producer has few enough instances to try all."""
+    if not chance(choices, 30):
+        return (*related_pair(choices), None)
+    producer, instances = finite_schema(choices)
+    consumer = hand_schema(choices, 2) if chance(choices, 60) else finite_schema(choices)[0]
+    consumer = negated(consumer) if chance(choices, 25) else consumer
+    accepts = Reference(consumer).accepts
+    return producer, consumer, "yes" if all(accepts(value) for value in instances) else "no"
 
 
 def main() -> None:
@@ -37,12 +54,15 @@ def main() -> None:
     while time.monotonic() < end:
         seed += 1
         choices = RandomChoices(seed)
-        producer, consumer = related_pair(choices)
+        producer, consumer, truth = _question(choices)
         try:
             started = time.perf_counter()
             verdict = check(producer, consumer)
             slowest = max(slowest, (time.perf_counter() - started, seed))
-            answers[judge(producer, consumer, choices, universe=everything)] += 1
+            given = judge(producer, consumer, choices, universe=everything)
+            answers[given] += 1
+            if truth is not None and given not in {truth, "undecided"}:
+                raise WrongVerdictError(f"{given} for {truth}{shown(producer, consumer)}")
             if verdict.undecided is not None:
                 causes[verdict.undecided] += 1
                 if causes[verdict.undecided] <= 2:

@@ -40,6 +40,14 @@ def loosened(choices: Choices, schema: Body) -> Body:
     return _at_some_place(choices, schema, _widen)
 
 
+def negated(schema: Body) -> Body:
+    """A schema whose instances are those that ``schema`` refuses."""
+    if not isinstance(schema, dict):
+        return not schema
+    rest = {name: value for name, value in schema.items() if name != "$defs"}
+    return {"not": rest} | ({"$defs": schema["$defs"]} if "$defs" in schema else {})
+
+
 def keywords(schema: object) -> set[str]:
     """Every name in the document: a superset of the keywords used."""
     found: set[str] = set()

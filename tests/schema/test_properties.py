@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis.strategies import DataObject, data
+from tests.schema._finite import finite_schema
+from tests.schema._hand_schemas import hand_schema
 from tests.schema._judge import Body, answer, judge, other_validators_agree, shown
 from tests.schema._reference import Reference
-from tests.schema._rewrites import equivalent, loosened, tightened
+from tests.schema._rewrites import equivalent, loosened, negated, tightened
 from tests.schema._strategies import Pair, pairs, schemas
 from tests.schema._universe import universe
 from uoarm.schema import Budget, check
@@ -25,6 +27,18 @@ def test_a_yes_has_no_counterexample_and_a_no_has_a_true_one(pair: Pair, more: D
 @given(pairs, data())
 def test_no_value_of_a_small_universe_disproves_a_verdict(pair: Pair, more: DataObject) -> None:
     judge(*pair, DrawnChoices(more.draw), samples=0, universe=EVERYTHING)
+
+
+@given(data())
+def test_a_finite_producer_is_decided_exactly(more: DataObject) -> None:
+    choices = DrawnChoices(more.draw)
+    producer, instances = finite_schema(choices)
+    consumer = choices.item((hand_schema(choices, 2), finite_schema(choices)[0]))
+    for wanted in (consumer, negated(consumer)):
+        accepts = Reference(wanted).accepts
+        truth = "yes" if all(accepts(value) for value in instances) else "no"
+        verdict = check(producer, wanted)
+        assert answer(verdict) == truth, (truth, verdict.undecided, shown(producer, wanted))
 
 
 @given(pairs)
