@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import pytest
 from hypothesis import given
@@ -89,8 +89,9 @@ def test_a_malformed_schema_is_one_clear_error(schema: Body, side: str) -> None:
     ids=str,
 )
 def test_what_cannot_be_known_is_undecided_or_an_error(schema: Body) -> None:
-    for producer, consumer in ((schema, {"type": "string"}), ({"type": "string"}, schema)):
-        assert answer_or_error(producer, consumer) in {"undecided", "error"}
+    text: Body = {"type": "string"}
+    assert answer_or_error(schema, text) in {"undecided", "error"}
+    assert answer_or_error(text, schema) in {"undecided", "error"}
 
 
 def test_an_alias_bomb_ends() -> None:
@@ -135,7 +136,7 @@ def test_damaged_schemas_by_seed(block: int) -> None:
 
 
 def _try_damaged(choices: Choices, schema: Body) -> None:
-    damaged = _damaged(choices, schema)
+    damaged = cast("Body", _damaged(choices, schema))
     answer_or_error(damaged, schema)
     answer_or_error(schema, damaged)
 
@@ -147,7 +148,7 @@ def answer_or_error(producer: Body, consumer: Body) -> str:
         return "error" if str(error).strip() else "an error without a word"
 
 
-def _damaged(choices: Choices, node: object) -> Body:
+def _damaged(choices: Choices, node: object) -> object:
     """The schema with one value replaced by something that has no business there."""
     if isinstance(node, dict) and node and not chance(choices, 15):
         key = choices.item(list(node))
@@ -155,4 +156,4 @@ def _damaged(choices: Choices, node: object) -> Body:
     if isinstance(node, list) and node:
         place = choices.integer(0, len(node) - 1)
         return [*node[:place], _damaged(choices, node[place]), *node[place + 1 :]]
-    return choices.item(JUNK)  # type: ignore[return-value] # that is the point
+    return choices.item(JUNK)
