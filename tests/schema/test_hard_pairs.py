@@ -10,8 +10,8 @@ from tests.schema import _hard_arrays, _hard_logic, _hard_objects, _hard_scalars
 from tests.schema._judge import answer, verify_counterexample
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
-from uoarm.schema import check
 
+from uoarm.schema import check
 from uoarm.testing._instances import find_instance
 
 if TYPE_CHECKING:
