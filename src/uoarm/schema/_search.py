@@ -6,7 +6,7 @@ from collections.abc import Generator
 from typing import TypeAlias
 
 from uoarm.schema._arrays import array_leaf
-from uoarm.schema._evaluate import OutOfScopeError
+from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._expand import Branch, expand
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
