@@ -115,9 +115,7 @@ def _type(data: dict[str, Any]) -> str | tuple[str, ...]:
 
 
 def _parse(text: str | bytes) -> Any:
-    opening = b"[{" if isinstance(text, bytes) else "[{"
-    if sum(text.count(one) for one in (opening[:1], opening[1:])) > _MAX_DEPTH:
-        _refuse_depth(text.decode("utf-8", "replace") if isinstance(text, bytes) else text)
+    _refuse_depth(text.decode("utf-8", "replace") if isinstance(text, bytes) else text)
     try:
         return json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except ControlMessageError:
@@ -127,6 +125,8 @@ def _parse(text: str | bytes) -> Any:
 
 
 def _refuse_depth(text: str) -> None:
+    if text.count("[") + text.count("{") <= _MAX_DEPTH:
+        return
     depth, quoted, escaped = 0, False, False
     for char in text:
         if quoted:
