@@ -6,8 +6,11 @@ array takes a numpy array. Both are recognised in two comparisons and passed wit
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,9 +48,9 @@ def taker(listing: Listing) -> Callable[[Message], object]:
     """
     counted = _counter(listing)
     if isinstance(listing.element, Scalar) and listing.element.name in _CODES:
-        return _buffers(listing.element.name, listing.fixed, counted)
+        return _buffers(listing.element.name, counted, fixed=listing.fixed)
     if isinstance(listing.element, Scalar) and listing.element.name == "byte":
-        octets = _buffers("uint8", False, counted)
+        octets = _buffers("uint8", counted, fixed=False)
         return lambda value: [bytes((each,)) for each in memoryview(octets(value))]  # type: ignore[arg-type]  # a buffer
     assert isinstance(listing.element, Scalar | Text)
     return _items(listing.element, counted)
@@ -82,7 +85,7 @@ def _items(element: Scalar | Text, counted: Callable[[int], None]) -> Callable[[
 
 
 def _buffers(
-    name: str, fixed: bool, counted: Callable[[int], None]  # noqa: FBT001 - one private use
+    name: str, counted: Callable[[int], None], *, fixed: bool
 ) -> Callable[[Message], object]:
     dtype, code = np.dtype(name), _CODES[name]
     octets = name == "uint8"
@@ -112,7 +115,7 @@ def _converted(value: Message, name: str, dtype: np.dtype[np.generic], code: str
         if view.ndim != 1:
             raise Misfit(f"expected an array of one dimension, got {view.ndim}")
         # memoryview(b"") of zero length has no address that numpy would take.
-        given = np.asarray(view) if len(view) else np.empty(0, dtype)
+        given = np.asarray(view) if len(view) > 0 else np.empty(0, dtype)
     elif isinstance(value, np.ndarray):
         if value.ndim != 1:
             raise Misfit(f"expected an array of one dimension, got {value.ndim}")
@@ -129,16 +132,12 @@ def _listed(
 ) -> npt.NDArray[np.generic]:
     if not value:
         return np.empty(0, dtype)
-    wanted = float if code in "fd" else int
-    if set(map(type, value)) == {wanted}:
-        try:
-            numbers = np.frombuffer(array("d" if wanted is float else code, value), None or (
-                np.float64 if wanted is float else dtype
-            ))
-        except OverflowError:
-            pass
-        else:
-            return _fitted(numbers, name, dtype)
+    kinds = set(map(type, value))
+    if code in "fd" and kinds == {float}:
+        return _fitted(np.array(value, np.float64), name, dtype)
+    if code not in "fd" and kinds == {int}:
+        with suppress(OverflowError):
+            return np.frombuffer(array(code, value), dtype)
     check = checker(Scalar(name))
     items = []
     for index, item in enumerate(value):
@@ -166,12 +165,10 @@ def _fitted(
 
 def _within(given: npt.NDArray[np.generic], name: str, least: int, greatest: int) -> None:
     """Raise Misfit naming the first element out of range; NaN and infinities pass as floats."""
-    finite = given[np.isfinite(given)] if given.dtype.kind == "f" else given  # type: ignore[arg-type]  # numbers
-    if not finite.size or (least <= finite.min().item() and finite.max().item() <= greatest):  # type: ignore[attr-defined]  # numbers
+    numbers: npt.NDArray[Any] = given
+    finite = numbers[np.isfinite(numbers)] if numbers.dtype.kind == "f" else numbers
+    if not finite.size or (least <= finite.min().item() and finite.max().item() <= greatest):
         return
-    index, item = next(
-        (index, item)
-        for index, item in enumerate(given.tolist())
-        if not least <= item <= greatest and item - item == 0
-    )
-    raise Misfit(f"[{index}] expected {least} to {greatest} ({name}), got {item!r}")
+    for index, item in enumerate(numbers.tolist()):
+        if math.isfinite(item) and not least <= item <= greatest:
+            raise Misfit(f"[{index}] expected {least} to {greatest} ({name}), got {item!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from typing import TypeVar
@@ -63,6 +64,7 @@ class Ros2Bridge(Bridge):
         self._actions: dict[tuple[str, str], Action] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
+        self._station.cut_off = self._cut_off
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address, settings = address_of(endpoint), settings_of(endpoint)
@@ -76,12 +78,16 @@ class Ros2Bridge(Bridge):
         return Description(message=message_structure(topic.type))
 
     def _describe_service(self, address: Address, settings: Settings) -> Description:
-        action, name, type_name = self._require_server(address, settings)
-        del name
-        return (_actions if action else _services).described(type_name)
+        action, _, type_name = self._require_server(address, settings)
+        return _actions.described(type_name) if action else _services.described(type_name)
 
     def _require_server(
-        self, address: Address, settings: Settings, *, action: bool | None = None
+        self,
+        address: Address,
+        settings: Settings,
+        *,
+        action: bool | None = None,
+        at_most: float = math.inf,
     ) -> tuple[bool, str, str]:
         """Return whether it is an action, its full name and its type, once a server is there."""
         name = self._station.node.resolve_service_name(address.name)
@@ -91,7 +97,7 @@ class Ros2Bridge(Bridge):
             return self._station.has_server(name) or self._station.has_server(hidden)
 
         needed = settings.peer_required or not address.type
-        if needed and not self._graph.settled(there, settings):
+        if needed and not self._graph.settled(there, settings, at_most):
             text = f"there is no server of {name} on the graph"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         if action is None:
@@ -131,7 +137,7 @@ class Ros2Bridge(Bridge):
     def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
         address, settings = address_of(endpoint), settings_of(endpoint)
         wait = min(self._graph.limit(settings), timeout / 2)
-        action, name, type_name = self._require_server(address, settings)
+        action, name, type_name = self._require_server(address, settings, at_most=wait)
         if action:
             return self._action(name, type_name).call(message, timeout, wait)
         return self._caller(name, type_name).call(message, timeout, wait)
@@ -228,6 +234,10 @@ class Ros2Bridge(Bridge):
 
     def _node_changed(self, health: Health, cause: str, node: str) -> None:
         self.report(health, cause, component=node)
+
+    def _cut_off(self) -> None:
+        text = "the ROS 2 context was shut down from outside, as rclpy's signal handlers do"
+        self.report(Health.LOST, text)
 
     def _tick(self) -> None:
         for channel, tick in list(self._watched.items()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 
@@ -93,18 +94,18 @@ class Graph:
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return name, address.type or types[0]
 
-    def settled(self, found: Callable[[], bool], settings: Settings) -> bool:
+    def settled(
+        self, found: Callable[[], bool], settings: Settings, at_most: float = math.inf
+    ) -> bool:
         """Wait for something that describing needs, only while the graph still forms."""
-        return self.until(found, self._patience(settings))
+        return self.until(found, min(at_most, self._patience(settings)))
 
     def _patience(self, settings: Settings) -> float:
         if settings.wait is not None:
             return settings.wait
         return max(0.0, self._formed_at - time.monotonic())
 
-    def _nobody(
-        self, name: str, wanted: str, role: Role, peers: tuple[Peer, ...]
-    ) -> BridgeError:
+    def _nobody(self, name: str, wanted: str, role: Role, peers: tuple[Peer, ...]) -> BridgeError:
         who = "publisher" if role is Role.OUTPUT else "subscription"
         if peers:
             text = f"topic {name} has no {who} of type {wanted}, but {_listed(_types(peers))}"

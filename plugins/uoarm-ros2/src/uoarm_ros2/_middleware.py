@@ -37,6 +37,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 from rclpy.task import Future
+
 from uoarm_ros2._qos import Policies
 
 try:
@@ -68,7 +69,9 @@ def _distribution() -> str:
     from importlib.metadata import distributions  # noqa: PLC0415 - asked by people only
 
     names = (str(each.metadata["Name"]) for each in distributions())
-    found = sorted({name.split("-")[1] for name in names if name.endswith("-rclpy") and name.count("-") > 1})
+    found = sorted(
+        {name.split("-")[1] for name in names if name.endswith("-rclpy") and name.count("-") > 1}
+    )
     return ", ".join(found) or "unknown"
 
 
@@ -91,7 +94,8 @@ class Station:
     """One node, its executor and the thread that spins it.
 
     `stop` returns within its limit whatever a callback does; the thread itself puts everything
-    away when it ends, and `done` is called last.
+    away when it ends, and `done` is called last. `tick` is called a few times a second, `cut_off`
+    once if the context is shut down from outside; both in the thread.
     """
 
     def __init__(
@@ -108,6 +112,8 @@ class Station:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self.tick: Callable[[], None] = _nothing
+        self.cut_off: Callable[[], None] = _nothing
+        self._context = context
         self._executor = _executor(executor, context)
         self._executor.add_node(self.node)
         self._stopping = False
@@ -129,29 +135,34 @@ class Station:
             while not self._stopping:
                 try:
                     self._executor.spin_once(timeout_sec=_SPIN_SECONDS)
-                except Exception:
-                    if self._stopping:
-                        break
-                    _log.exception("a callback of the ROS 2 executor failed")
-                now = time.monotonic()
-                if now >= due:
-                    due = now + _SPIN_SECONDS
-                    self.tick()
+                    if time.monotonic() >= due:
+                        due = time.monotonic() + _SPIN_SECONDS
+                        self.tick()
+                except Exception as error:  # noqa: BLE001 - one failure is nobody else's
+                    self._failed(error)
+                if not self._context.ok():
+                    break
+            if not self._stopping:
+                self.cut_off()
         finally:
             self._put_away()
+
+    def _failed(self, error: Exception) -> None:
+        if not self._stopping and self._context.ok():
+            _log.error("a callback of ROS 2 failed", exc_info=error)
 
     def _put_away(self) -> None:
         try:
             self._executor.remove_node(self.node)
             self.node.destroy_node()
             self._executor.shutdown(timeout_sec=0)
-        except Exception:
+        except Exception:  # noqa: BLE001 - the context must go all the same
             _log.exception("putting away a ROS 2 node failed")
         finally:
             self._done()
             self._ended.set()
 
-    def subscribe(  # noqa: PLR0913 - one native call
+    def subscribe(
         self,
         native: type,
         topic: str,
@@ -311,7 +322,7 @@ def _fewer(
 ) -> Iterator[dict[str, Callable[[Any], None]]]:
     """Yield the callbacks, then only those that every rmw has, then none."""
     yield events
-    yield {name: each for name, each in events.items() if name in {"incompatible_qos"}}
+    yield {name: each for name, each in events.items() if name == "incompatible_qos"}
     yield {}
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from attrs import evolve, frozen
 
-__all__ = ["QosWish", "Policies", "clashes", "for_reading", "for_writing", "wish_from"]
+__all__ = ["Policies", "QosWish", "clashes", "for_reading", "for_writing", "wish_from"]
 
 _DEPTH = 100
 _MAX_DEPTH = 1_000_000
@@ -67,7 +67,9 @@ def wish_from(options: object) -> QosWish:
     if options is None or options == "auto":
         return QosWish()
     if not isinstance(options, Mapping):
-        raise ValueError(f"qos must be auto or a table of policies, got {options!r}")
+        raise ValueError(  # noqa: TRY004 - one kind of error for every mistake in a file
+            f"qos must be auto or a table of policies, got {options!r}"
+        )
     given = dict(options)
     unknown = sorted(set(given) - {*_CHOICES, *_SECONDS, "depth"})
     if unknown:

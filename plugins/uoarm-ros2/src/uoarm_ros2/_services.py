@@ -38,9 +38,7 @@ def _records(native: type, name: str) -> tuple[Record, Record]:
     return shape_of(request, f"{name}_Request"), shape_of(reply, f"{name}_Response")
 
 
-def answered(
-    future: Any, deadline: float, there: Callable[[], bool], what: str
-) -> Any:
+def answered(future: Any, deadline: float, there: Callable[[], bool], what: str) -> Any:
     """Wait for a future's result while its server is there.
 
     Raises:

@@ -27,7 +27,7 @@ _PARTS = {Role.OUTPUT: ("feedback", "result", "status"), Role.INPUT: ("goal", "c
 _WAIT_SECONDS = 2.0
 _SETTLE_SECONDS = 0.05
 
-_SECONDS: Schema = {"type": "number", "minimum": 0, "maximum": 60}
+_SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 BRIDGE_OPTIONS: Schema = {
     "type": "object",
     "additionalProperties": False,
@@ -200,6 +200,6 @@ def _seconds(options: Mapping[str, object], name: str, *, zero: bool) -> float |
     if value is None:
         return None
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not (0 <= value if zero else 0 < value):  # type: ignore[operator]  # a number
+    if not number or not (value >= 0 if zero else value > 0):  # type: ignore[operator]  # a number
         raise ValueError(f"{name} must be seconds, got {value!r}")
     return float(value)  # type: ignore[arg-type]  # a number

@@ -20,7 +20,8 @@ class TopicSink(Sink):
     """One publisher.
 
     With `auto` policies it offers what the subscriptions ask, and offers anew when all that are
-    left ask for something else. `send` blocks only with `history: keep_all`, while slow readers catch up.
+    left ask for something else. `send` blocks only with `history: keep_all`, while slow readers
+    catch up.
 
     Args:
         place: where to publish.
