@@ -16,6 +16,7 @@ from uoarm_ros2._settings import Address, Settings
 __all__ = ["Graph", "Topic"]
 
 _GLANCE_SECONDS = 0.004
+_GRACE_SECONDS = 0.5
 
 
 @frozen
@@ -31,7 +32,10 @@ class Topic:
 
 
 class Graph:
-    """A station's view of the graph, which counts as formed `wait` seconds after its start."""
+    """A station's view of the graph, which counts as formed `wait` seconds after its start.
+
+    From then on what is missing is waited for half a second: a peer that has just started.
+    """
 
     def __init__(self, station: Station, wait: float) -> None:
         self._station = station
@@ -103,7 +107,7 @@ class Graph:
     def _patience(self, settings: Settings) -> float:
         if settings.wait is not None:
             return settings.wait
-        return max(0.0, self._formed_at - time.monotonic())
+        return max(_GRACE_SECONDS, self._formed_at - time.monotonic())
 
     def _nobody(self, name: str, wanted: str, role: Role, peers: tuple[Peer, ...]) -> BridgeError:
         who = "publisher" if role is Role.OUTPUT else "subscription"

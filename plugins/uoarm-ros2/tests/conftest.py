@@ -1,0 +1,58 @@
+"""Everything on loopback, in a domain of this test run, with peers that are processes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from peers import Peer
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec
+
+settings.register_profile("short", max_examples=60, deadline=None)
+settings.register_profile("full", max_examples=1000, deadline=None)
+settings.load_profile(os.environ.get("UOARM_HYPOTHESIS", "short"))
+
+DOMAIN = 20 + os.getpid() % 80
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ.pop("ROS_LOCALHOST_ONLY", None)
+
+
+@pytest.fixture
+def make_bridge() -> Iterator[Callable[..., Bridge]]:
+    """Makes bridges and closes them all at the end."""
+    made: list[Bridge] = []
+    registry = Registry()
+
+    def make(name: str = "ros", **options: object) -> Bridge:
+        bridge = registry.create(BridgeSpec(name, "ros2", {"domain_id": DOMAIN, **options}))
+        made.append(bridge)
+        return bridge
+
+    yield make
+    for bridge in made:
+        bridge.close()
+
+
+@pytest.fixture
+def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+    return make_bridge()
+
+
+@pytest.fixture
+def peer(tmp_path: Path) -> Iterator[Callable[..., Peer]]:
+    """Starts peer processes and ends them all, frozen ones too."""
+    started: list[Peer] = []
+
+    def start(name: str, **environment: str) -> Peer:
+        process = Peer(name, tmp_path, {"ROS_DOMAIN_ID": str(DOMAIN), **environment})
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.end()
