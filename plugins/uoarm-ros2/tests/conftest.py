@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from peers import Peer
+
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
 
@@ -19,6 +20,7 @@ settings.load_profile(os.environ.get("UOARM_HYPOTHESIS", "short"))
 DOMAIN = 20 + os.getpid() % 80
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("discovery.xml"))
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
 
 
@@ -44,12 +46,12 @@ def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
 
 
 @pytest.fixture
-def peer(tmp_path: Path) -> Iterator[Callable[..., Peer]]:
+def peer() -> Iterator[Callable[..., Peer]]:
     """Starts peer processes and ends them all, frozen ones too."""
     started: list[Peer] = []
 
-    def start(name: str, **environment: str) -> Peer:
-        process = Peer(name, tmp_path, {"ROS_DOMAIN_ID": str(DOMAIN), **environment})
+    def start(name: str, *words: str, **environment: str) -> Peer:
+        process = Peer(name, {"ROS_DOMAIN_ID": str(DOMAIN), **environment}, *words)
         started.append(process)
         return process
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 from typing import Any
 
 from uoarm.bridge import Bridge, Channel, HealthEvent
@@ -25,6 +27,23 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
     structure = bridge.describe(at).message
     assert structure is not None
     return bridge.open_sink(at, structure)
+
+
+def known(bridge: Bridge, *nodes: str) -> None:
+    """Wait until the bridge sees these nodes with their endpoints."""
+    _until(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
+
+
+def matched(channel: Channel, count: int) -> None:
+    """Wait until a channel has so many peers."""
+    _until(lambda: channel.facts()["matched"] == count)
+
+
+def _until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 class Inbox:

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
@@ -38,6 +38,18 @@ def profile(
     if deadline is not None:
         made.deadline = Duration(nanoseconds=round(deadline * 1e9))
     return made
+
+
+def patiently(publisher: Any, message: Any) -> None:
+    """Publish as soon as a history that keeps all has room again."""
+    while True:
+        try:
+            publisher.publish(message)
+        except Exception as error:
+            if "cannot publish data" not in str(error):
+                raise
+        else:
+            return
 
 
 class Doer:
@@ -71,7 +83,7 @@ class Doer:
                 message = String(data=str(number))
             else:
                 message = Int64(data=number)
-            publisher.publish(message)
+            patiently(publisher, message)
             if period:
                 time.sleep(period)
         return {"published": count}
@@ -167,7 +179,8 @@ def obey(doer: Doer) -> None:
 def main() -> None:
     rclpy.init(args=[])
     node = Node(sys.argv[1])
-    executor = MultiThreadedExecutor(num_threads=4)
+    threads = "threads" in sys.argv
+    executor = MultiThreadedExecutor(num_threads=4) if threads else SingleThreadedExecutor()
     executor.add_node(node)
     threading.Thread(target=obey, args=(Doer(node),), daemon=True).start()
     try:

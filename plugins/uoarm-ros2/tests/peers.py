@@ -12,27 +12,17 @@ import threading
 from pathlib import Path
 from typing import Any
 
-_LEASE = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com"><participant profile_name="short" is_default_profile="true">
-<rtps><builtin><discovery_config>
-<leaseDuration><sec>1</sec></leaseDuration>
-<leaseAnnouncement><sec>0</sec><nanosec>300000000</nanosec></leaseAnnouncement>
-</discovery_config></builtin></rtps></participant></profiles>
-"""
-
 
 class Peer:
     """A ROS 2 node in a process of its own, whose loss others notice within a second or two."""
 
-    def __init__(self, name: str, folder: Path, environment: dict[str, str]) -> None:
-        profile = folder / "lease.xml"
-        profile.write_text(_LEASE)
+    def __init__(self, name: str, environment: dict[str, str], *words: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("peer_process.py")), name],
+            [sys.executable, str(Path(__file__).with_name("peer_process.py")), name, *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile), **environment},
+            env={**os.environ, **environment},
         )
         self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()

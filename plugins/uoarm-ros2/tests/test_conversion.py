@@ -12,11 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from messages import MESSAGE_TYPES, messages_of, plain, same
 from rclpy.serialization import deserialize_message, serialize_message
-from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm_ros2._read import reader
 from uoarm_ros2._shape import Record, shape_of
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
+
+from uoarm.errors import BridgeError, FailureReason, MessageError
 
 
 def record(name: str) -> Record:
@@ -197,7 +198,9 @@ def test_any_array_of_fitting_numbers_is_taken(given_value: object, numbers: lis
     assert list(native.int16_values) == numbers
 
 
-@pytest.mark.parametrize("octets", [b"\0\xff", bytearray(b"\0\xff"), memoryview(b"\0\xff"), [0, 255]])
+@pytest.mark.parametrize(
+    "octets", [b"\0\xff", bytearray(b"\0\xff"), memoryview(b"\0\xff"), [0, 255]]
+)
 @pytest.mark.parametrize("field", ["uint8_values", "byte_values", "char_values"])
 def test_octets_come_in_every_form(field: str, octets: object) -> None:
     shape = record("test_msgs/msg/UnboundedSequences")

@@ -247,5 +247,5 @@ class Ros2Bridge(Bridge):
                 tick()
         for action in list(self._actions.values()):
             action.tick()
-        if self._listener is not None:
-            self._attendance.tick()
+        self._graph.tick()
+        self._attendance.tick()

@@ -17,6 +17,9 @@ __all__ = ["Graph", "Topic"]
 
 _GLANCE_SECONDS = 0.004
 _GRACE_SECONDS = 0.5
+_FRESH_SECONDS = 0.5
+_EVERY_NODE_PUBLISHES = "/parameter_events"
+_MOST_PARTICIPANTS = 10_000
 
 
 @frozen
@@ -41,6 +44,7 @@ class Graph:
         self._station = station
         self._wait = wait
         self._formed_at = time.monotonic() + wait
+        self._met: dict[bytes, float] = {}
 
     def limit(self, settings: Settings) -> float:
         """Return how many seconds an opening channel waits for its other end."""
@@ -54,6 +58,26 @@ class Graph:
                 return False
             time.sleep(_GLANCE_SECONDS)
         return True
+
+    def tick(self) -> None:
+        """Take note of the participants that are there."""
+        self._meet(self._station.publishers(_EVERY_NODE_PUBLISHES))
+
+    def settle(self, peers: Iterable[Peer], seconds: float, given_up: Callable[[], bool]) -> None:
+        """Give matched peers the time to match us in turn, which DDS does not tell.
+
+        Those that we have known for a while need next to none: under a millisecond as measured.
+        Discovery of a participant goes both ways in turn, so newcomers get half a second.
+        """
+        met = self._meet(peers)
+        fresh = max((_FRESH_SECONDS - (time.monotonic() - at) for at in met), default=0.0)
+        self.until(given_up, max(seconds, fresh))
+
+    def _meet(self, peers: Iterable[Peer]) -> list[float]:
+        if len(self._met) > _MOST_PARTICIPANTS:
+            self._met.clear()
+        now = time.monotonic()
+        return [self._met.setdefault(peer.participant, now) for peer in peers]
 
     def topic(self, address: Address, role: Role, settings: Settings) -> Topic:
         """Settle a topic's type and see that its other end is there, as far as required.

@@ -48,6 +48,7 @@ except ImportError:
 __all__ = ["Future", "Participant", "Peer", "Station", "environment"]
 
 _SPIN_SECONDS = 0.2
+_PREFIX_BYTES = 12
 _NANOSECONDS = 1_000_000_000
 _log = logging.getLogger("uoarm.ros2")
 
@@ -83,11 +84,15 @@ def _discovery() -> str:
 
 @frozen
 class Peer:
-    """One publisher or subscription on the graph, with what it offers or asks."""
+    """One publisher or subscription on the graph, with what it offers or asks.
+
+    `participant` names the DDS participant behind it, by the prefix of its identifier.
+    """
 
     node: str
     type: str
     policies: Policies
+    participant: bytes = b""
 
 
 class Station:
@@ -348,7 +353,8 @@ def _profile(policies: Policies) -> Any:
 
 def _peer(info: Any) -> Peer:
     node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-    return Peer(node, info.topic_type, _policies(info.qos_profile))
+    participant = bytes(info.endpoint_gid[:_PREFIX_BYTES])
+    return Peer(node, info.topic_type, _policies(info.qos_profile), participant)
 
 
 def _policies(profile: Any) -> Policies:

@@ -24,7 +24,8 @@ __all__ = [
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 _PARTS = {Role.OUTPUT: ("feedback", "result", "status"), Role.INPUT: ("goal", "cancel")}
-_WAIT_SECONDS = 2.0
+# Fast DDS announces a participant every 3 s: who starts beside us may be unseen that long.
+_WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
 
 _SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
@@ -44,7 +45,7 @@ BRIDGE_OPTIONS: Schema = {
             "description": "name of the bridge's node; default: uoarm_ and the bridge's name",
         },
         "namespace": {"type": "string", "description": "namespace of the bridge's node"},
-        "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 2"},
+        "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
         "settle": {
             **_SECONDS,
             "description": "seconds for a matched publisher to learn of us; default 0.05",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,6 +15,10 @@ from uoarm_ros2._qos import Policies, clashes, for_writing
 from uoarm_ros2._source import Place
 
 __all__ = ["TopicSink"]
+
+_ANSWER_TICKS = 5
+_BLOCK_SECONDS = 10.0
+_FULL = "cannot publish data"
 
 
 class TopicSink(Sink):
@@ -33,7 +38,7 @@ class TopicSink(Sink):
         self._place = place
         self._write = write
         self.pulse = Pulse(lambda health, cause: place.report(self, health, cause))
-        self._unanswered = False
+        self._unanswered = 0
         self._policies = for_writing(place.settings.qos, self._requests())
         self.blocking = self._policies.history == "keep_all"
         self._publisher = self._advertise()
@@ -48,7 +53,11 @@ class TopicSink(Sink):
         if self._closed:
             text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
             raise BridgeError(text, FailureReason.CLOSED)
-        self._publisher.publish(self._write(message))
+        native = self._write(message)
+        if self.blocking:
+            self._publish_patiently(native)
+        else:
+            self._publisher.publish(native)
         self.pulse.count += 1
 
     def wait(self) -> None:
@@ -65,17 +74,30 @@ class TopicSink(Sink):
                 raise BridgeError(self._why_unmatched(limit), FailureReason.UNAVAILABLE)
         elif any(asked.reliability == "best_effort" for asked in self._requests()):
             # A reader that does not ask for repeats must have matched us before the first message.
-            place.graph.until(lambda: self.closed, place.settle)
+            place.graph.settle(self._peers(), place.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""
         self.pulse.tick()
         if self._unanswered and not self._closed:
+            self._unanswered -= 1
             self._answer_clash()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched subscriptions and the policies in force."""
         return {**self.pulse.facts(), "qos": str(self._policies)}
+
+    def _publish_patiently(self, native: Any) -> None:
+        """Publish once the history has room; the rmw itself waits a tenth of a second only."""
+        deadline = time.monotonic() + _BLOCK_SECONDS
+        while not self._closed:
+            try:
+                self._publisher.publish(native)
+            except Exception as error:
+                if _FULL not in str(error) or time.monotonic() > deadline:
+                    raise
+            else:
+                return
 
     def _close(self) -> None:
         self._place.station.node.destroy_publisher(self._publisher)
@@ -122,6 +144,7 @@ class TopicSink(Sink):
     def _clash(self, info: Any) -> None:
         """Take note of a subscription that does not fit; in the station's thread."""
         self.pulse.incompatible = info.total_count
+        self._unanswered = _ANSWER_TICKS
         self._answer_clash()
 
     def _answer_clash(self) -> None:
@@ -132,10 +155,12 @@ class TopicSink(Sink):
             before, self._policies = self._publisher, fitting
             self._publisher = self._advertise()
             self._place.station.node.destroy_publisher(before)
-            self._unanswered = False
+            self._unanswered = 0
             return
         text = self._clashes()
-        self._unanswered = not text  # the graph may learn of a peer a moment after the event
+        if self._unanswered and (not text or "UNKNOWN" in text):
+            return  # the graph learns of a peer, then of its node, a moment after the event
+        self._unanswered = 0
         if text:
             lost = alone and self._place.settings.peer_required
             self.pulse.tell(Health.LOST if lost else Health.DEGRADED, text)

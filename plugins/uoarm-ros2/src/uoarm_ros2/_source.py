@@ -19,6 +19,8 @@ from uoarm_ros2._settings import Settings
 
 __all__ = ["Place", "Source"]
 
+_ANSWER_TICKS = 5
+
 
 @frozen
 class Place:
@@ -54,7 +56,7 @@ class Source(GatedChannel):
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause), place.settings.stale_after
         )
-        self._unanswered = False
+        self._unanswered = 0
         self._policies = for_reading(place.settings.qos, self._offers())
         self._subscription = self._subscribe()
 
@@ -71,13 +73,13 @@ class Source(GatedChannel):
                 raise BridgeError(self._why_unmatched(limit), FailureReason.UNAVAILABLE)
             return
         if self._policies.durability != "transient_local":
-            # DDS does not tell a reader when the writer has matched it in turn.
-            place.graph.until(lambda: self.closed, place.settle)
+            place.graph.settle(self._peers(), place.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""
         self.pulse.tick()
         if self._unanswered and not self._closed:
+            self._unanswered -= 1
             self._answer_clash()
 
     def facts(self) -> Mapping[str, object]:
@@ -130,6 +132,7 @@ class Source(GatedChannel):
     def _clash(self, info: Any) -> None:
         """Take note of a publisher that does not fit; in the station's thread, as messages are."""
         self.pulse.incompatible = info.total_count
+        self._unanswered = _ANSWER_TICKS
         self._answer_clash()
 
     def _answer_clash(self) -> None:
@@ -140,10 +143,12 @@ class Source(GatedChannel):
             before, self._policies = self._subscription, fitting
             self._subscription = self._subscribe()
             self._place.station.node.destroy_subscription(before)
-            self._unanswered = False
+            self._unanswered = 0
             return
         text = self._clashes()
-        self._unanswered = not text  # the graph may learn of a peer a moment after the event
+        if self._unanswered and (not text or "UNKNOWN" in text):
+            return  # the graph learns of a peer, then of its node, a moment after the event
+        self._unanswered = 0
         if text:
             lost = alone and self._place.settings.peer_required
             self.pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
