@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 import rclpy
@@ -183,10 +184,8 @@ def main() -> None:
     executor = MultiThreadedExecutor(num_threads=4) if threads else SingleThreadedExecutor()
     executor.add_node(node)
     threading.Thread(target=obey, args=(Doer(node),), daemon=True).start()
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
 
 
 if __name__ == "__main__":
