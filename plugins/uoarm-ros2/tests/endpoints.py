@@ -13,7 +13,7 @@ from uoarm.model import Endpoint, Health, Role
 INT64 = "std_msgs/msg/Int64"
 
 
-def endpoint(role: Role, *address: str, port: str = "default", **options: object) -> Endpoint:
+def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -> Endpoint:
     return Endpoint("ros", "thing", role, address, port=port, options=options)
 
 

@@ -28,7 +28,7 @@ MESSAGE_TYPES = [
         "WStrings",
     )
 ]
-_CHARACTERS = st.characters(exclude_categories=("Cs",), exclude_characters="\0")
+_CHARACTERS = st.characters(exclude_categories=["Cs"], exclude_characters="\0")
 
 
 @st.composite

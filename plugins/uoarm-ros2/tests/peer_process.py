@@ -61,6 +61,7 @@ class Doer:
         self.publishers: dict[str, Any] = {}
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
+        self.ends: list[str] = []
 
     def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
@@ -137,10 +138,12 @@ class Doer:
             for _ in range(1, goal.request.order):
                 if goal.is_cancel_requested:
                     goal.canceled()
+                    self.ends.append("canceled")
                     return Fibonacci.Result(sequence=sequence)
                 sequence.append(sequence[-1] + sequence[-2])
                 goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
                 time.sleep(period)
+            self.ends.append("completed")
             if goal.request.order == 13:
                 goal.abort()
             else:
@@ -159,6 +162,12 @@ class Doer:
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         return {}
+
+    def goal_ends(self) -> dict[str, Any]:
+        deadline = time.monotonic() + 10.0
+        while not self.ends and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return {"ends": self.ends}
 
 
 def say(answer: dict[str, Any]) -> None:

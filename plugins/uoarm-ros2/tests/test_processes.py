@@ -17,6 +17,7 @@ import pytest
 from conftest import DOMAIN
 from endpoints import INT64, Inbox, endpoint, sink, source
 from peers import Peer
+
 from uoarm.bridge import Bridge
 from uoarm.model import Role
 
@@ -124,14 +125,17 @@ def test_the_doctor_says_what_is_used() -> None:
 
 
 def _resources() -> tuple[int, int]:
-    return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+    here = Path("/proc/self")
+    return len(list((here / "fd").iterdir())), len(list((here / "task").iterdir()))
 
 
 def _resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def test_five_hundred_openings_leave_nothing_behind(bridge: Bridge) -> None:
+@pytest.mark.parametrize("executor", ["standard", "events"])
+def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make, executor: str) -> None:
+    bridge = make_bridge(executor=executor, settle=0)
     at = endpoint(Role.INPUT, "/again", INT64, peer="optional", wait=0.0)
     from_there = endpoint(Role.OUTPUT, "/again", INT64, peer="optional", wait=0.0)
 

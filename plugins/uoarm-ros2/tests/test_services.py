@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
 from peers import Peer
-from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
-from uoarm.model import Health, Role
 from uoarm_ros2._read import reader
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health, Role
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -30,7 +31,7 @@ def request(**fields: object) -> dict[str, Any]:
     return {**reader(shape)(native.Request()), **fields}
 
 
-def service(*address: str, **options: object) -> Any:
+def service(*address: str, **options: Any) -> Any:
     return endpoint(Role.SERVICE, *address, **options)
 
 
@@ -134,9 +135,7 @@ def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start)
     )
     talker.do("publish", topic="/numbers", count=3)
     assert inbox.wait_for(3) == [2, 3, 4]
-    bridge.serve(
-        service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))}
-    )
+    bridge.serve(service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))})
     answer = client.do("call", name="/switch", value=True)
     assert answer["message"] == "41"
 
@@ -147,7 +146,8 @@ def test_an_action_is_a_call(make_bridge: Make, peer: Start, executor: str) -> N
     server.do("act", name="/fibonacci", period=0.01)
     found = bridge.describe(service("/fibonacci", FIBONACCI))
     assert found.request is not None
-    assert list(found.request.schema["properties"]) == ["order"]  # type: ignore[index,call-overload]  # a table
+    assert isinstance(found.request.schema, Mapping)
+    assert found.request.schema["required"] == ["order"]
     reply = bridge.call(service("/fibonacci", FIBONACCI), {"order": 6})
     assert list(reply["sequence"]) == [0, 1, 1, 2, 3, 5, 8]
     with pytest.raises(BridgeError, match="rejected the goal") as caught:
@@ -160,13 +160,9 @@ def test_an_action_is_a_call(make_bridge: Make, peer: Start, executor: str) -> N
 def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
-    statuses = Inbox()
-    source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "feedback"), statuses)
     with pytest.raises(BridgeTimeoutError):
-        bridge.call(service("/fibonacci", FIBONACCI), {"order": 40}, timeout=0.5)
-    # The server refuses nothing, so a second goal runs to its end beside no first one.
-    reply = bridge.call(service("/fibonacci", FIBONACCI), {"order": 3})
-    assert list(reply["sequence"]) == [0, 1, 1, 2]
+        bridge.call(service("/fibonacci", FIBONACCI), {"order": 80}, timeout=0.5)
+    assert server.do("goal_ends")["ends"] == ["canceled"]
 
 
 @pytest.mark.parametrize("executor", ["events", "standard"])
@@ -220,9 +216,10 @@ def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start
     (found,) = (each for each in bridge.discover() if each.name == "/robot")
     seen = {at.address: (at.role, what) for at, what in found.endpoints}
     assert seen["/numbers", INT64][0] is Role.OUTPUT
-    assert seen["/numbers", INT64][1].message == bridge.describe(
-        endpoint(Role.OUTPUT, "/numbers", INT64)
-    ).message
+    assert (
+        seen["/numbers", INT64][1].message
+        == bridge.describe(endpoint(Role.OUTPUT, "/numbers", INT64)).message
+    )
     assert seen["/speed", INT64][0] is Role.INPUT
     assert seen["/increment", BASIC][0] is Role.SERVICE
     assert seen["/increment", BASIC][1].request is not None

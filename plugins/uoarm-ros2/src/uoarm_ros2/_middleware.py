@@ -13,7 +13,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import rclpy
 from attrs import frozen
@@ -26,9 +27,11 @@ from rclpy.event_handler import (
     SubscriptionEventCallbacks,
     UnsupportedEventTypeError,
 )
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -48,8 +51,10 @@ except ImportError:
 __all__ = ["Future", "Participant", "Peer", "Station", "environment"]
 
 _SPIN_SECONDS = 0.2
+_PERFORM_SECONDS = 2.0
 _PREFIX_BYTES = 12
 _NANOSECONDS = 1_000_000_000
+T = TypeVar("T")
 _log = logging.getLogger("uoarm.ros2")
 
 
@@ -120,6 +125,8 @@ class Station:
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
         self._executor = _executor(executor, context)
+        # The events executor crashes when entities come or go beside it in other threads.
+        self._alone = executor != "standard"
         self._executor.add_node(self.node)
         self._stopping = False
         self._done = done
@@ -143,6 +150,8 @@ class Station:
                     if time.monotonic() >= due:
                         due = time.monotonic() + _SPIN_SECONDS
                         self.tick()
+                except InvalidHandle:
+                    pass  # an entity went between its event and our look at it
                 except Exception as error:  # noqa: BLE001 - one failure is nobody else's
                     self._failed(error)
                 if not self._context.ok():
@@ -167,6 +176,35 @@ class Station:
             self._done()
             self._ended.set()
 
+    def discard(self, entity: Any) -> None:
+        """Destroy a publisher or subscription; does not wait for a thread that is held up."""
+        if isinstance(entity, Publisher):
+            self._perform(lambda: self.node.destroy_publisher(entity), needed=False)
+        else:
+            self._perform(lambda: self.node.destroy_subscription(entity), needed=False)
+
+    def _perform(self, action: Callable[[], T], *, needed: bool = True) -> T | None:
+        """Create or destroy an entity in the thread in which this executor can bear it."""
+        if not self._alone or threading.current_thread() is self._thread:
+            return action()
+        made: list[T] = []
+        failed: list[Exception] = []
+        done = threading.Event()
+
+        def perform() -> None:
+            try:
+                made.append(action())
+            except Exception as error:  # noqa: BLE001 - raised again in the caller's thread
+                failed.append(error)
+            done.set()
+
+        self._executor.create_task(perform)
+        if not done.wait(_PERFORM_SECONDS) and needed:
+            raise RuntimeError("the thread of the events executor is held up by a delivery")
+        if failed and needed:
+            raise failed[0]
+        return made[0] if made else None
+
     def subscribe(
         self,
         native: type,
@@ -181,15 +219,17 @@ class Station:
         profile = _profile(policies)
         for callbacks in _fewer(events):
             with suppress(UnsupportedEventTypeError):
-                return self.node.create_subscription(
-                    native,
-                    topic,
-                    take,
-                    profile,
-                    raw=raw,
-                    event_callbacks=SubscriptionEventCallbacks(
-                        use_default_callbacks=False, **callbacks
-                    ),
+                known = SubscriptionEventCallbacks(use_default_callbacks=False, **callbacks)
+                return self._perform(
+                    partial(
+                        self.node.create_subscription,
+                        native,
+                        topic,
+                        take,
+                        profile,
+                        raw=raw,
+                        event_callbacks=known,
+                    )
                 )
         raise AssertionError("a subscription without event callbacks is always supported")
 
@@ -205,19 +245,25 @@ class Station:
         profile = _profile(policies)
         for callbacks in _fewer(events):
             with suppress(UnsupportedEventTypeError):
-                return self.node.create_publisher(
-                    native,
-                    topic,
-                    profile,
-                    event_callbacks=PublisherEventCallbacks(
-                        use_default_callbacks=False, **callbacks
-                    ),
+                known = PublisherEventCallbacks(use_default_callbacks=False, **callbacks)
+                return self._perform(
+                    partial(
+                        self.node.create_publisher, native, topic, profile, event_callbacks=known
+                    )
                 )
         raise AssertionError("a publisher without event callbacks is always supported")
 
     def action_client(self, native: type, name: str) -> Any:
         """Create an action client; its callbacks run in this station's thread."""
-        return ActionClient(self.node, native, name)
+        return self._perform(lambda: ActionClient(self.node, native, name))
+
+    def client(self, native: type, name: str) -> Any:
+        """Create a service client; its replies arrive in this station's thread."""
+        return self._perform(lambda: self.node.create_client(native, name))
+
+    def server(self, native: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
+        """Create a service whose requests are answered in this station's thread."""
+        self._perform(lambda: self.node.create_service(native, name, answer))
 
     def publishers(self, topic: str) -> tuple[Peer, ...]:
         """Return the publishers of a topic that are on the graph now."""
@@ -305,7 +351,7 @@ def _nothing() -> None:
 
 
 def _executor(kind: str, context: Any) -> Any:
-    if kind == "standard" or (kind == "auto" and EventsExecutor is None):
+    if kind == "standard":
         return SingleThreadedExecutor(context=context)
     if EventsExecutor is None:
         raise RuntimeError("this rclpy has no events executor; set executor: standard")

@@ -65,7 +65,7 @@ class Caller:
         self._graph = graph
         self._write = writer(request)
         self._read = reader(reply)
-        self._client = station.node.create_client(native, name)
+        self._client = station.client(native, name)
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -122,7 +122,7 @@ class Server(Channel):
         self.count = 0
         self._station = participant.station(f"uoarm_serves_{name.strip('/').replace('/', '_')}")
         try:
-            self._station.node.create_service(native, name, self._answer)
+            self._station.server(native, name, self._answer)
         except BaseException:
             participant.dismiss(self._station, _STOP_SECONDS)
             raise

@@ -51,8 +51,8 @@ BRIDGE_OPTIONS: Schema = {
             "description": "seconds for a matched publisher to learn of us; default 0.05",
         },
         "executor": {
-            "enum": ["auto", "events", "standard"],
-            "description": "rclpy executor; auto takes the faster events executor if there is one",
+            "enum": ["standard", "events"],
+            "description": "rclpy executor; events is faster and still experimental in rclpy",
         },
     },
 }
@@ -87,7 +87,7 @@ class BridgeSettings:
     domain_id: int | None = None
     wait: float = _WAIT_SECONDS
     settle: float = _SETTLE_SECONDS
-    executor: str = "auto"
+    executor: str = "standard"
 
 
 @frozen

@@ -100,7 +100,7 @@ class TopicSink(Sink):
                 return
 
     def _close(self) -> None:
-        self._place.station.node.destroy_publisher(self._publisher)
+        self._place.station.discard(self._publisher)
 
     def _advertise(self) -> Any:
         place, pulse = self._place, self.pulse
@@ -154,7 +154,7 @@ class TopicSink(Sink):
         if alone and fitting != self._policies and not self._closed:
             before, self._policies = self._publisher, fitting
             self._publisher = self._advertise()
-            self._place.station.node.destroy_publisher(before)
+            self._place.station.discard(before)
             self._unanswered = 0
             return
         text = self._clashes()

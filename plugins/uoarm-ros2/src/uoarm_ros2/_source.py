@@ -87,7 +87,7 @@ class Source(GatedChannel):
         return {**self.pulse.facts(), "qos": str(self._policies)}
 
     def _close(self) -> None:
-        self._place.station.node.destroy_subscription(self._subscription)
+        self._place.station.discard(self._subscription)
         self._drain()
 
     def _receive(self, native: Any) -> None:
@@ -142,7 +142,7 @@ class Source(GatedChannel):
         if alone and fitting != self._policies and not self._closed:
             before, self._policies = self._subscription, fitting
             self._subscription = self._subscribe()
-            self._place.station.node.destroy_subscription(before)
+            self._place.station.discard(before)
             self._unanswered = 0
             return
         text = self._clashes()
