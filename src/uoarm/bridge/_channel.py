@@ -57,9 +57,10 @@ class Channel(ABC):
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of the native link; called once.
+        """Let go of the native link; called once, in a thread of the core.
 
-        When it is called from the thread that delivers, it must not wait for that thread.
+        It must not wait for a `deliver` under way, since that may be what asked for the close:
+        tell the delivering thread to end, let it finish alone, begin no other `deliver`.
         """
 
 

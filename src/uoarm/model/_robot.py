@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from attrs import field, frozen
 
@@ -39,7 +38,7 @@ class Robot:
         origin: the file it was read from, empty when it was built in memory.
     """
 
-    bridges: Mapping[str, BridgeSpec] = field(converter=MappingProxyType, hash=False)
-    functions: Mapping[str, Function] = field(converter=MappingProxyType, hash=False)
+    bridges: Mapping[str, BridgeSpec] = field(hash=False)
+    functions: Mapping[str, Function] = field(hash=False)
     warnings: tuple[str, ...] = ()
     origin: str = ""

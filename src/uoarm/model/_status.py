@@ -19,10 +19,15 @@ __all__ = [
 
 
 class Health(Enum):
-    """How a bridge, component or channel is doing."""
+    """How a bridge, component or channel is doing.
+
+    FINISHED is an orderly end: what is still under way is delivered before connections close.
+    LOST is any other end.
+    """
 
     OK = "ok"
     DEGRADED = "degraded"
+    FINISHED = "finished"
     LOST = "lost"
 
 
@@ -73,6 +78,7 @@ class RouteStatus:
         rate: messages a second over the last seconds, None until two have arrived.
         age: seconds since the last message arrived, None before the first.
         last_error: text of the last failure on this route.
+        native: the framework moves the messages itself; nothing is counted here.
     """
 
     producer: str
@@ -84,6 +90,7 @@ class RouteStatus:
     rate: float | None = None
     age: float | None = None
     last_error: str = ""
+    native: bool = False
 
 
 @frozen

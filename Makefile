@@ -1,0 +1,49 @@
+# One command per task, the same locally and in automation. PYTHON chooses the interpreter.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+PLUGINS = $(wildcard plugins/*)
+
+.PHONY: demo test test-long lint types check bench mutation clean
+
+demo: $(VENV)/.demo  ## the paper's example on real footage
+	$(BIN)/python examples/vision/demo.py
+
+test: $(VENV)/.dev  ## every test
+	$(BIN)/python -m pytest -n 2 tests
+	@for plugin in $(PLUGINS); do \
+	  echo "== $$plugin"; $(BIN)/python -m pytest -c pyproject.toml --rootdir=. $$plugin/tests || exit 1; \
+	done
+
+test-long: $(VENV)/.dev  ## the property tests with their long profile
+	HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -n 2 tests
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+check: lint types test  ## everything that must be green
+
+bench: $(VENV)/.dev  ## tables of medians and p99
+	$(BIN)/python -m bench
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+$(VENV)/.demo: pyproject.toml | $(BIN)/python
+	@echo "Installing uoarm with its vision packages into $(VENV) (about 200 MB, once) ..."
+	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib]'
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
+	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
+	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib]' \
+	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
+	@touch $@
+
+clean:
+	rm -rf $(VENV) .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output

@@ -1,0 +1,1 @@
+"""Benchmarks: `python -m bench` prints every table; nothing here is a test."""

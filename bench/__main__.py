@@ -1,0 +1,30 @@
+"""Run every benchmark of this folder, one after another, each in a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+OTHER = {"__init__", "__main__", "chain_components", "mutation", "tables"}
+
+
+def main() -> int:
+    """Print every table; return 0 when all ran."""
+    wanted = sys.argv[1:]
+    names = sorted(path.stem for path in HERE.glob("*.py") if path.stem not in OTHER)
+    failed = 0
+    for name in names:
+        if wanted and name not in wanted:
+            continue
+        print(f"... {name}", file=sys.stderr, flush=True)
+        done = subprocess.run(
+            [sys.executable, "-m", f"bench.{name}"], cwd=HERE.parent, check=False, timeout=1800
+        )
+        failed += done.returncode != 0
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

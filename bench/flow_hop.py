@@ -1,0 +1,61 @@
+"""What one message costs inside the manager, on top of the frameworks' own cost."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from bench.tables import microseconds, print_table, row
+from uoarm.flow import Outlet, Route
+from uoarm.model import Message, OverflowPolicy, QueuePolicy
+
+
+def main() -> None:
+    """Print the table of hops."""
+    message = {"header": {"stamp": 1.0, "frame_id": "base"}, "x": 1.0, "y": 2.0}
+    rows = [row("a bare bound call", microseconds(lambda: _nothing(message), batch=100), "floor")]
+
+    direct = Outlet()
+    direct.attach(Route("a", "b", _nothing, clock=time.monotonic))
+    rows.append(row("one route, direct", microseconds(lambda: direct.deliver(message), batch=100)))
+
+    adapted = Outlet()
+    adapted.attach(
+        Route("a", "b", _nothing, clock=time.monotonic, transfer=lambda m: {"pose": m["x"]})
+    )
+    rows.append(
+        row("one route with an adapter", microseconds(lambda: adapted.deliver(message), batch=100))
+    )
+
+    fan = Outlet()
+    for number in range(10):
+        fan.attach(Route("a", f"b{number}", _nothing, clock=time.monotonic))
+    rows.append(
+        row("ten routes of one output", microseconds(lambda: fan.deliver(message), batch=20))
+    )
+
+    rows.append(row("through a queue to its worker", _through_a_queue(message), "one at a time"))
+    print_table("One route hop (us)", ("what", "median", "p99", ""), rows)
+
+
+def _nothing(message: Message) -> None:
+    """Take a message and do nothing."""
+
+
+def _through_a_queue(message: Message) -> list[float]:
+    arrived = threading.Semaphore(0)
+    policy = QueuePolicy(8, OverflowPolicy.BLOCK)
+    route = Route("a", "b", lambda _: arrived.release(), clock=time.monotonic, queue=policy)
+
+    def once() -> None:
+        route.deliver(message)
+        arrived.acquire()
+
+    try:
+        return microseconds(once)
+    finally:
+        route.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""Mutation testing of the containment checker with mutmut: which changes do the tests notice?
+
+Usage: ``python bench/mutation.py [--sample 300] [--seed 0] [--module NAME ...] [--children 2]``.
+Works on a copy below the cache folder, so nothing in the working tree changes. Prints a table of
+killed and surviving mutants by module, and the survivors; without ``--sample`` all are run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+TESTS = (
+    "tests/schema/test_hard_pairs.py",
+    "tests/schema/test_random_pairs.py",
+)
+_SETTINGS = """
+[tool.mutmut]
+source_paths = ["src/uoarm/schema"]
+also_copy = ["src", "README.md", "LICENSE"]
+pytest_add_cli_args_test_selection = {tests}
+pytest_add_cli_args = ["-p", "no:cacheprovider", "-k", {selected}]
+"""
+_SELECTED = "not sizes and not table_tells and not counterexample_is_one and not hostile"
+_OUTCOMES = {
+    0: "survived",
+    1: "killed",
+    3: "killed",
+    33: "no tests",
+    36: "timed out",
+    24: "timed out",
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sample", type=int, help="run this many mutants, drawn at random")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--module", action="append", help="only modules whose name contains this")
+    parser.add_argument("--children", type=int, default=2)
+    options = parser.parse_args()
+    copy = _copy()
+    _mutmut(copy, options.children, "none*")  # generates the mutants, then finds nothing to run
+    names = [name for name in _outcomes(copy) if _wanted(name, options.module)]
+    chosen = names
+    if options.sample is not None and options.sample < len(names):
+        chosen = random.Random(options.seed).sample(names, options.sample)
+    _mutmut(copy, options.children, *chosen)
+    _show(len(names), chosen, _outcomes(copy))
+
+
+def _copy() -> Path:
+    cache = Path(os.environ.get("UOARM_TEST_CACHE", ROOT / ".cache"))
+    copy = cache / "mutation"
+    shutil.rmtree(copy, ignore_errors=True)
+    copy.mkdir(parents=True)
+    for folder in ("src", "tests"):
+        shutil.copytree(ROOT / folder, copy / folder)
+    for name in ("README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
+    tests = [
+        *TESTS,
+        *(str(p.relative_to(ROOT)) for p in ROOT.glob("tests/schema/test_engine_*.py")),
+    ]
+    settings = _SETTINGS.format(tests=json.dumps(tests), selected=json.dumps(_SELECTED))
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (copy / "pyproject.toml").write_text(project + settings, encoding="utf-8")
+    return copy
+
+
+def _mutmut(copy: Path, children: int, *names: str) -> None:
+    command = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children), *names]
+    done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
+    if not any(copy.glob("mutants/**/*.meta")):
+        sys.exit(f"mutmut made no mutants:\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+
+
+def _outcomes(copy: Path) -> dict[str, str]:
+    """Outcome by mutant; "not run" for those left out."""
+    found: dict[str, str] = {}
+    for path in sorted(copy.glob("mutants/**/*.meta")):
+        codes = json.loads(path.read_text(encoding="utf-8"))["exit_code_by_key"]
+        for name, code in codes.items():
+            found[name] = "not run" if code is None else _OUTCOMES.get(code, "killed")
+    return found
+
+
+def _wanted(name: str, modules: list[str] | None) -> bool:
+    return modules is None or any(module in name for module in modules)
+
+
+def _show(total: int, chosen: list[str], outcomes: dict[str, str]) -> None:
+    table: dict[str, Counter[str]] = {}
+    for name in chosen:
+        module = name.rpartition(".")[0]
+        table.setdefault(module, Counter())[outcomes[name]] += 1
+    print(f"{len(chosen)} of {total} mutants\n")
+    print("| module | killed | timed out | survived | no tests | not run | score |")
+    print("|---|---|---|---|---|---|---|")
+    everything: Counter[str] = Counter()
+    for module, counts in sorted(table.items()):
+        everything += counts
+        _row(module, counts)
+    _row("all", everything)
+    print("\nSurvivors:")
+    print("\n".join(name for name in sorted(chosen) if outcomes[name] in {"survived", "no tests"}))
+
+
+def _row(name: str, counts: Counter[str]) -> None:
+    caught = counts["killed"] + counts["timed out"]
+    run = counts.total() - counts["not run"]
+    kinds = ("killed", "timed out", "survived", "no tests", "not run")
+    cells = " | ".join(str(counts[kind]) for kind in kinds)
+    print(f"| {name} | {cells} | {caught / run if run else 0:.1%} |")
+
+
+if __name__ == "__main__":
+    main()

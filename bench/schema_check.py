@@ -1,0 +1,137 @@
+"""Containment checkers side by side: time per pair and verdict, ours and others from PyPI.
+
+Usage: ``python bench/schema_check.py [--json] [--ours]``. Each rival is installed into an
+environment of its own below the cache folder (``UOARM_TEST_CACHE``, else ``.cache``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from bench._schema_cases import CASES, Case
+
+RIVALS = {
+    "jsonsubschema": "jsonsubschema==0.0.8",
+    "ghga-jsonsubschema": "ghga-jsonsubschema==0.2.1",
+    "jsoncompat": "jsoncompat>=0.3.1",
+    "isjsonschemasubset": "isjsonschemasubset==0.0.2",
+}
+_ALL_SECONDS = 400
+Answers = list[dict[str, object]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="the figures as JSON")
+    parser.add_argument("--ours", action="store_true", help="without the rivals")
+    options = parser.parse_args()
+    results = {"uoarm": _run("uoarm", Path(sys.executable))}
+    absent: dict[str, str] = {}
+    for name in () if options.ours else RIVALS:
+        _measure_rival(name, results, absent)
+    if options.json:
+        cases = [
+            {"group": case.group, "name": case.name, "truth": case.contained} for case in CASES
+        ]
+        print(json.dumps({"cases": cases, "results": results, "absent": absent}))
+        return
+    _show(results)
+    for name, cause in absent.items():
+        print(f"\nNot measured: {name} could not be installed or run: {cause}")
+
+
+def _measure_rival(name: str, results: dict[str, Answers], absent: dict[str, str]) -> None:
+    try:
+        results[name] = _run(name, _environment(name, RIVALS[name]))
+    except (subprocess.SubprocessError, OSError) as error:
+        absent[name] = str(getattr(error, "stderr", None) or error)[-300:]
+
+
+def _environment(name: str, requirement: str) -> Path:
+    cache = Path(os.environ.get("UOARM_TEST_CACHE", Path(__file__).parents[1] / ".cache"))
+    home = cache / "rivals" / name
+    python = home / "bin" / "python"
+    if (home / "installed").is_file():
+        return python
+    if uv := shutil.which("uv"):
+        _call([uv, "venv", "--quiet", "--clear", "--python", sys.executable, str(home)])
+        _call([uv, "pip", "install", "--quiet", "--python", str(python), requirement])
+    else:
+        venv.create(home, with_pip=True, clear=True)
+        _call([str(python), "-m", "pip", "install", "--quiet", requirement])
+    (home / "installed").touch()
+    return python
+
+
+def _call(command: list[str]) -> None:
+    subprocess.run(command, check=True, capture_output=True, text=True, timeout=_ALL_SECONDS)
+
+
+def _run(name: str, python: Path) -> Answers:
+    """One answer for each case; a checker that dies loses the case at which it died."""
+    sys.setrecursionlimit(20_000)  # for writing JSON of 500 levels
+    answers: Answers = []
+    worker = str(Path(__file__).with_name("_schema_worker.py"))
+    while len(answers) < len(CASES):
+        rest = CASES[len(answers) :]
+        questions = "".join(json.dumps([case.producer, case.consumer]) + "\n" for case in rest)
+        done = subprocess.run(
+            [str(python), worker, name],
+            input=questions, capture_output=True, text=True, timeout=_ALL_SECONDS, check=False,
+        )  # fmt: skip
+        answers += [json.loads(line) for line in done.stdout.splitlines()]
+        if len(answers) == len(CASES) - len(rest) and "Import" in done.stderr:
+            raise subprocess.SubprocessError(done.stderr)
+        if len(answers) < len(CASES):
+            answers.append({"answer": f"died: {done.returncode}"})
+    return answers
+
+
+def _show(results: dict[str, Answers]) -> None:
+    print(f"CPython {platform.python_version()}, {platform.machine()}; median ms of each pair")
+    print("(wrong answers bold; u: undecided or refused to answer).\n")
+    print("| group | pair | truth | " + " | ".join(results) + " |")
+    print("|---|---|---|" + "---|" * len(results))
+    for place, case in enumerate(CASES):
+        cells = [_cell(case, answers[place]) for answers in results.values()]
+        truth = "yes" if case.contained else "no"
+        print(f"| {case.group} | {case.name} | {truth} | " + " | ".join(cells) + " |")
+    print("\n| checker | right | wrong yes | wrong no | undecided, error, time-out | median ms |")
+    print("|---|---|---|---|---|---|")
+    for name, answers in results.items():
+        _sum(name, answers)
+
+
+def _cell(case: Case, answer: dict[str, object]) -> str:
+    said = answer["answer"]
+    if not isinstance(said, bool):
+        return f"u ({said})"
+    text = "yes" if said else "no"
+    shown = text if said == case.contained else f"**{text}**"
+    return f"{shown} {answer['ms']:.3f}"
+
+
+def _sum(name: str, answers: Answers) -> None:
+    pairs = list(zip(CASES, (answer["answer"] for answer in answers), strict=True))
+    right = sum(said is case.contained for case, said in pairs)
+    wrong_yes = sum(said is True and not case.contained for case, said in pairs)
+    wrong_no = sum(said is False and case.contained for case, said in pairs)
+    times = [float(str(answer["ms"])) for answer in answers if "ms" in answer]
+    median = f"{statistics.median(times):.3f}" if times else "-"
+    left = len(pairs) - right - wrong_yes - wrong_no
+    print(f"| {name} | {right} | {wrong_yes} | {wrong_no} | {left} | {median} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""From plain values of the right shape to the model's values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path as FilePath
+from typing import Any
+
+from uoarm.model import (
+    BridgeSpec,
+    Component,
+    Endpoint,
+    Function,
+    Input,
+    MessageStructure,
+    Output,
+    OverflowPolicy,
+    PortRef,
+    QueuePolicy,
+    Robot,
+    Role,
+    Service,
+)
+
+__all__ = ["build", "ports"]
+
+
+def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
+    """Return the robot that a checked configuration describes."""
+    bridges = {name: _bridge(name, bridge, origin) for name, bridge in value["bridges"].items()}
+    functions = {name: _function(name, one) for name, one in value["functions"].items()}
+    return Robot(bridges, functions, warnings, origin)
+
+
+def ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
+    """Return the ports of a component by name, whichever of the two spellings it uses."""
+    named = dict(component.get(several, {}))
+    if one in component:
+        named["default"] = component[one]
+    return named
+
+
+def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
+    plugin = value.get("plugin", name)
+    options = dict(value.get("options", {}))
+    if plugin == "python" and "path" not in options and origin:
+        options["path"] = [str(FilePath(origin).resolve().parent)]
+    return BridgeSpec(name, plugin, options, value.get("host"))
+
+
+def _function(name: str, value: Mapping[str, Any]) -> Function:
+    components = [_component(name, one) for one in value["components"]]
+    components.sort(key=lambda one: -one.priority)
+    return Function(name, tuple(components), value.get("description", ""))
+
+
+def _component(function: str, value: Mapping[str, Any]) -> Component:
+    def endpoint(port: str, settings: Mapping[str, Any], role: Role) -> Endpoint:
+        return Endpoint(
+            bridge=value["bridge"],
+            component=value["name"],
+            role=role,
+            address=tuple(settings["endpoint"]),
+            port=port,
+            options=settings.get("options", {}),
+            parameters=value.get("parameters", {}),
+        )
+
+    service = value.get("service")
+    return Component(
+        name=value["name"],
+        function=function,
+        bridge=value["bridge"],
+        priority=value.get("priority", 0),
+        inputs=tuple(
+            _input(port, one, endpoint(port, one, Role.INPUT))
+            for port, one in ports(value, "input", "inputs").items()
+        ),
+        outputs=tuple(
+            Output(port, endpoint(port, one, Role.OUTPUT), _structure(one, "structure"))
+            for port, one in ports(value, "output", "outputs").items()
+        ),
+        service=None
+        if service is None
+        else Service(
+            endpoint("default", service, Role.SERVICE),
+            _structure(service, "request"),
+            _structure(service, "reply"),
+        ),
+        parameters=value.get("parameters", {}),
+    )
+
+
+def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint) -> Input:
+    return Input(
+        name=port,
+        endpoint=endpoint,
+        source=_reference(value["from"]) if "from" in value else None,
+        mapping=value.get("map"),
+        allow_loss=tuple(value.get("allow_loss", ())),
+        declared=_structure(value, "structure"),
+        queue=_queue(value["queue"]) if "queue" in value else None,
+    )
+
+
+def _reference(text: str) -> PortRef:
+    function, _, port = text.partition(".")
+    return PortRef(function, port or None)
+
+
+def _queue(value: Mapping[str, Any]) -> QueuePolicy:
+    standard = QueuePolicy()
+    return QueuePolicy(
+        length=value.get("length", standard.length),
+        policy=OverflowPolicy(value.get("policy", standard.policy.value)),
+        timeout=float(value.get("timeout", standard.timeout)),
+    )
+
+
+def _structure(value: Mapping[str, Any], key: str) -> MessageStructure | None:
+    return MessageStructure(value[key]) if key in value else None

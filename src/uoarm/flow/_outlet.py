@@ -1,0 +1,43 @@
+"""Outlets: where the messages of one open output fan out to its routes."""
+
+from __future__ import annotations
+
+import threading
+
+from uoarm.flow._route import Route
+from uoarm.model import Message
+
+__all__ = ["Outlet"]
+
+
+class Outlet:
+    """The routes that one output feeds.
+
+    `deliver` reads a tuple that `attach` and `detach` replace, so that it needs no lock.
+    """
+
+    __slots__ = ("_lock", "_routes")
+
+    def __init__(self) -> None:
+        self._routes: tuple[Route, ...] = ()
+        self._lock = threading.Lock()
+
+    @property
+    def routes(self) -> tuple[Route, ...]:
+        """The routes attached now."""
+        return self._routes
+
+    def deliver(self, message: Message) -> None:
+        """Hand one message to every route. Never raises."""
+        for route in self._routes:
+            route.deliver(message)
+
+    def attach(self, route: Route) -> None:
+        """Feed a route from the next message on."""
+        with self._lock:
+            self._routes = (*self._routes, route)
+
+    def detach(self, route: Route) -> None:
+        """Feed a route no more; a message under way may still reach it."""
+        with self._lock:
+            self._routes = tuple(other for other in self._routes if other is not route)

@@ -1,0 +1,114 @@
+"""The bridge instances of one manager, each made when it is first needed."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+
+from uoarm import _bounded
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.model import BridgeSpec, BridgeStatus, Health
+
+__all__ = ["BridgeSet"]
+
+_log = logging.getLogger("uoarm")
+_START_SECONDS = 30.0
+
+
+class BridgeSet:
+    """Makes, keeps and closes bridges by name.
+
+    Args:
+        specs: the bridges of the configuration.
+        registry: the plugins that make them.
+        listener: told of every health event.
+        ready: instances to use instead of making them; closed with the others.
+    """
+
+    def __init__(
+        self,
+        specs: Mapping[str, BridgeSpec],
+        registry: Registry,
+        listener: Callable[[HealthEvent], None],
+        ready: Mapping[str, Bridge],
+    ) -> None:
+        self._specs = specs
+        self._registry = registry
+        self._listener = listener
+        self._bridges: dict[str, Bridge] = {}
+        self._lock = threading.RLock()
+        self._closed = False
+        for name, bridge in ready.items():
+            self._bridges[name] = bridge
+            bridge.watch(listener)
+
+    def get(self, name: str) -> Bridge:
+        """Return the bridge of this name, starting it when it is the first time.
+
+        Raises:
+            PluginError: its plugin is missing, broken or lacks its middleware.
+            BridgeError: it failed to start, or there is no such bridge.
+            ConnectionClosedError: the manager is closed.
+        """
+        bridge = self._bridges.get(name)
+        if bridge is not None:
+            return bridge
+        with self._lock:
+            if self._closed:
+                raise ConnectionClosedError("the robot manager is closed")
+            if name not in self._bridges:
+                self._bridges[name] = self._start(name)
+            return self._bridges[name]
+
+    def retire(self, name: str) -> None:
+        """Close a bridge that is lost; `get` makes a new one. Failures while closing are logged."""
+        with self._lock:
+            bridge = self._bridges.pop(name, None)
+        if bridge is not None:
+            try:
+                bridge.close()
+            except BridgeError as error:
+                _log.warning("%s", error)
+
+    def statuses(self) -> tuple[BridgeStatus, ...]:
+        """Return the started bridges as the status map shows them."""
+        with self._lock:
+            bridges = list(self._bridges.items())
+        return tuple(
+            BridgeStatus(
+                name=name,
+                plugin=self._specs[name].plugin if name in self._specs else name,
+                health=Health.LOST if bridge.closed else Health.OK,
+                open_channels=bridge.open_channels,
+            )
+            for name, bridge in bridges
+        )
+
+    def close(self) -> list[BridgeError]:
+        """Close every bridge; return what failed."""
+        with self._lock:
+            self._closed = True
+            bridges = list(self._bridges.values())
+            self._bridges.clear()
+        failures: list[BridgeError] = []
+        for bridge in bridges:
+            try:
+                bridge.close()
+            except BridgeError as error:
+                failures.append(error)
+        return failures
+
+    def _start(self, name: str) -> Bridge:
+        spec = self._specs.get(name)
+        if spec is None:
+            raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
+        bridge = _bounded.run(
+            f"starting bridge {name!r}",
+            _START_SECONDS,
+            lambda: self._registry.create(spec),
+            on_late=lambda late: late.close(),
+        )
+        bridge.watch(self._listener)
+        return bridge

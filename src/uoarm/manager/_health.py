@@ -1,0 +1,96 @@
+"""What the manager does when a bridge reports that something changed, died or finished."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from uoarm.bridge import HealthEvent
+from uoarm.manager._board import Board
+from uoarm.manager._connection import Connection
+from uoarm.manager._ledger import Ledger
+from uoarm.manager._live import LiveComponent
+from uoarm.manager._pool import Pool
+from uoarm.model import ConnectionState, Health
+
+__all__ = ["HealthDesk"]
+
+_DRAIN_SECONDS = 30.0
+
+
+class HealthDesk:
+    """Turns health events into the ends of the connections that they concern.
+
+    Args:
+        forget: told the name of a component whose structures must be asked for again.
+        retire: told the name of a bridge that is lost; the next request starts a new one.
+    """
+
+    def __init__(
+        self,
+        pool: Pool,
+        ledger: Ledger,
+        board: Board,
+        *,
+        forget: Callable[[str], None],
+        retire: Callable[[str], None],
+    ) -> None:
+        self._pool = pool
+        self._ledger = ledger
+        self._board = board
+        self._forget = forget
+        self._retire = retire
+
+    def noticed(self, event: HealthEvent) -> None:
+        """Take an event in the bridge's thread; everything else happens in the board's."""
+        self._board.react(lambda: self._handle(event))
+
+    def _handle(self, event: HealthEvent) -> None:
+        if event.channel is not None and event.channel.closed:
+            return
+        whole_bridge = event.channel is None and event.component is None
+        if whole_bridge:
+            self._board.post(f"bridge {event.bridge}", event.health.value, event.cause)
+        for live in self._concerned(event):
+            live.health, live.cause = event.health, event.cause
+            subject = f"component {live.component.name}"
+            self._board.post(subject, event.health.value, event.cause)
+            self._forget(live.component.name)
+            if event.health is Health.FINISHED:
+                self._finish(live)
+            elif event.health is Health.LOST:
+                self._lose(live, event.cause)
+        if whole_bridge and event.health is Health.LOST:
+            self._retire(event.bridge)
+
+    def _concerned(self, event: HealthEvent) -> list[LiveComponent]:
+        """Return the open components that an event is about.
+
+        A channel is found by its endpoint: it may report before its opening has returned.
+        """
+        name = event.component if event.channel is None else event.channel.endpoint.component
+        return [
+            live
+            for live in self._pool.components()
+            if live.component.bridge == event.bridge and name in {None, live.component.name}
+        ]
+
+    def _lose(self, live: LiveComponent, cause: str) -> None:
+        for connection in self._ledger.users_of(live):
+            text = f"component {live.component.name!r} was lost: {cause}"
+            connection.end(ConnectionState.FAILED, text)
+
+    def _finish(self, live: LiveComponent) -> None:
+        """Let what is under way arrive, without holding up other events meanwhile."""
+        for connection in self._ledger.users_of(live):
+            threading.Thread(
+                target=_finish_one,
+                args=(connection, f"component {live.component.name!r} finished"),
+                name=f"uoarm-finish-{connection.id}",
+                daemon=True,
+            ).start()
+
+
+def _finish_one(connection: Connection, cause: str) -> None:
+    connection.drain(_DRAIN_SECONDS)
+    connection.end(ConnectionState.CLOSED, cause)

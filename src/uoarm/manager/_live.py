@@ -1,0 +1,134 @@
+"""Live components: the open channels of one component, opened once and closed once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.errors import BridgeError, ConnectionClosedError
+from uoarm.flow import Outlet
+from uoarm.model import Component, ComponentStatus, Health, Message, Step
+
+__all__ = ["LiveComponent"]
+
+_log = logging.getLogger("uoarm")
+_BUSY_SECONDS = 30.0
+_CLOSE_SECONDS = 2.0
+
+
+class LiveComponent:
+    """One component that at least one connection uses.
+
+    Channels are opened when they are first needed and closed together. `close` never waits
+    for a thread that is opening: that thread closes everything when it comes out.
+    """
+
+    def __init__(self, step: Step, bridge: Bridge) -> None:
+        self.component: Component = step.component
+        self.bridge = bridge
+        self.users: list[str] = []
+        self.health = Health.OK
+        self.cause = ""
+        self.outlets = {output.name: Outlet() for output in self.component.outputs}
+        self.structures = step.structures
+        self._sources: dict[str, Channel] = {}
+        self._sinks: dict[str, Sink] = {}
+        self._senders: dict[str, Callable[[Message], None]] = {}
+        self._busy = threading.Lock()
+        self._doomed = False
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels open now."""
+        return (*self._sources.values(), *self._sinks.values())
+
+    def open_output(self, name: str) -> None:
+        """Have the output's messages delivered to its outlet.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        with self._alone():
+            if name not in self._sources:
+                output = self.component.output(name)
+                assert output is not None, "the resolver checked every output"
+                self._sources[name] = self.bridge.open_source(
+                    output.endpoint, self.structures[name], self.outlets[name].deliver
+                )
+
+    def open_input(self, name: str) -> Sink:
+        """Return the open sink of an input.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        with self._alone():
+            if name not in self._sinks:
+                endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
+                self._sinks[name] = self.bridge.open_sink(endpoint, self.structures[name])
+            return self._sinks[name]
+
+    def sender(self, name: str) -> Callable[[Message], None]:
+        """Return a send for an input that several connections share: one call at a time."""
+        sink = self.open_input(name)
+        with self._alone():
+            if name not in self._senders:
+                self._senders[name] = _one_at_a_time(sink)
+            return self._senders[name]
+
+    def close(self) -> None:
+        """Close every channel, sources first; failures are logged. Bounded in time."""
+        self._doomed = True
+        self._sweep()
+
+    def status(self) -> ComponentStatus:
+        """Return what the status map shows."""
+        return ComponentStatus(
+            name=self.component.name,
+            function=self.component.function,
+            bridge=self.component.bridge,
+            health=self.health,
+            users=tuple(self.users),
+            cause=self.cause,
+        )
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        if not self._busy.acquire(timeout=_BUSY_SECONDS):
+            raise BridgeError(f"component {self.component.name!r} is still being opened")
+        try:
+            if self._doomed:
+                raise ConnectionClosedError(f"component {self.component.name!r} was closed")
+            yield
+        finally:
+            self._busy.release()
+            self._sweep()
+
+    def _sweep(self) -> None:
+        while self._doomed and self.channels and self._busy.acquire(blocking=False):
+            try:
+                self._close_all()
+            finally:
+                self._busy.release()
+
+    def _close_all(self) -> None:
+        for channels in (self._sources, self._sinks):
+            while channels:
+                _, channel = channels.popitem()
+                try:
+                    channel.close(timeout=_CLOSE_SECONDS)
+                except BridgeError as error:
+                    _log.warning("%s", error)
+
+
+def _one_at_a_time(sink: Sink) -> Callable[[Message], None]:
+    lock = threading.Lock()
+
+    def send(message: Message) -> None:
+        with lock:
+            sink.send(message)
+
+    return send

@@ -1,0 +1,252 @@
+"""The robot manager: ask it for a function, get a running connection."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from os import PathLike
+from types import TracebackType
+from typing import final
+
+from uoarm import _bounded
+from uoarm.adapt import check_edge
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.config import load
+from uoarm.errors import UsageError
+from uoarm.flow import Clock, Route, make_check
+from uoarm.manager._board import Board
+from uoarm.manager._bridges import BridgeSet
+from uoarm.manager._connection import Connection
+from uoarm.manager._health import HealthDesk
+from uoarm.manager._ledger import Ledger
+from uoarm.manager._opening import OpenPlan
+from uoarm.manager._pool import Pool
+from uoarm.model import (
+    ConnectionState,
+    Deliver,
+    Message,
+    Plan,
+    PortRef,
+    QueuePolicy,
+    Robot,
+    StatusEvent,
+    StatusMap,
+    ValidationMode,
+)
+from uoarm.resolve import Resolver, StructureCache
+
+__all__ = ["RobotManager"]
+
+_log = logging.getLogger("uoarm")
+_INBOX = QueuePolicy(length=64)
+
+
+@final
+class RobotManager:
+    """Bridges, connections and status of one robot. A context manager; several may live at once.
+
+    All methods may be called from any thread, callbacks and listeners included.
+
+    Args:
+        robot: the configuration, as `uoarm.config.load` returns it.
+        registry: bridge plugins; None: those installed.
+        bridges: ready instances by name, instead of making them from the configuration.
+        clock: seconds that only grow, for ages and rates.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        registry: Registry | None = None,
+        bridges: Mapping[str, Bridge] | None = None,
+        clock: Clock = time.monotonic,
+    ) -> None:
+        self.robot = robot
+        self.registry = registry or Registry()
+        self._clock = clock
+        self._board = Board(clock)
+        self._ledger = Ledger(self._board)
+        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {})
+        self._structures = StructureCache(self._bridges.get)
+        self._resolver = Resolver(robot, self._structures, check_edge)
+        self._pool = Pool(self._bridges.get, clock)
+        self._health = HealthDesk(
+            self._pool,
+            self._ledger,
+            self._board,
+            forget=self._resolver.invalidate,
+            retire=self._bridges.retire,
+        )
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | PathLike[str],
+        *,
+        registry: Registry | None = None,
+        clock: Clock = time.monotonic,
+    ) -> RobotManager:
+        """Read a configuration file and make its manager; bridges start when needed.
+
+        Raises:
+            ConfigurationError: the file has mistakes; the text lists all of them.
+        """
+        return cls(load(path), registry=registry, clock=clock)
+
+    def resolve(self, name: str) -> Plan:
+        """Return the plan that `request` would open, without opening anything.
+
+        Asks bridges for structures that are not known yet, each within its time limit.
+
+        Raises:
+            ResolutionError: nothing fits; the text says for every candidate why.
+        """
+        self._ledger.require_open()
+        return self._resolver.resolve(_reference(name).function)
+
+    def request(
+        self,
+        name: str,
+        *,
+        validate: ValidationMode | str = ValidationMode.OFF,
+        queue: QueuePolicy | None = None,
+        on_message: Deliver | None = None,
+        timeout: float = 30.0,
+    ) -> Connection:
+        """Resolve a function, open its whole plan and return the connection.
+
+        Args:
+            name: a function; `function.output` where it has several outputs.
+            validate: how many messages are checked against their structures.
+            queue: what to do when the application reads slower than messages come; None:
+                the newest 64 are kept.
+            on_message: a callback that receives the messages, from the first one on.
+            timeout: seconds for opening; resolving has its own limits, one for each bridge step.
+
+        Raises:
+            ResolutionError: nothing fits. Nothing was opened.
+            BridgeError: a bridge failed while opening. Everything was closed again.
+            BridgeTimeoutError: not open in time. Everything was closed again, or will be as
+                soon as the bridge lets go.
+            UsageError: the function has several outputs and the name does not say which.
+        """
+        plan = self.resolve(name)
+        connection = self._prepare(
+            plan, _reference(name), ValidationMode(validate), queue or _INBOX
+        )
+        if on_message is not None:
+            connection.subscribe(on_message)
+        self._ledger.add(connection)
+        try:
+            _bounded.run(f"request for {name!r}", timeout, connection.open)
+        except BaseException as error:
+            for step in plan.steps:
+                self._resolver.invalidate(step.component.name)
+            connection.end(ConnectionState.FAILED, str(error))
+            raise
+        return connection
+
+    def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
+        """Call the service that provides a function and return its reply.
+
+        Args:
+            name: a function whose components are services.
+            message: the request, checked against the service's structure.
+            timeout: seconds.
+
+        Raises:
+            ResolutionError: no service is available.
+            MessageError: the request does not match the structure.
+            BridgeError: the service failed or is gone.
+            BridgeTimeoutError: no reply in time.
+            UsageError: the function is a stream.
+        """
+        plan = self.resolve(name)
+        step = plan.provider
+        service = step.component.service
+        if service is None:
+            raise UsageError(f"function {name!r} is a stream: use request, not call")
+        place = f"request to {step.component.name}"
+        check = make_check(step.structures["request"], ValidationMode.ALWAYS, place)
+        if check is not None:
+            check(message)
+        bridge = self._bridges.get(step.component.bridge)
+        return bridge.call(service.endpoint, message, timeout=timeout)
+
+    def status(self) -> StatusMap:
+        """Return the whole system as it is at this moment."""
+        connections = self._ledger.all()
+        shared = (edge.status() for edge in self._pool.edges())
+        own = (route for connection in connections for route in connection.routes())
+        return StatusMap(
+            bridges=self._bridges.statuses(),
+            components=tuple(live.status() for live in self._pool.components()),
+            connections=tuple(connection.status() for connection in connections),
+            routes=(*(route for route in shared if route is not None), *own),
+        )
+
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Tell a listener every change from now on, in order; returns what ends that.
+
+        Listeners run in one thread of the manager, never in a thread that moves messages.
+        """
+        return self._board.listen(listener)
+
+    def close(self) -> None:
+        """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        for connection in self._ledger.close():
+            connection.end(ConnectionState.CLOSED, "the robot manager was closed")
+        for failure in self._bridges.close():
+            _log.warning("%s", failure)
+        self._board.close()
+
+    def _noticed(self, event: HealthEvent) -> None:
+        self._health.noticed(event)
+
+    def __enter__(self) -> RobotManager:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _prepare(
+        self, plan: Plan, reference: PortRef, validate: ValidationMode, queue: QueuePolicy
+    ) -> Connection:
+        identity = self._ledger.new_id()
+        output = _output(plan, reference)
+        opened = OpenPlan(plan, identity, self._pool, validate, self._clock)
+        if output is None:
+            return Connection(identity, opened, queue)
+        place = f"{plan.provider.component.name}.{output}"
+        check = make_check(plan.provider.structures[output], validate, place)
+        return Connection(
+            identity,
+            opened,
+            queue,
+            output=output,
+            receive=lambda hand: Route(place, identity, hand, clock=self._clock, check=check),
+        )
+
+
+def _reference(name: str) -> PortRef:
+    function, dot, port = name.partition(".")
+    return PortRef(function, port if dot else None)
+
+
+def _output(plan: Plan, reference: PortRef) -> str | None:
+    """Return the name of the output that the application receives, None where it has none."""
+    component = plan.provider.component
+    if not component.outputs and reference.port is None:
+        return None
+    output = component.output(reference.port)
+    if output is None:
+        names = ", ".join(f"{reference.function}.{one.name}" for one in component.outputs)
+        raise UsageError(f"say which output of {reference.function!r} is meant: {names or 'none'}")
+    return output.name

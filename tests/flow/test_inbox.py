@@ -1,0 +1,79 @@
+"""Inboxes: one reader, by taking or by callback, and an end that is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from uoarm.errors import UsageError
+from uoarm.flow import Inbox, QueueClosed
+from uoarm.model import Message, QueuePolicy
+
+
+def make(length: int = 8) -> tuple[Inbox, list[str]]:
+    drops: list[str] = []
+    return Inbox(QueuePolicy(length), drops.append), drops
+
+
+def test_messages_wait_until_they_are_taken() -> None:
+    inbox, _ = make()
+    inbox.put(1)
+    inbox.put(2)
+    assert [inbox.get(0), inbox.get(0)] == [1, 2]
+
+
+def test_nothing_in_time_is_a_timeout() -> None:
+    inbox, _ = make()
+    with pytest.raises(TimeoutError, match=r"no message within 0\.01 s"):
+        inbox.get(0.01)
+
+
+def test_a_callback_first_receives_what_waits() -> None:
+    inbox, drops = make()
+    seen: list[Message] = []
+    inbox.put(1)
+    end = inbox.subscribe(seen.append)
+    inbox.put(2)
+    end()
+    inbox.put(3)
+    assert seen == [1, 2]
+    assert inbox.get(0) == 3
+    assert not drops
+
+
+def test_one_cannot_take_while_callbacks_receive() -> None:
+    inbox, _ = make()
+    inbox.subscribe(lambda _: None)
+    with pytest.raises(UsageError, match="callbacks receive"):
+        inbox.get(0)
+
+
+def test_a_callback_that_raises_is_logged_once_and_stays(caplog: pytest.LogCaptureFixture) -> None:
+    inbox, _ = make()
+    seen: list[Message] = []
+
+    def fail(message: Message) -> None:
+        seen.append(message)
+        raise ValueError("no")
+
+    inbox.subscribe(fail)
+    others: list[Message] = []
+    inbox.subscribe(others.append)
+    for message in range(3):
+        inbox.put(message)
+    assert seen == others == [0, 1, 2]
+    assert len(caplog.records) == 1
+
+
+def test_closing_leaves_what_waits_readable_unless_discarded() -> None:
+    inbox, drops = make()
+    inbox.put(1)
+    inbox.close()
+    assert inbox.get() == 1
+    with pytest.raises(QueueClosed):
+        inbox.get()
+    other, lost = make()
+    other.put(1)
+    other.close(discard=True)
+    with pytest.raises(QueueClosed):
+        other.get()
+    assert (drops, lost) == ([], ["closed"])

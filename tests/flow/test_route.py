@@ -1,0 +1,152 @@
+"""Routes: planned once, counted always, closed without waiting for anybody for long."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from uoarm.errors import MessageError
+from uoarm.flow import Outlet, Route
+from uoarm.model import Message, OverflowPolicy, QueuePolicy
+
+
+class Clock:
+    """Seconds that move only when a test moves them."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_message_is_handed_over_in_the_thread_in_which_it_arrived() -> None:
+    seen: list[tuple[Message, int]] = []
+    route = Route("a.out", "b.in", lambda m: seen.append((m, threading.get_ident())), clock=Clock())
+    route.deliver("hello")
+    assert seen == [("hello", threading.get_ident())]
+    assert (route.status().received, route.status().delivered) == (1, 1)
+
+
+def test_the_adapter_is_applied() -> None:
+    seen: list[Message] = []
+    route = Route("a", "b", seen.append, clock=Clock(), transfer=lambda m: m * 2)
+    route.deliver(21)
+    assert seen == [42]
+
+
+def test_a_consumer_that_raises_is_counted_and_named_and_hurts_nobody() -> None:
+    def refuse(message: Message) -> None:
+        raise RuntimeError(f"cannot take {message}")
+
+    route = Route("a", "b", refuse, clock=Clock())
+    route.deliver(7)
+    status = route.status()
+    assert status.dropped == (("failed", 1),)
+    assert status.last_error == "RuntimeError: cannot take 7"
+    assert status.delivered == 0
+
+
+def test_an_invalid_message_is_not_forwarded() -> None:
+    seen: list[Message] = []
+
+    def check(message: Message) -> None:
+        if message < 0:
+            raise MessageError("negative")
+
+    route = Route("a", "b", seen.append, clock=Clock(), check=check)
+    for message in (1, -1, 2):
+        route.deliver(message)
+    assert seen == [1, 2]
+    assert route.status().invalid == 1
+    assert route.status().dropped == (("invalid", 1),)
+
+
+def test_a_queue_takes_the_consumer_into_another_thread() -> None:
+    threads: list[int] = []
+    arrived = threading.Event()
+
+    def take(_: Message) -> None:
+        threads.append(threading.get_ident())
+        arrived.set()
+
+    route = Route("a", "b", take, clock=Clock(), queue=QueuePolicy())
+    route.deliver(1)
+    assert arrived.wait(10)
+    route.close()
+    assert threads != [threading.get_ident()]
+
+
+def test_a_stuck_consumer_loses_old_messages_and_says_how_many() -> None:
+    gate = threading.Event()
+    started = threading.Event()
+    seen: list[Message] = []
+
+    def take(message: Message) -> None:
+        seen.append(message)
+        started.set()
+        assert gate.wait(30)
+
+    policy = QueuePolicy(2, OverflowPolicy.DROP_OLDEST)
+    route = Route("a", "b", take, clock=Clock(), queue=policy)
+    route.deliver(0)
+    assert started.wait(10)
+    for message in range(1, 6):
+        route.deliver(message)
+    gate.set()
+    assert route.drain(10)
+    assert seen == [0, 4, 5]
+    status = route.status()
+    assert status.received == status.delivered + sum(count for _, count in status.dropped) == 6
+    route.close()
+
+
+def test_closing_from_within_the_consumer_does_not_wait_for_itself() -> None:
+    closed = threading.Event()
+    routes: list[Route] = []
+
+    def take(_: Message) -> None:
+        routes[0].close()
+        closed.set()
+
+    routes.append(Route("a", "b", take, clock=Clock(), queue=QueuePolicy()))
+    routes[0].deliver(1)
+    assert closed.wait(10)
+
+
+def test_rate_and_age_follow_the_clock() -> None:
+    clock = Clock()
+    route = Route("a", "b", lambda _: None, clock=clock)
+    assert route.status().rate is None
+    assert route.status().age is None
+    for _ in range(31):
+        route.deliver(1)
+        clock.now += 0.1
+    status = route.status()
+    assert status.rate == pytest.approx(10, rel=0.15)
+    assert status.age == pytest.approx(0.1)
+    clock.now += 1000
+    assert route.status().rate == pytest.approx(0, abs=0.1)
+
+
+def test_taking_back_moves_a_message_from_delivered_to_dropped() -> None:
+    route = Route("a", "b", lambda _: None, clock=Clock())
+    route.deliver(1)
+    route.deliver(2)
+    route.take_back("replaced")
+    status = route.status()
+    assert (status.delivered, status.dropped) == (1, (("replaced", 1),))
+
+
+def test_an_outlet_feeds_its_routes_in_order_until_they_are_detached() -> None:
+    seen: list[str] = []
+    outlet = Outlet()
+    first = Route("a", "b", lambda m: seen.append(f"first {m}"), clock=Clock())
+    second = Route("a", "c", lambda m: seen.append(f"second {m}"), clock=Clock())
+    outlet.attach(first)
+    outlet.attach(second)
+    outlet.deliver(1)
+    outlet.detach(first)
+    outlet.deliver(2)
+    assert seen == ["first 1", "second 1", "second 2"]

@@ -1,0 +1,70 @@
+"""The hand-written pairs: the checker decides each, and decides it rightly."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.schema import _hard_arrays, _hard_logic, _hard_objects, _hard_scalars, _hard_sizes
+from tests.schema._judge import answer, verify_counterexample
+from tests.schema._random_choices import RandomChoices
+from tests.schema._reference import Reference
+from uoarm.schema import check
+
+from uoarm.testing._instances import find_instance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.schema._hard import Hard
+
+TABLES = {
+    "scalars": _hard_scalars.PAIRS,
+    "arrays": _hard_arrays.PAIRS,
+    "objects": _hard_objects.PAIRS,
+    "logic": _hard_logic.PAIRS,
+    "sizes": _hard_sizes.PAIRS,
+}
+PAIRS = [
+    pytest.param(pair, id=f"{t}: {pair.name}") for t, pairs in TABLES.items() for pair in pairs
+]
+HOSTILE = [pytest.param(pair, id=pair.name) for pair in _hard_sizes.HOSTILE]
+
+
+@pytest.fixture
+def deep_stack() -> Iterator[None]:
+    """The reference validator recurses; the checker must not need this."""
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(20_000)
+    yield
+    sys.setrecursionlimit(limit)
+
+
+@pytest.mark.parametrize("pair", [*PAIRS, *HOSTILE])
+def test_the_table_tells_the_truth(pair: Hard, deep_stack: None) -> None:
+    takes, wants = Reference(pair.producer), Reference(pair.consumer)
+    if not pair.contained:
+        assert takes.accepts(pair.witness)
+        assert not wants.accepts(pair.witness)
+        return
+    for seed in range(12):
+        value, found = find_instance(pair.producer, RandomChoices(seed), takes.accepts)
+        assert not found or wants.accepts(value), value
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_the_checker_decides(pair: Hard) -> None:
+    verdict = check(pair.producer, pair.consumer)
+    assert answer(verdict) == ("yes" if pair.contained else "no"), verdict.undecided
+
+
+@pytest.mark.parametrize("pair", [p for p in PAIRS if not p.values[0].contained])  # type: ignore[union-attr] # each is a Hard
+def test_its_counterexample_is_one(pair: Hard, deep_stack: None) -> None:
+    verdict = check(pair.producer, pair.consumer)
+    verify_counterexample(verdict, pair.producer, pair.consumer)
+
+
+@pytest.mark.parametrize("pair", HOSTILE)
+def test_hostile_input_ends_without_a_wrong_answer(pair: Hard) -> None:
+    assert answer(check(pair.producer, pair.consumer)) in {"yes", "undecided"}

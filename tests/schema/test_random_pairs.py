@@ -1,0 +1,22 @@
+"""Pairs by seed, without hypothesis: quick enough to be run against every mutant of the checker."""
+
+from __future__ import annotations
+
+import pytest
+from tests.schema._judge import judge
+from tests.schema._random_choices import RandomChoices
+from tests.schema._strategies import related_pair
+from tests.schema._universe import universe
+
+from uoarm.testing._choices import chance
+
+EVERYTHING = tuple(universe())
+SOME = EVERYTHING[::9]
+
+
+@pytest.mark.parametrize("block", range(40))
+def test_pairs_of_a_block_of_seeds(block: int) -> None:
+    for seed in range(10 * block, 10 * block + 10):
+        choices = RandomChoices(seed)
+        pair = related_pair(choices)
+        judge(*pair, choices, universe=EVERYTHING if chance(choices, 20) else SOME)

@@ -1,0 +1,86 @@
+"""Imports go down the layers only, and importing uoarm stays light."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import uoarm
+
+ROOT = Path(uoarm.__file__).parent
+
+# From the bottom up; a layer may import itself and everything before it.
+LAYERS = [
+    {"errors", "_version"},
+    {"schema"},
+    {"model"},
+    {"_bounded"},
+    {"adapt"},
+    {"bridge"},
+    {"local"},
+    {"flow"},
+    {"config"},
+    {"resolve"},
+    {"manager"},
+    {"__init__"},
+    {"testing"},
+    {"cli", "__main__"},
+]
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+ALONE = {"schema": {"schema"}, "local": {"local", "bridge", "model", "errors"}}
+
+
+def _layer(path: Path) -> str:
+    first = path.relative_to(ROOT).parts[0]
+    return first.removesuffix(".py")
+
+
+def _imports(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names = [node.module]
+            if node.module == "uoarm":
+                names = [
+                    f"uoarm.{alias.name}" if alias.name in RANK else "uoarm.__init__"
+                    for alias in node.names
+                ]
+        for name in names:
+            if name == "uoarm":
+                found.add("__init__")
+            elif name.startswith("uoarm."):
+                found.add(name.split(".")[1])
+    return found
+
+
+MODULES = sorted(ROOT.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_module_imports_downwards_only(path: Path) -> None:
+    layer = _layer(path)
+    upward = {name for name in _imports(path) if RANK[name] > RANK[layer]}
+    assert not upward, f"{layer} imports {upward}, which stand above it"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
+    layer = _layer(path)
+    if layer in ALONE:
+        assert _imports(path) <= ALONE[layer]
+
+
+def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
+    heavy = ["rich", "click", "jsonschema", "numpy", "cv2", "rclpy", "omniORB", "hypothesis"]
+    code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.strip() == "[]"
