@@ -1,0 +1,159 @@
+"""The `python` bridge: functions, generators and classes of Python as components."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from uoarm.bridge import Bridge, BridgeType, Capabilities, Channel, Description, Sink, hookimpl
+from uoarm.local._instance import Instance
+from uoarm.local._target import Target, find
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
+
+__all__ = ["PythonBridge", "uoarm_bridge_types"]
+
+_OPTIONS = {
+    "type": "object",
+    "properties": {
+        "path": {
+            "type": "array",
+            "items": {"type": "string"},
+            "description": "Folders in which modules are looked for first.",
+        }
+    },
+    "additionalProperties": False,
+}
+
+
+class PythonBridge(Bridge):
+    """Runs plain Python objects as components, in threads of this process.
+
+    An endpoint's address is one string, `module:attribute`. All endpoints of one component
+    share one instance, made when the first channel opens and closed with the last.
+    """
+
+    capabilities = Capabilities(call=True)
+
+    def __init__(self, name: str, options: Options) -> None:
+        super().__init__(name, options)
+        path: Any = options.get("path", ())
+        self._path: Sequence[str] = tuple(path)
+        self._instances: dict[str, Instance] = {}
+        self._making = threading.Lock()
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return self._target(endpoint).describe(endpoint)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        del structure
+        target = self._target(endpoint)
+        instance = self._enter(endpoint, target)
+        instance.emit_to(endpoint.port, deliver)
+        channel = _SourceChannel(endpoint, lambda: self._leave_source(endpoint, instance))
+        if not target.takes_messages(endpoint):
+            try:
+                instance.start(lambda failure: self._ended(channel, failure))
+            except BaseException:
+                self._leave_source(endpoint, instance)
+                raise
+        return channel
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        del structure
+        instance = self._enter(endpoint, self._target(endpoint))
+        return _InputSink(endpoint, instance.feed(endpoint), lambda: self._leave(endpoint))
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        del timeout
+        instance = self._enter(endpoint, self._target(endpoint))
+        try:
+            return instance.answer(endpoint, message)
+        finally:
+            self._leave(endpoint)
+
+    def _close(self) -> None:
+        """Nothing is left: every instance went with its last channel."""
+
+    def _target(self, endpoint: Endpoint) -> Target:
+        return find(endpoint.address, self._path)
+
+    def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
+        with self._making:
+            instance = self._instances.get(endpoint.component)
+            if instance is None:
+                instance = Instance(target, endpoint.parameters)
+                self._instances[endpoint.component] = instance
+            instance.users += 1
+            return instance
+
+    def _leave(self, endpoint: Endpoint) -> None:
+        with self._making:
+            instance = self._instances[endpoint.component]
+            instance.users -= 1
+            if instance.users:
+                return
+            del self._instances[endpoint.component]
+        instance.close()
+
+    def _leave_source(self, endpoint: Endpoint, instance: Instance) -> None:
+        instance.emit_to(endpoint.port, None)
+        instance.stop()
+        self._leave(endpoint)
+
+    def _ended(self, channel: Channel, failure: Exception | None) -> None:
+        if failure is None:
+            self.report(Health.FINISHED, "its source has no more messages", channel=channel)
+        else:
+            cause = f"its source raised {type(failure).__name__}: {failure}"
+            self.report(Health.LOST, cause, channel=channel)
+
+
+class _SourceChannel(Channel):
+    def __init__(self, endpoint: Endpoint, leave: Callable[[], None]) -> None:
+        super().__init__(endpoint)
+        self._leave = leave
+
+    def _close(self) -> None:
+        self._leave()
+
+
+class _InputSink(Sink):
+    """`send` runs the component's function in the caller's thread, so it may take its time."""
+
+    def __init__(
+        self, endpoint: Endpoint, take: Callable[[Message], None], leave: Callable[[], None]
+    ) -> None:
+        super().__init__(endpoint)
+        self._take = take
+        self._leave = leave
+
+    def send(self, message: Message) -> None:
+        """Run the component's function on a message and emit what it returns."""
+        self._take(message)
+
+    def _close(self) -> None:
+        self._leave()
+
+
+def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
+    del options
+    if len(address) != 1 or ":" not in address[0]:
+        return f"expected one string 'module:attribute', got {list(address)}"
+    return ""
+
+
+@hookimpl
+def uoarm_bridge_types() -> list[BridgeType]:
+    """Return the built-in bridge type."""
+    return [
+        BridgeType(
+            name="python",
+            summary="plain Python functions, generators and classes, in this process",
+            create=PythonBridge,
+            options_schema=_OPTIONS,
+            check_endpoint=_check_endpoint,
+        )
+    ]
