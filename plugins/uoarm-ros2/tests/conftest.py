@@ -1,27 +1,39 @@
+# ruff: noqa: E402 - the path for the shared modules comes before their import
 """Everything on loopback, in a domain of this test run, with peers that are processes."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from peers import Peer
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # for the modules that the tests share
+
+from peers import DOMAIN, Peer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
 
-settings.register_profile("short", max_examples=60, deadline=None)
-settings.register_profile("full", max_examples=1000, deadline=None)
-settings.load_profile(os.environ.get("UOARM_HYPOTHESIS", "short"))
+settings.register_profile("ros2-short", max_examples=60, deadline=None)
+settings.register_profile("ros2-long", max_examples=1000, deadline=None)
+settings.load_profile(f"ros2-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
 
-DOMAIN = 20 + os.getpid() % 80
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("discovery.xml"))
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(HERE / "discovery.xml")
 os.environ.pop("ROS_LOCALHOST_ONLY", None)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line(
+        "filterwarnings",
+        "ignore:module 'sre_:DeprecationWarning",  # lark, inside ROS 2's own parser
+    )
 
 
 @pytest.fixture

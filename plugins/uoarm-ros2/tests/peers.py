@@ -12,6 +12,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+DOMAIN = 20 + os.getpid() % 80  # for this test run alone; DDS ports end at domain 101 on Linux
+
 
 class Peer:
     """A ROS 2 node in a process of its own, whose loss others notice within a second or two."""

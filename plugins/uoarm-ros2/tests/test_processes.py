@@ -14,9 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import DOMAIN
 from endpoints import INT64, Inbox, endpoint, sink, source
-from peers import Peer
+from peers import DOMAIN, Peer
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role

@@ -10,7 +10,6 @@ from typing import Any
 from uoarm.bridge import Channel, Description, Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
-from uoarm_ros2._gated import GatedChannel
 from uoarm_ros2._graph import Graph
 from uoarm_ros2._middleware import Station
 from uoarm_ros2._read import reader
@@ -207,7 +206,7 @@ def _id(goal_id: Any) -> str:
     return bytes(goal_id.uuid).hex()
 
 
-class ActionSource(GatedChannel):
+class ActionSource(Channel):
     """Feedback, results or status changes of an action."""
 
     def __init__(
@@ -227,7 +226,8 @@ class ActionSource(GatedChannel):
 
     def take(self, message: Message) -> None:
         """Deliver one message, unless closed."""
-        self._through(self._deliver, message)
+        if not self._closed:
+            self._deliver(message)
 
     def server_changed(self, *, ready: bool) -> None:
         """Tell the manager that the server is gone or back."""
@@ -238,7 +238,6 @@ class ActionSource(GatedChannel):
 
     def _close(self) -> None:
         self._action.leave(self)
-        self._drain()
 
 
 class ActionSink(Sink):

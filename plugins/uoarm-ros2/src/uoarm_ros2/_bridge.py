@@ -27,7 +27,7 @@ from uoarm_ros2._write import writer
 
 __all__ = ["Ros2Bridge"]
 
-_CLOSE_SECONDS = 3.0
+_CLOSE_SECONDS = 1.0
 Watched = TypeVar("Watched", Source, TopicSink, Relay)
 
 

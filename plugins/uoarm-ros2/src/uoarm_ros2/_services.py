@@ -116,8 +116,7 @@ class Server(Channel):
         self._handler = handler
         self._report = report
         self._participant = participant
-        self._answering: int | None = None
-        self._limit = _STOP_SECONDS
+        self._answering = False
         self.failures = 0
         self.count = 0
         self._station = participant.station(f"uoarm_serves_{name.strip('/').replace('/', '_')}")
@@ -127,21 +126,16 @@ class Server(Channel):
             participant.dismiss(self._station, _STOP_SECONDS)
             raise
 
-    def close(self, *, timeout: float = 5.0) -> None:
-        """Close the link, as the contract says."""
-        if self._answering == threading.get_ident():
-            self._limit = 0.0
-        super().close(timeout=timeout)
-
     def facts(self) -> dict[str, object]:
         """Return how many requests came and how many the handler failed."""
         return {"requests": self.count, "failures": self.failures}
 
     def _close(self) -> None:
-        self._participant.dismiss(self._station, self._limit)
+        # The handler that is at work may be what asked for the close.
+        self._participant.dismiss(self._station, 0.0 if self._answering else _STOP_SECONDS)
 
     def _answer(self, request: Any, response: Any) -> Any:
-        self._answering = threading.get_ident()
+        self._answering = True
         self.count += 1
         try:
             return self._write(self._handler(self._read(request)))
@@ -155,4 +149,4 @@ class Server(Channel):
             response.success, response.message = False, str(error)
             return response
         finally:
-            self._answering = None
+            self._answering = False

@@ -10,7 +10,6 @@ from attrs import frozen
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Health
-from uoarm_ros2._gated import GatedChannel
 from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._middleware import Peer, Station
 from uoarm_ros2._pulse import Pulse
@@ -20,6 +19,7 @@ from uoarm_ros2._settings import Settings
 __all__ = ["Place", "Source"]
 
 _ANSWER_TICKS = 5
+_DRAIN_SECONDS = 0.05
 
 
 @frozen
@@ -36,7 +36,7 @@ class Place:
     report: Callable[[Channel, Health, str], None]
 
 
-class Source(GatedChannel):
+class Source(Channel):
     """One subscription; each message goes to `take` in the station's thread.
 
     With `auto` policies it asks for what the publishers offer, and asks anew when all that are
@@ -53,6 +53,7 @@ class Source(GatedChannel):
         self._place = place
         self._take = take
         self._raw = raw
+        self._busy = False
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause), place.settings.stale_after
         )
@@ -88,11 +89,18 @@ class Source(GatedChannel):
 
     def _close(self) -> None:
         self._place.station.discard(self._subscription)
-        self._drain()
+        # A delivery that has just begun ends first, unless it lasts: it may have asked for this.
+        self._place.graph.until(lambda: not self._busy, _DRAIN_SECONDS)
 
     def _receive(self, native: Any) -> None:
-        self.pulse.beat()
-        self._through(self._take, native)
+        if self._closed:
+            return
+        self._busy = True
+        try:
+            self.pulse.beat()
+            self._take(native)
+        finally:
+            self._busy = False
 
     def _subscribe(self) -> Any:
         place, pulse = self._place, self.pulse
