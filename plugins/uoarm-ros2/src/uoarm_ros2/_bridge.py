@@ -62,6 +62,7 @@ class Ros2Bridge(Bridge):
         self._replies: Station | None = None
         self._callers: dict[tuple[str, str], Caller] = {}
         self._actions: dict[tuple[str, str], Action] = {}
+        self._called: dict[Address, Caller | Action] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
         self._station.cut_off = self._cut_off
@@ -137,10 +138,12 @@ class Ros2Bridge(Bridge):
     def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
         address, settings = address_of(endpoint), settings_of(endpoint)
         wait = min(self._graph.limit(settings), timeout / 2)
-        action, name, type_name = self._require_server(address, settings, at_most=wait)
-        if action:
-            return self._action(name, type_name).call(message, timeout, wait)
-        return self._caller(name, type_name).call(message, timeout, wait)
+        server = self._called.get(address)
+        if server is None or not server.ready():
+            action, name, type_name = self._require_server(address, settings, at_most=wait)
+            server = (self._action if action else self._caller)(name, type_name)
+            self._called[address] = server
+        return server.call(message, timeout, wait)
 
     def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
         address = address_of(endpoint)
