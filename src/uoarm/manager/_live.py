@@ -56,7 +56,7 @@ class LiveComponent:
                 output = self.component.output(name)
                 assert output is not None, "the resolver checked every output"
                 self._sources[name] = self.bridge.open_source(
-                    output.endpoint, self.structures[name], self.outlets[name].deliver
+                    output.endpoint, self.structures[f"output.{name}"], self.outlets[name].deliver
                 )
 
     def open_input(self, name: str) -> Sink:
@@ -68,7 +68,9 @@ class LiveComponent:
         with self._alone():
             if name not in self._sinks:
                 endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
-                self._sinks[name] = self.bridge.open_sink(endpoint, self.structures[name])
+                self._sinks[name] = self.bridge.open_sink(
+                    endpoint, self.structures[f"input.{name}"]
+                )
             return self._sinks[name]
 
     def sender(self, name: str) -> Callable[[Message], None]:

@@ -225,7 +225,7 @@ class RobotManager:
         if output is None:
             return Connection(identity, opened, queue)
         place = f"{plan.provider.component.name}.{output}"
-        check = make_check(plan.provider.structures[output], validate, place)
+        check = make_check(plan.provider.structures[f"output.{output}"], validate, place)
         return Connection(
             identity,
             opened,

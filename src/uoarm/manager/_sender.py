@@ -30,7 +30,7 @@ class Sender:
         sink = live.open_input(name)
         place = f"{live.component.name}.{name}"
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
-        self._check = make_check(live.structures[name], mode, place)
+        self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or (QueuePolicy() if sink.blocking else None)
         self._route = Route(user, place, live.sender(name), clock=clock, queue=queue)
 

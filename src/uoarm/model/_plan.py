@@ -64,9 +64,9 @@ class Edge:
 
 @frozen
 class Step:
-    """One chosen component with the structure of each of its ports by name.
+    """One chosen component with the structures of its ports.
 
-    A service has the two structures `request` and `reply`.
+    They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`.
     """
 
     component: Component

@@ -1,0 +1,87 @@
+"""A catalogue over bridges: each endpoint is described once, until it is forgotten."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from uoarm.bridge import Bridge, Description
+from uoarm.errors import UoarmError
+from uoarm.model import Component, Endpoint, MessageStructure
+from uoarm.resolve._protocols import Structures, Unavailable
+
+__all__ = ["StructureCache"]
+
+
+class StructureCache:
+    """Asks bridges for structures and remembers what they said. Thread safe.
+
+    What a bridge could not tell is asked again the next time.
+
+    Args:
+        bridge: gives the bridge instance of a name; may raise what starting one raises.
+    """
+
+    def __init__(self, bridge: Callable[[str], Bridge]) -> None:
+        self._bridge = bridge
+        self._known: dict[str, Structures] = {}
+        self._asking: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        """Return the structures of a component's ports, or why they cannot be had."""
+        known = self._known.get(component.name)
+        if known is not None:
+            return known
+        with self._lock:
+            asking = self._asking.setdefault(component.name, threading.Lock())
+        with asking:
+            if component.name not in self._known:
+                try:
+                    self._known[component.name] = self._ask(component)
+                except (_UnknownError, UoarmError) as error:
+                    return Unavailable(str(error))
+            return self._known[component.name]
+
+    def forget(self, component: str) -> None:
+        """Ask again the next time."""
+        self._known.pop(component, None)
+
+    def _ask(self, component: Component) -> Structures:
+        found: dict[str, MessageStructure] = {}
+        warnings: list[str] = []
+
+        def settle(
+            name: str, said: MessageStructure | None, declared: MessageStructure | None
+        ) -> None:
+            if declared is not None:
+                found[name] = declared
+                if said is not None:
+                    warnings.append(
+                        f"{component.name}.{name}: the declared structure replaces the bridge's"
+                    )
+            elif said is not None:
+                found[name] = said
+            else:
+                raise _UnknownError(
+                    f"the structure of {name!r} is not known to bridge {component.bridge!r}: "
+                    "declare it in the configuration"
+                )
+
+        for role, ports in (("input", component.inputs), ("output", component.outputs)):
+            for port in ports:
+                said = self._describe(port.endpoint).message
+                settle(f"{role}.{port.name}", said, port.declared)
+        if component.service is not None:
+            service = component.service
+            description = self._describe(service.endpoint)
+            settle("request", description.request, service.request)
+            settle("reply", description.reply, service.reply)
+        return Structures(found, tuple(warnings))
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return self._bridge(endpoint.bridge).describe(endpoint)
+
+
+class _UnknownError(Exception):
+    """A structure that neither the bridge nor the configuration gives."""
