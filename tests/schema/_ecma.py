@@ -76,6 +76,8 @@ def _escaped(text: str, *, in_class: bool) -> str:
         word = _CLASSES["w"]
         edge = f"(?:(?<=[{word}])(?![{word}])|(?<![{word}])(?=[{word}]))"
         return edge if text == "b" else f"(?!{edge})"
+    if text in "123456789" and not in_class:
+        return f"(?:\\{text})"
     if text.isalnum():
         raise UnsupportedPatternError(f"\\{text}")
     return _literal(text)

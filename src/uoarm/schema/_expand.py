@@ -1,0 +1,265 @@
+"""What a schema, or its negation, demands of a value of one kind.
+
+A literal is a node with a sign. Expanding it for a kind gives atoms (demands of one sort each,
+see below), further literals, and choices: lists of branches of which one must hold. Negation is
+pushed in here: not-all becomes one-fails, a lower bound becomes an upper one.
+
+Atoms, by their first item:
+
+any kind    ("in", node) one of the node's values; ("notin", node) none of them
+number      ("low", bound, strict), ("high", bound, strict), ("multiple", m), ("notmultiple", m)
+string      ("least", n), ("most", n), ("match", pattern), ("nomatch", pattern)
+array       ("least", n), ("most", n), ("at", i, literal) if there is an i-th,
+            ("tail", start, literal), ("someat", i, literal), ("some", start, literal),
+            ("contains", node, least, most), ("unique",), ("twice",)
+object      ("least", n), ("most", n), ("has", name), ("lacks", name),
+            ("member", name, literal) if present, ("somemember", name, literal),
+            ("pattern", pattern, literal), ("somepattern", pattern, literal),
+            ("rest", node, literal) names that the node does not name, ("somerest", node, literal),
+            ("names", literal), ("somename", literal)
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from attrs import define, field
+
+from uoarm.schema._node import Node
+
+__all__ = ["KINDS", "Atom", "Branch", "Literal", "expand"]
+
+KINDS = ("null", "boolean", "number", "string", "array", "object")
+
+Literal: TypeAlias = "tuple[Node, bool]"
+Atom: TypeAlias = "tuple[object, ...]"
+
+
+@define
+class Branch:
+    """Demands that hold together; `choices` holds lists of which one branch each must hold."""
+
+    atoms: list[Atom] = field(factory=list)
+    literals: list[Literal] = field(factory=list)
+    choices: list[list[Branch]] = field(factory=list)
+
+
+def expand(literal: Literal, kind: str) -> Branch | None:
+    """Return what a literal demands of a value of a kind; None when no value will do."""
+    node, sign = literal
+    if node.never:
+        return None if sign else Branch()
+    if sign:
+        return _positive(node, kind)
+    if node.kinds is not None and kind not in node.kinds:
+        return Branch()
+    branches = _violations(node, kind)
+    if not branches:
+        return None
+    if len(branches) == 1:
+        return branches[0]
+    return Branch(choices=[branches])
+
+
+def _positive(node: Node, kind: str) -> Branch | None:
+    if node.kinds is not None and kind not in node.kinds:
+        return None
+    whole = Branch()
+    if node.values is not None:
+        whole.atoms.append(("in", node))
+    whole.atoms.extend(_ATOMS[kind](node))
+    whole.literals.extend((one, True) for one in node.all_of)
+    if node.reference is not None:
+        whole.literals.append((node.target(), True))
+    if node.any_of is not None:
+        whole.choices.append([Branch(literals=[(one, True)]) for one in node.any_of])
+    if node.one_of is not None:
+        whole.choices.append(
+            [Branch(literals=[(n, n is one) for n in node.one_of]) for one in node.one_of]
+            if len({id(n) for n in node.one_of}) == len(node.one_of)
+            else [
+                Branch(literals=[(n, i == j) for j, n in enumerate(node.one_of)])
+                for i in range(len(node.one_of))
+            ]
+        )
+    if node.negated is not None:
+        whole.literals.append((node.negated, False))
+    if node.condition is not None:
+        whole.choices.append(
+            [
+                Branch(literals=[(node.condition, True), *_if_there(node.then, sign=True)]),
+                Branch(literals=[(node.condition, False), *_if_there(node.otherwise, sign=True)]),
+            ]
+        )
+    if kind == "object":
+        whole.choices.extend(_dependencies(node))
+    return whole
+
+
+def _if_there(node: Node | None, *, sign: bool) -> list[Literal]:
+    return [] if node is None else [(node, sign)]
+
+
+def _dependencies(node: Node) -> list[list[Branch]]:
+    needs = [
+        [Branch([("lacks", name)]), Branch([("has", name), *(("has", one) for one in names)])]
+        for name, names in node.dependent_required
+    ]
+    rules = [
+        [Branch([("lacks", name)]), Branch([("has", name)], [(rule, True)])]
+        for name, rule in node.dependent_schemas
+    ]
+    return needs + rules
+
+
+def _violations(node: Node, kind: str) -> list[Branch]:
+    """Return the ways in which a value of a kind can fail a node, each as a branch."""
+    ways: list[Branch] = []
+    if node.values is not None:
+        ways.append(Branch([("notin", node)]))
+    ways.extend(Branch([atom]) for atom in _VIOLATIONS[kind](node))
+    ways.extend(Branch(literals=[(one, False)]) for one in node.all_of)
+    if node.reference is not None:
+        ways.append(Branch(literals=[(node.target(), False)]))
+    if node.any_of is not None:
+        ways.append(Branch(literals=[(one, False) for one in node.any_of]))
+    if node.one_of is not None:
+        ways.append(Branch(literals=[(one, False) for one in node.one_of]))
+        ways.extend(
+            Branch(literals=[(one, True), (other, True)])
+            for n, one in enumerate(node.one_of)
+            for other in node.one_of[n + 1 :]
+        )
+    if node.negated is not None:
+        ways.append(Branch(literals=[(node.negated, True)]))
+    if node.condition is not None:
+        if node.then is not None:
+            ways.append(Branch(literals=[(node.condition, True), (node.then, False)]))
+        if node.otherwise is not None:
+            ways.append(Branch(literals=[(node.condition, False), (node.otherwise, False)]))
+    if kind == "object":
+        for name, names in node.dependent_required:
+            ways.extend(Branch([("has", name), ("lacks", one)]) for one in names)
+        for name, rule in node.dependent_schemas:
+            ways.append(Branch([("has", name)], [(rule, False)]))
+    return ways
+
+
+def _number_atoms(node: Node) -> list[Atom]:
+    atoms: list[Atom] = []
+    if node.integer_only:
+        atoms.append(("multiple", 1))
+    if node.minimum is not None:
+        atoms.append(("low", node.minimum, False))
+    if node.above is not None:
+        atoms.append(("low", node.above, True))
+    if node.maximum is not None:
+        atoms.append(("high", node.maximum, False))
+    if node.below is not None:
+        atoms.append(("high", node.below, True))
+    if node.multiple is not None:
+        atoms.append(("multiple", node.multiple))
+    return atoms
+
+
+_OPPOSITE = {"low": "high", "high": "low", "multiple": "notmultiple"}
+
+
+def _number_violations(node: Node) -> list[Atom]:
+    return [
+        (_OPPOSITE[str(tag)], rest[0], not rest[1]) if len(rest) > 1 else ("notmultiple", rest[0])
+        for tag, *rest in _number_atoms(node)
+    ]
+
+
+def _string_atoms(node: Node) -> list[Atom]:
+    atoms = _sizes(node.min_length, node.max_length)
+    return atoms if node.pattern is None else [*atoms, ("match", node.pattern)]
+
+
+def _string_violations(node: Node) -> list[Atom]:
+    atoms = _sizes_violated(node.min_length, node.max_length)
+    return atoms if node.pattern is None else [*atoms, ("nomatch", node.pattern)]
+
+
+def _array_atoms(node: Node) -> list[Atom]:
+    atoms = _sizes(node.min_items, node.max_items)
+    atoms.extend(("at", n, (one, True)) for n, one in enumerate(node.prefix))
+    if node.items is not None:
+        atoms.append(("tail", len(node.prefix), (node.items, True)))
+    if node.contains is not None:
+        atoms.append(("contains", node.contains, node.min_contains, node.max_contains))
+    if node.unique:
+        atoms.append(("unique",))
+    return atoms
+
+
+def _array_violations(node: Node) -> list[Atom]:
+    atoms = _sizes_violated(node.min_items, node.max_items)
+    atoms.extend(("someat", n, (one, False)) for n, one in enumerate(node.prefix))
+    if node.items is not None:
+        atoms.append(("some", len(node.prefix), (node.items, False)))
+    if node.contains is not None:
+        if node.min_contains > 0:
+            atoms.append(("contains", node.contains, 0, node.min_contains - 1))
+        if node.max_contains is not None:
+            atoms.append(("contains", node.contains, node.max_contains + 1, None))
+    if node.unique:
+        atoms.append(("twice",))
+    return atoms
+
+
+def _object_atoms(node: Node) -> list[Atom]:
+    atoms = _sizes(node.min_properties, node.max_properties)
+    atoms.extend(("has", name) for name in node.required)
+    atoms.extend(("member", name, (one, True)) for name, one in node.properties.items())
+    atoms.extend(("pattern", pattern, (one, True)) for pattern, one in node.patterns)
+    if node.additional is not None:
+        atoms.append(("rest", node, (node.additional, True)))
+    if node.names is not None:
+        atoms.append(("names", (node.names, True)))
+    return atoms
+
+
+def _object_violations(node: Node) -> list[Atom]:
+    atoms: list[Atom] = [("lacks", name) for name in node.required]
+    atoms.extend(("somemember", name, (one, False)) for name, one in node.properties.items())
+    atoms.extend(("somepattern", pattern, (one, False)) for pattern, one in node.patterns)
+    if node.additional is not None:
+        atoms.append(("somerest", node, (node.additional, False)))
+    if node.names is not None:
+        atoms.append(("somename", (node.names, False)))
+    return atoms + _sizes_violated(node.min_properties, node.max_properties)
+
+
+def _sizes(least: int, most: int | None) -> list[Atom]:
+    atoms: list[Atom] = [("least", least)] if least else []
+    return atoms if most is None else [*atoms, ("most", most)]
+
+
+def _sizes_violated(least: int, most: int | None) -> list[Atom]:
+    atoms: list[Atom] = [("most", least - 1)] if least else []
+    return atoms if most is None else [*atoms, ("least", most + 1)]
+
+
+def _nothing(node: Node) -> list[Atom]:
+    del node
+    return []
+
+
+_ATOMS = {
+    "null": _nothing,
+    "boolean": _nothing,
+    "number": _number_atoms,
+    "string": _string_atoms,
+    "array": _array_atoms,
+    "object": _object_atoms,
+}
+_VIOLATIONS = {
+    "null": _nothing,
+    "boolean": _nothing,
+    "number": _number_violations,
+    "string": _string_violations,
+    "array": _array_violations,
+    "object": _object_violations,
+}

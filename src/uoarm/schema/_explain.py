@@ -1,0 +1,139 @@
+"""Explanations: the field that matters, what each side says of it, and what is not kept whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+from uoarm.schema._evaluate import OutOfScopeError, failures, member_rules
+from uoarm.schema._node import Node
+from uoarm.schema._verdict import Loss, Reason
+
+__all__ = ["explain", "find_losses"]
+
+Path: TypeAlias = "tuple[str | int, ...]"
+
+_SHOWN = 160
+_MAX_PAIRS = 5_000
+_EXACT_INTEGERS = 2**53
+
+
+def explain(producer: Node, consumer: Node, message: Any) -> tuple[tuple[Reason, ...], Any]:
+    """Return why the consumer refuses a message, and the part of it that matters."""
+    try:
+        found = failures(consumer, message)
+    except OutOfScopeError:
+        found = [(consumer, message, (), "rules")]
+    reasons: list[Reason] = []
+    for node, value, path, keyword in found[:5]:
+        there = _along(producer, path)
+        reasons.append(
+            Reason(
+                write_path(path),
+                _show(there.raw) if there is not None else "",
+                _show(node.raw),
+                _sentence(keyword, node, value),
+            )
+        )
+    return tuple(reasons), found[0][1] if found else message
+
+
+def find_losses(producer: Node, consumer: Node) -> tuple[Loss, ...]:
+    """Return what is accepted but not kept whole, field by field where fields are plain."""
+    losses: list[Loss] = []
+    waiting: list[tuple[Node, Node, Path]] = [(producer, consumer, ())]
+    seen: set[tuple[int, int]] = set()
+    while waiting and len(seen) < _MAX_PAIRS:
+        one, other, path = waiting.pop()
+        if (one.number, other.number) in seen:
+            continue
+        seen.add((one.number, other.number))
+        if one.reference is not None:
+            waiting.append((one.target(), other, path))
+        if other.reference is not None:
+            waiting.append((one, other.target(), path))
+        losses.extend(_losses_here(one, other, path))
+        for name, child in one.properties.items():
+            rules = member_rules(other, name)
+            waiting.extend((child, rule, (*path, name)) for rule in rules)
+            if not rules and other.properties:
+                sentence = f"the consumer does not know the field {name!r} and ignores it"
+                losses.append(Loss(write_path((*path, name)), "ignored", sentence))
+        if one.items is not None and other.items is not None:
+            waiting.append((one.items, other.items, (*path, "*")))
+    return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
+
+
+def write_path(path: Path) -> str:
+    """Write a path as `pose.points[3].x`; every item of an array as `points[]`."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif part == "*":
+            text += "[]"
+        else:
+            text += f".{part}" if text else part
+    return text
+
+
+def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
+    where = write_path(path)
+    found: list[Loss] = []
+    whole_to_real = one.integer_only and not other.integer_only and other.kinds is not None
+    if whole_to_real and "number" in other.kinds:  # type: ignore[operator] # checked above
+        bounds = [one.minimum, one.maximum]
+        if any(bound is None or abs(bound) > _EXACT_INTEGERS for bound in bounds):
+            sentence = "whole numbers beyond 2**53 lose digits as floating-point numbers"
+            found.append(Loss(where, "precision", sentence))
+    mine = one.raw if isinstance(one.raw, Mapping) else {}
+    theirs = other.raw if isinstance(other.raw, Mapping) else {}
+    if mine.get("x-nonfinite") and not theirs.get("x-nonfinite"):
+        sentence = "the producer may emit NaN or infinity, the consumer does not expect them"
+        found.append(Loss(where, "nonfinite", sentence))
+    for keyword in ("format", "contentEncoding", "contentMediaType", "x-unit"):
+        if keyword in theirs and mine.get(keyword) != theirs[keyword]:
+            sentence = f"the consumer says {keyword} {theirs[keyword]!r}, the producer {mine.get(keyword)!r}"
+            found.append(Loss(where, "annotation", sentence))
+    return found
+
+
+def _along(node: Node, path: Path) -> Node | None:
+    """Follow a path through a schema as far as it is plain."""
+    for part in path:
+        for _ in range(20):
+            if node.reference is None:
+                break
+            node = node.target()
+        if isinstance(part, int):
+            inner = node.prefix[part] if part < len(node.prefix) else node.items
+        else:
+            rules = member_rules(node, part)
+            inner = rules[0] if rules else None
+        if inner is None:
+            return node
+        node = inner
+    return node
+
+
+def _sentence(keyword: str, node: Node, value: Any) -> str:
+    shown = _show(value)
+    if keyword == "required":
+        missing = [name for name in node.required if name not in value]
+        return f"the field {missing[0]!r} is required and may be missing"
+    if keyword == "additionalProperties":
+        return f"a field may come that the consumer does not allow: {shown}"
+    if keyword == "type":
+        return f"{shown} is not of a type that the consumer takes"
+    if keyword == "enum":
+        return f"{shown} is none of the values that the consumer takes"
+    return f"{shown} does not meet what the consumer demands"
+
+
+def _show(value: Any) -> str:
+    try:
+        text = json.dumps(value, ensure_ascii=False, default=str)
+    except (TypeError, ValueError, RecursionError):
+        return "(too deep to show)"
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."

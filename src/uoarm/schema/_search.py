@@ -1,0 +1,211 @@
+"""Answering a goal: kind by kind, conjunctions first, then the choices with fewest ways left."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TypeAlias
+
+from uoarm.schema._arrays import array_leaf
+from uoarm.schema._evaluate import OutOfScopeError
+from uoarm.schema._expand import Branch, expand
+from uoarm.schema._numbers import find_number
+from uoarm.schema._objects import ObjectView, object_leaf
+from uoarm.schema._regex import UnsupportedPatternError
+from uoarm.schema._results import EMPTY, Found, Result, Unknown
+from uoarm.schema._solve import Asking, Goal, Solver, State, possible_kinds, try_values
+from uoarm.schema._values import exact, kind_of
+from uoarm.schema._words import TooLong, shortest_word
+
+__all__ = ["answer"]
+
+Judged: TypeAlias = Generator[Goal, Result, "list[Branch] | None"]
+
+
+def answer(solver: Solver, goal: Goal) -> Asking:
+    """Answer a goal; the generator yields sub-goals and is sent their results."""
+    unknown: Unknown | None = None
+    for kind in possible_kinds(goal):
+        try:
+            result = yield from _of_kind(solver, State(kind, goal))
+        except OutOfScopeError as error:
+            result = Unknown(str(error))
+        except UnsupportedPatternError as error:
+            result = Unknown(f"a pattern: {error}")
+        except TooLong as error:
+            result = Unknown(str(error))
+        if isinstance(result, Found):
+            return result
+        if isinstance(result, Unknown):
+            unknown = result
+    return unknown or EMPTY
+
+
+def _of_kind(solver: Solver, state: State) -> Asking:
+    if not state.add(Branch(literals=list(state.goal))):
+        return EMPTY
+    if state.kind == "null":
+        return try_values([None], state)
+    if state.kind == "boolean":
+        return try_values([False, True], state)
+    return (yield from _search(solver, state))
+
+
+def _search(solver: Solver, state: State) -> Asking:
+    finite = [atom[1] for atom in state.atoms if atom[0] == "in"]
+    if finite:
+        smallest = min(finite, key=lambda node: len(node.values))  # type: ignore[attr-defined] # a node
+        solver.spend(len(smallest.values) // 16)  # type: ignore[attr-defined] # a node
+        return try_values(smallest.values.values(), state)  # type: ignore[attr-defined] # a node
+    if not _exclude_composites(solver, state):
+        return EMPTY
+    while state.choices:
+        solver.spend()
+        view = ObjectView(state.atoms) if state.kind == "object" else None
+        many = len(state.choices) > 1
+        open_choices: list[list[Branch]] = []
+        forced: Branch | None = None
+        for choice in state.choices:
+            alive = yield from _judge(state, view, choice, many=many)
+            if alive is None:
+                continue
+            if not alive:
+                return EMPTY
+            if len(alive) == 1 and forced is None:
+                forced = alive[0]
+                continue
+            open_choices.append(alive)
+        state.choices = open_choices
+        if forced is not None:
+            if not state.add(forced):
+                return EMPTY
+            if any(atom[0] == "in" for atom in forced.atoms + state.atoms[-4:]) or _is_finite(
+                state
+            ):
+                return (yield from _search(solver, state))
+            if not _exclude_composites(solver, state):
+                return EMPTY
+            continue
+        if not state.choices:
+            break
+        return (yield from _branch(solver, state))
+    return (yield from _leaf(solver, state))
+
+
+def _is_finite(state: State) -> bool:
+    return any(atom[0] == "in" for atom in state.atoms)
+
+
+def _branch(solver: Solver, state: State) -> Asking:
+    """Try the ways of the choice that has fewest, one after another."""
+    position = min(range(len(state.choices)), key=lambda n: len(state.choices[n]))
+    ways = state.choices.pop(position)
+    unknown: Unknown | None = None
+    for way in ways:
+        solver.spend()
+        trial = state.copy()
+        if not trial.add(way):
+            continue
+        result = yield from _search(solver, trial)
+        if isinstance(result, Found):
+            return result
+        if isinstance(result, Unknown):
+            unknown = result
+    return unknown or EMPTY
+
+
+def _judge(state: State, view: ObjectView | None, choice: list[Branch], *, many: bool) -> Judged:
+    """Return the branches that may still hold, or None when the choice holds already."""
+    alive: list[Branch] = []
+    for branch in choice:
+        if not branch.atoms and not branch.literals and not branch.choices:
+            return None
+        if len(branch.atoms) + len(branch.literals) != 1 or branch.choices:
+            if all((n.number, not s) not in state.seen for n, s in branch.literals):
+                alive.append(branch)
+            continue
+        if branch.literals:
+            node, sign = branch.literals[0]
+            if (node.number, sign) in state.seen:
+                return None
+            if (node.number, not sign) in state.seen or expand((node, sign), state.kind) is None:
+                continue
+            if not sign and node.kinds is not None and state.kind not in node.kinds:
+                return None
+            alive.append(branch)
+            continue
+        if view is None:
+            alive.append(branch)
+            continue
+        holds = yield from view.judge(branch.atoms[0], many=many)
+        if holds is True:
+            return None
+        if holds is None:
+            alive.append(branch)
+    return alive
+
+
+def _leaf(solver: Solver, state: State) -> Asking:
+    if state.kind == "number":
+        excluded = frozenset(
+            exact(value)
+            for atom in state.atoms
+            if atom[0] == "notin"
+            for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
+            if kind_of(value) == "number"
+        )
+        return find_number([a for a in state.atoms if a[0] != "notin"], excluded)
+    if state.kind == "string":
+        return _find_string(state)
+    if state.kind == "array":
+        return (yield from array_leaf(solver, state))
+    return (yield from object_leaf(solver, state))
+
+
+def _find_string(state: State) -> Result:
+    least = max((atom[1] for atom in state.atoms if atom[0] == "least"), default=0)
+    most = min((atom[1] for atom in state.atoms if atom[0] == "most"), default=None)  # type: ignore[type-var] # lengths
+    found = shortest_word(
+        list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "match")),
+        list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "nomatch")),
+        least,  # type: ignore[arg-type] # a length
+        most,  # type: ignore[arg-type] # a length
+        [
+            value
+            for atom in state.atoms
+            if atom[0] == "notin"
+            for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
+            if isinstance(value, str)
+        ],
+    )
+    return EMPTY if found is None else Found(found)
+
+
+def _exclude_composites(solver: Solver, state: State) -> bool:
+    """Turn `is none of these arrays or objects` into choices about their parts."""
+    if state.kind not in {"array", "object"}:
+        return True
+    for atom in [one for one in state.atoms if one[0] == "notin"]:
+        state.atoms.remove(atom)
+        for key, value in atom[1].values.items():  # type: ignore[attr-defined] # a node
+            if kind_of(value) != state.kind:
+                continue
+            solver.spend()
+            shape = solver.make(f"shape of {key}", _shape(value))
+            if not state.add(Branch(literals=[(shape, False)])):
+                return False
+    return True
+
+
+def _shape(value: object) -> dict[str, object]:
+    """Return a schema that only this array or object meets, without naming it whole."""
+    if isinstance(value, dict):
+        return {
+            "properties": {name: {"const": one} for name, one in value.items()},
+            "required": list(value),
+            "additionalProperties": False,
+        }
+    assert isinstance(value, list | tuple)
+    shape: dict[str, object] = {"minItems": len(value), "maxItems": len(value)}
+    if value:
+        shape["prefixItems"] = [{"const": one} for one in value]
+    return shape

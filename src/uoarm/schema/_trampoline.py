@@ -1,0 +1,27 @@
+"""Running generators that ask for sub-results, on an explicit stack instead of Python's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import TypeVar
+
+__all__ = ["run"]
+
+Q = TypeVar("Q")
+A = TypeVar("A")
+
+
+def run(question: Q, answer: Callable[[Q], Generator[Q, A, A]]) -> A:
+    """Answer a question by running its generator; what it yields is answered the same way."""
+    stack = [answer(question)]
+    result: A | None = None
+    while stack:
+        try:
+            asked = stack[-1].send(result)  # type: ignore[arg-type] # None starts a generator
+        except StopIteration as done:
+            stack.pop()
+            result = done.value
+        else:
+            stack.append(answer(asked))
+            result = None
+    return result  # type: ignore[return-value] # the last generator returned it

@@ -1,0 +1,235 @@
+"""Finding a text: of a length in an interval, matching some patterns and not others.
+
+The automata are made deterministic as they are walked, all together, one layer for each length.
+A bound on length is never turned into states: when nothing but length matters, the text is made
+directly; where layers repeat, the walk stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from functools import lru_cache
+from typing import TypeAlias
+
+from uoarm.schema._charsets import contains
+from uoarm.schema._regex import Nfa, compile_pattern
+
+__all__ = ["TooLong", "found_in", "shortest_word"]
+
+Subset: TypeAlias = frozenset[int]
+State: TypeAlias = "tuple[Subset | str | None, ...]"
+
+MAX_TEXT = 4_000_000
+_MAX_LAYERS = 5_000
+_MAX_WORK = 400_000
+_FAVOURITES = "aAbcdefgxyz0123456789_- ./:"
+
+
+class TooLong(Exception):  # noqa: N818 - a limit that was met, not a fault
+    """The text would be, or the walk was, longer than is affordable."""
+
+
+class _Walker:
+    """One pattern, made deterministic on the way."""
+
+    def __init__(self, nfa: Nfa) -> None:
+        self._nfa = nfa
+        self._steps: dict[tuple[Subset, int], Subset] = {}
+        self._accepting: dict[Subset, bool] = {}
+        self.start = self._closure([nfa.first], begin=True)
+
+    def step(self, states: Subset, code: int) -> Subset:
+        """Return the states after one more character."""
+        known = self._steps.get((states, code))
+        if known is None:
+            reached = [
+                target
+                for state in states
+                for chars, target in self._nfa.edges[state]
+                if contains(chars, code)
+            ]
+            known = self._steps[states, code] = self._closure(reached)
+        return known
+
+    def accepts(self, states: Subset) -> bool:
+        """Say whether the text may end here."""
+        known = self._accepting.get(states)
+        if known is None:
+            known = self._nfa.last in self._closure(states, end=True)
+            self._accepting[states] = known
+        return known
+
+    def accepts_empty(self) -> bool:
+        """Say whether the empty text matches: there both assertions hold at once."""
+        return self._nfa.last in self._closure([self._nfa.first], begin=True, end=True)
+
+    def _closure(self, states: Iterable[int], *, begin: bool = False, end: bool = False) -> Subset:
+        reached: set[int] = set()
+        waiting = list(states)
+        while waiting:
+            state = waiting.pop()
+            if state in reached:
+                continue
+            reached.add(state)
+            waiting.extend(self._nfa.always[state])
+            if begin:
+                waiting.extend(self._nfa.begin[state])
+            if end:
+                waiting.extend(self._nfa.end[state])
+        return frozenset(reached)
+
+
+@lru_cache(maxsize=1024)
+def _walker(pattern: str) -> _Walker:
+    return _Walker(compile_pattern(pattern))
+
+
+def found_in(pattern: str, text: str) -> bool:
+    """Say whether a pattern is found in a text, with ECMA-262 meaning.
+
+    Raises:
+        UnsupportedPatternError: the pattern is not decided here.
+    """
+    walker = _walker(pattern)
+    if not text:
+        return walker.accepts_empty()
+    states = walker.start
+    for char in text:
+        states = walker.step(states, ord(char))
+    return walker.accepts(states)
+
+
+def shortest_word(
+    wanted: Collection[str],
+    unwanted: Collection[str],
+    least: int,
+    most: int | None,
+    excluded: Collection[str] = (),
+) -> str | None:
+    """Return a shortest text, or None when there is none.
+
+    Args:
+        wanted: patterns that must be found in it.
+        unwanted: patterns that must not be.
+        least: characters at least.
+        most: characters at most, None for any number.
+        excluded: texts that it must not be.
+
+    Raises:
+        UnsupportedPatternError: a pattern is not decided here.
+        TooLong: the text or the search for it is longer than is affordable.
+    """
+    if most is not None and most < least:
+        return None
+    if not wanted and not unwanted and not any(len(one) == least for one in excluded):
+        if least > MAX_TEXT:
+            raise TooLong(f"the shortest text has {least:,} characters")
+        return "a" * least
+    search = _Search(wanted, unwanted, excluded)
+    return search.run(least, most)
+
+
+class _Search:
+    def __init__(
+        self, wanted: Collection[str], unwanted: Collection[str], excluded: Collection[str]
+    ) -> None:
+        self._walkers = [_walker(one) for one in (*wanted, *unwanted)]
+        self._wanted = len(wanted)
+        self._excluded = frozenset(excluded)
+        self._prefixes = {one[:n] for one in excluded for n in range(len(one) + 1)}
+        self._letters = _letters([*wanted, *unwanted], excluded)
+
+    def run(self, least: int, most: int | None) -> str | None:
+        start: State = (*(one.start for one in self._walkers), "" if self._excluded else None)
+        if least == 0 and self._accepts_empty():
+            return ""
+        layers: list[dict[State, tuple[State, str] | None]] = [{start: None}]
+        seen: dict[frozenset[State], int] = {}
+        work = 0
+        while most is None or len(layers) <= most:
+            layer: dict[State, tuple[State, str] | None] = {}
+            for state in layers[-1]:
+                for letter in self._letters:
+                    layer.setdefault(self._step(state, letter), (state, letter))
+                work += len(self._letters)
+            if not layer:
+                return None
+            if work > _MAX_WORK or len(layers) > _MAX_LAYERS:
+                raise TooLong("the search for a text was given up")
+            layers.append(layer)
+            length = len(layers) - 1
+            if length >= least:
+                for state in layer:
+                    if self._accepts(state):
+                        return _read_back(layers, state)
+                kind = frozenset(layer)
+                if kind in seen:
+                    return None
+                seen[kind] = length
+        return None
+
+    def _step(self, state: State, letter: str) -> State:
+        code = ord(letter)
+        after: list[Subset | str | None] = [
+            walker.step(part, code)  # type: ignore[arg-type] # the first parts are subsets
+            for walker, part in zip(self._walkers, state, strict=False)
+        ]
+        prefix = state[-1]
+        longer = f"{prefix}{letter}" if isinstance(prefix, str) else None
+        after.append(longer if longer in self._prefixes else None)
+        return tuple(after)
+
+    def _accepts(self, state: State) -> bool:
+        if state[-1] is not None and state[-1] in self._excluded:
+            return False
+        return all(
+            walker.accepts(part) == (number < self._wanted)  # type: ignore[arg-type] # subsets
+            for number, (walker, part) in enumerate(zip(self._walkers, state, strict=False))
+        )
+
+    def _accepts_empty(self) -> bool:
+        return "" not in self._excluded and all(
+            walker.accepts_empty() == (number < self._wanted)
+            for number, walker in enumerate(self._walkers)
+        )
+
+
+def _read_back(layers: list[dict[State, tuple[State, str] | None]], state: State) -> str:
+    letters: list[str] = []
+    for layer in reversed(layers[1:]):
+        before = layer[state]
+        assert before is not None
+        state, letter = before
+        letters.append(letter)
+    return "".join(reversed(letters))
+
+
+def _letters(patterns: Collection[str], excluded: Collection[str]) -> list[str]:
+    """Return one character for each class that the patterns and texts tell apart."""
+    cuts = {0, 0xD800, 0xE000}
+    for pattern in patterns:
+        for edges in compile_pattern(pattern).edges:
+            for chars, _ in edges:
+                for low, high in chars:
+                    cuts |= {low, high + 1}
+    for text in excluded:
+        for char in text:
+            cuts |= {ord(char), ord(char) + 1}
+    bounds = sorted(one for one in cuts if one <= 0x10FFFF)
+    letters = []
+    for low, high in zip(bounds, [*bounds[1:], 0x110000], strict=True):
+        if not 0xD800 <= low < 0xE000:
+            letters.append(_nicest(low, high - 1))
+    return sorted(letters, key=lambda one: (_rank(one), one))
+
+
+def _nicest(low: int, high: int) -> str:
+    for char in _FAVOURITES:
+        if low <= ord(char) <= high:
+            return char
+    return chr(max(low, 33)) if low <= 126 <= high or low <= 33 <= high else chr(low)
+
+
+def _rank(char: str) -> int:
+    position = _FAVOURITES.find(char)
+    return position if position >= 0 else len(_FAVOURITES)
