@@ -52,6 +52,7 @@ __all__ = ["Future", "Participant", "Peer", "Station", "environment"]
 
 _SPIN_SECONDS = 0.2
 _PERFORM_SECONDS = 2.0
+_DISCARD_SECONDS = 0.1
 _PREFIX_BYTES = 12
 _NANOSECONDS = 1_000_000_000
 T = TypeVar("T")
@@ -111,6 +112,9 @@ class Station:
     def __init__(
         self, context: Any, name: str, namespace: str, executor: str, done: Callable[[], None]
     ) -> None:
+        self._executor = _executor(executor, context)
+        # The events executor crashes when entities come or go beside it in other threads.
+        self._alone = executor != "standard"
         self.node = Node(
             name,
             context=context,
@@ -124,9 +128,6 @@ class Station:
         self.tick: Callable[[], None] = _nothing
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
-        self._executor = _executor(executor, context)
-        # The events executor crashes when entities come or go beside it in other threads.
-        self._alone = executor != "standard"
         self._executor.add_node(self.node)
         self._stopping = False
         self._done = done
@@ -199,7 +200,7 @@ class Station:
             done.set()
 
         self._executor.create_task(perform)
-        if not done.wait(_PERFORM_SECONDS) and needed:
+        if not done.wait(_PERFORM_SECONDS if needed else _DISCARD_SECONDS) and needed:
             raise RuntimeError("the thread of the events executor is held up by a delivery")
         if failed and needed:
             raise failed[0]

@@ -18,13 +18,18 @@ class Pulse:
     Args:
         report: takes each change of health with its cause.
         stale_after: seconds without a message that make the channel lost; None: never.
+        clock: seconds that only grow.
     """
 
     def __init__(
-        self, report: Callable[[Health, str], None], stale_after: float | None = None
+        self,
+        report: Callable[[Health, str], None],
+        stale_after: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._clock = clock
         self.count = 0
-        self.last = time.monotonic()
+        self.last = self._clock()
         self.matched = 0
         self.lost = 0
         self.incompatible = 0
@@ -38,7 +43,7 @@ class Pulse:
     def beat(self) -> None:
         """Note a message."""
         self.count += 1
-        self.last = time.monotonic()
+        self.last = self._clock()
 
     def tell(self, health: Health, cause: str, why: str = "peers") -> None:
         """Report a change; the same news twice in a row is told once."""
@@ -55,7 +60,7 @@ class Pulse:
             health = Health.LOST if required else Health.DEGRADED
             self.tell(health, f"the last {what} is gone")
         elif current > 0 and before == 0:
-            self.last = time.monotonic()
+            self.last = self._clock()
             self.tell(Health.OK, f"a {what} is there")
 
     def missed(self, total: int, what: str) -> None:
@@ -70,7 +75,7 @@ class Pulse:
 
     def tick(self) -> None:
         """Look at the clock: go stale, or recover once messages flow again."""
-        age = time.monotonic() - self.last
+        age = self._clock() - self.last
         if self._stale_after is not None and age > self._stale_after:
             if self._told[0] is not Health.LOST:
                 self.tell(Health.LOST, f"no message for {self._stale_after:g} s", "stale")
@@ -90,6 +95,7 @@ class Pulse:
         }
 
     def _degrade(self, cause: str) -> None:
-        self._trouble = time.monotonic()
-        if self._told[0] is not Health.LOST:
+        """Tell of trouble once, however often it recurs before it has passed."""
+        self._trouble = self._clock()
+        if self._told[0] is not Health.LOST and self._why != "trouble":
             self.tell(Health.DEGRADED, cause, "trouble")
