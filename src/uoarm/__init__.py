@@ -1,5 +1,54 @@
-"""uoarm, the UoA Robot Manager: ask for a robot function, get it from any framework."""
+"""uoarm, the UoA Robot Manager: ask for a robot function, get it from any framework.
 
+The layers, from the top; imports go down only:
+
+    uoarm            this façade          uoarm.cli       the command line
+    uoarm.manager    requests, connections, status, health
+    uoarm.resolve    robot + structures -> plan           uoarm.config    file -> robot
+    uoarm.flow       routes, queues, counters             uoarm.local     plain Python components
+    uoarm.bridge     the contract of framework plugins
+    uoarm.adapt      declared, typed, compiled adapters
+    uoarm.model      frozen values                        uoarm.schema    containment, on its own
+"""
+
+from uoarm import errors
 from uoarm._version import __version__
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    ConfigurationError,
+    ConnectionClosedError,
+    ControlMessageError,
+    MessageError,
+    PluginError,
+    ResolutionError,
+    UoarmError,
+    UsageError,
+)
+from uoarm.manager import AsyncConnection, AsyncRobotManager, Connection, RobotManager
+from uoarm.model import OverflowPolicy, Plan, QueuePolicy, StatusEvent, StatusMap, ValidationMode
 
-__all__ = ["__version__"]
+__all__ = [
+    "AsyncConnection",
+    "AsyncRobotManager",
+    "BridgeError",
+    "BridgeTimeoutError",
+    "ConfigurationError",
+    "Connection",
+    "ConnectionClosedError",
+    "ControlMessageError",
+    "MessageError",
+    "OverflowPolicy",
+    "Plan",
+    "PluginError",
+    "QueuePolicy",
+    "ResolutionError",
+    "RobotManager",
+    "StatusEvent",
+    "StatusMap",
+    "UoarmError",
+    "UsageError",
+    "ValidationMode",
+    "__version__",
+    "errors",
+]

@@ -279,7 +279,7 @@ def _distinct(solver: Solver, goals: Sequence[Goal]) -> Generator[Goal, Result, 
 
 def _several(
     solver: Solver, goal: Goal, count: int
-) -> Generator[Goal, Result, "list[Any] | Unknown"]:
+) -> Generator[Goal, Result, list[Any] | Unknown]:
     """Return up to `count` different values that meet a goal."""
     found: list[Any] = []
     wanted = goal

@@ -198,7 +198,7 @@ def _fill(solver: Solver, view: ObjectView, extra: dict[str, tuple[Literal, ...]
 
 def _add_fresh(
     solver: Solver, view: ObjectView, made: dict[str, Any]
-) -> Generator[Goal, Result, "Result | None"]:
+) -> Generator[Goal, Result, Result | None]:
     """Add names that nothing mentions until there are enough; return why that cannot be done."""
     if view.least > _MAX_FILL:
         return Unknown(f"an object of {view.least:,} members would be needed")

@@ -1,0 +1,163 @@
+"""The mapping language: where the fields of a consumer's message come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+from attrs import field, frozen
+
+from uoarm.errors import ConfigurationError
+
+__all__ = ["Each", "Entry", "Mapped", "MappingError", "Path", "Scale", "parse", "write_path"]
+
+Path: TypeAlias = "tuple[str, ...]"
+
+_MAX_DEPTH = 16
+_KEYS = {"from", "const", "scale", "offset", "enum", "each", "map", "default"}
+
+
+class MappingError(ConfigurationError):
+    """A mapping that cannot be understood; the text lists every mistake."""
+
+
+@frozen
+class Scale:
+    """`value * factor + offset`."""
+
+    factor: float | int = 1
+    offset: float | int = 0
+
+
+@frozen
+class Mapped:
+    """One entry: a source path, or a constant, and what is done to the value."""
+
+    source: Path | None = None
+    const: Any = field(default=None, hash=False)
+    scale: Scale | None = None
+    enum: tuple[tuple[str, Any], ...] | None = field(default=None, hash=False)
+    default: Any = field(default=None, hash=False)
+    has_default: bool = False
+
+
+@frozen
+class Each:
+    """An array made item by item from another."""
+
+    source: Path
+    entries: tuple[Entry, ...]
+
+
+@frozen
+class Entry:
+    """A field of the consumer's message and where it comes from."""
+
+    target: Path
+    value: Mapped | Each
+
+
+def parse(mapping: Mapping[str, Any]) -> tuple[Entry, ...]:
+    """Return the entries of a mapping.
+
+    Raises:
+        MappingError: it cannot be understood; the text lists every mistake.
+    """
+    mistakes: list[str] = []
+    entries = _entries(mapping, "map", mistakes, 0)
+    if mistakes:
+        raise MappingError("; ".join(mistakes))
+    return entries
+
+
+def write_path(path: Path) -> str:
+    """Write a path as the configuration does; the whole message is a dot."""
+    return ".".join(path) or "."
+
+
+def _entries(
+    mapping: Mapping[str, Any], where: str, mistakes: list[str], depth: int
+) -> tuple[Entry, ...]:
+    if depth > _MAX_DEPTH:
+        mistakes.append(f"{where}: nested more than {_MAX_DEPTH} levels deep")
+        return ()
+    entries: list[Entry] = []
+    for name, rule in mapping.items():
+        at = f"{where}.{name}"
+        target = _path(name, at, mistakes)
+        value = _value(rule, at, mistakes, depth)
+        if value is not None:
+            entries.append(Entry(target, value))
+    targets = [entry.target for entry in entries]
+    for number, one in enumerate(targets):
+        for other in targets[:number]:
+            short, long = sorted((one, other), key=len)
+            if long[: len(short)] == short:
+                mistakes.append(
+                    f"{where}: {write_path(other)} and {write_path(one)} fill the same field"
+                )
+    return tuple(entries)
+
+
+def _path(text: str, where: str, mistakes: list[str]) -> Path:
+    if text == ".":
+        return ()
+    parts = tuple(text.split("."))
+    if not all(parts):
+        mistakes.append(f"{where}: {text!r} is not a path: expected names between dots")
+    return parts
+
+
+def _value(rule: Any, where: str, mistakes: list[str], depth: int) -> Mapped | Each | None:
+    if isinstance(rule, str):
+        return Mapped(source=_path(rule, where, mistakes))
+    if not isinstance(rule, Mapping):
+        mistakes.append(f"{where}: expected a path or a mapping with from, const or each")
+        return None
+    unknown = sorted(set(rule) - _KEYS)
+    if unknown:
+        mistakes.append(f"{where}: unknown key {unknown[0]!r}; known: {', '.join(sorted(_KEYS))}")
+        return None
+    if len({"from", "const", "each"} & set(rule)) != 1:
+        mistakes.append(f"{where}: expected exactly one of from, const and each")
+        return None
+    if "each" in rule:
+        return _each(rule, where, mistakes, depth)
+    if "const" in rule:
+        if len(rule) > 1:
+            mistakes.append(f"{where}: const stands alone")
+        return Mapped(const=rule["const"])
+    return _from(rule, where, mistakes)
+
+
+def _each(rule: Mapping[str, Any], where: str, mistakes: list[str], depth: int) -> Each | None:
+    if set(rule) != {"each", "map"} or not isinstance(rule["map"], Mapping):
+        mistakes.append(f"{where}: each needs map, a mapping for every item, and nothing else")
+        return None
+    source = _path(str(rule["each"]), where, mistakes)
+    return Each(source, _entries(rule["map"], where, mistakes, depth + 1))
+
+
+def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | None:
+    source = rule["from"]
+    if not isinstance(source, str):
+        mistakes.append(f"{where}: from must be a path")
+        return None
+    if "map" in rule:
+        mistakes.append(f"{where}: map belongs to each")
+    for key in ("scale", "offset"):
+        number = rule.get(key, 0)
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            mistakes.append(f"{where}: {key} must be a number, got {number!r}")
+            return None
+    if "enum" in rule and not isinstance(rule["enum"], Mapping):
+        mistakes.append(f"{where}: enum must say for each value what it becomes")
+        return None
+    scaled = "scale" in rule or "offset" in rule
+    return Mapped(
+        source=_path(source, where, mistakes),
+        scale=Scale(rule.get("scale", 1), rule.get("offset", 0)) if scaled else None,
+        enum=tuple(rule["enum"].items()) if "enum" in rule else None,
+        default=rule.get("default"),
+        has_default="default" in rule,
+    )
