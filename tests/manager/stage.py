@@ -34,8 +34,8 @@ closed: list[str] = []
 
 def reset() -> None:
     """Begin a test with nothing played and the gate shut."""
-    global script
-    script = SimpleQueue()
+    while not script.empty():
+        script.get()
     gate.clear()
     built.clear()
     closed.clear()

@@ -8,6 +8,7 @@ from tests.schema._ecma import UnsupportedPatternError
 from tests.schema._judge import answer, verify_counterexample
 from tests.schema._reference import Reference, UnsupportedSchemaError
 from tests.schema._suite_pairs import const_pairs, schema_pairs
+
 from uoarm.schema import check
 
 if TYPE_CHECKING:

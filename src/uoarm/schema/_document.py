@@ -53,6 +53,7 @@ class Document:
         self._by_reference: dict[str, Node] = {}
         self._identity = 0 if not _has_references(schema) else pool.number(("document", id(schema)))
         self._references: list[str] = []
+        self._embeds_documents = False
         self.root = self._read(schema, "#")
         for reference in self._references:
             self.resolve(reference)
@@ -71,7 +72,14 @@ class Document:
         own = self._schema.get("$id", "") if isinstance(self._schema, Mapping) else ""
         if base and base != own:
             return self._strange(f"the reference {reference!r} leads out of the document")
-        fragment = unquote(fragment)
+        try:
+            return self._look_up(unquote(fragment), reference)
+        except SchemaError:
+            if self._embeds_documents:
+                return self._strange("a reference within a document with an embedded $id")
+            raise
+
+    def _look_up(self, fragment: str, reference: str) -> Node:
         if not fragment:
             return self._node_of(self._schema)
         if not fragment.startswith("/"):
@@ -132,6 +140,8 @@ class Document:
                 self._anchors[value] = schema
             elif keyword == "$ref":
                 self._references.append(value)
+            elif keyword == "$id" and schema is not self._schema:
+                self._embeds_documents = True
         return found
 
     def _make(self, schema: Any) -> Node:
