@@ -14,7 +14,16 @@ from uoarm.schema import check
 if TYPE_CHECKING:
     from tests.schema._official import Group
 
-_OUTSIDE = {"refRemote", "dynamicRef", "anchor", "vocabulary", "optional/dynamicRef"}
+# Not decided: what leaves the document, and, for now, the two keywords that see other keywords.
+_OUTSIDE = {
+    "refRemote",
+    "dynamicRef",
+    "anchor",
+    "vocabulary",
+    "optional/dynamicRef",
+    "unevaluatedItems",
+    "unevaluatedProperties",
+}
 
 
 def test_a_const_is_contained_exactly_where_it_is_valid(official_groups: tuple[Group, ...]) -> None:

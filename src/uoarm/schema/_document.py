@@ -136,7 +136,7 @@ class Document:
                 found.extend((one, f"{at}/{n}") for n, one in enumerate(value))
             elif keyword in MAPS:
                 found.extend((one, f"{at}/{name}") for name, one in value.items())
-            elif keyword == "$anchor":
+            elif keyword in {"$anchor", "$dynamicAnchor"}:
                 self._anchors[value] = schema
             elif keyword == "$ref":
                 self._references.append(value)
