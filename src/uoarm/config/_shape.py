@@ -49,9 +49,7 @@ def write_path(path: Path) -> str:
     return "$" + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
 
 
-def _problems_of(  # noqa: C901 - one branch for each keyword
-    error: ValidationError, document: Document, file: str
-) -> Iterator[Problem]:
+def _problems_of(error: ValidationError, document: Document, file: str) -> Iterator[Problem]:
     path: Path = tuple(error.absolute_path)
     value: Any = error.instance
     schema: Any = error.schema
