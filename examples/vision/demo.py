@@ -24,10 +24,10 @@ def main() -> int:
     options = parser.parse_args()
     try:
         from rich.console import Console  # noqa: PLC0415 - what is missing is told below
-
-        from uoarm import UoarmError  # noqa: PLC0415
         from vision_demo.packages import FootageError  # noqa: PLC0415
         from vision_demo.run import run  # noqa: PLC0415
+
+        from uoarm import UoarmError  # noqa: PLC0415
     except ModuleNotFoundError as error:
         print(f"{error.name} is not installed: pip install '.[vision,vision-dlib]'")
         return 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import cv2.data
 
 from uoarm_vision.messages import Box, Faces, Frame
 from uoarm_vision.pixels import Picture, as_picture, boxed, resized

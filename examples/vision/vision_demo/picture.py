@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from attrs import define, field
-
 from uoarm_vision.messages import People, Person
 from uoarm_vision.pixels import Picture, as_picture
 
@@ -49,14 +48,12 @@ class Album:
 
 
 def _clearness(message: People) -> tuple[int, float]:
-    """Order messages: one face rather than none, and the surer name before the less sure."""
+    """Order messages: a name, the surer the better, before one stranger before nobody."""
     persons = message["persons"]
-    if not persons:
-        return 0, 0.0
     named = [person["distance"] for person in persons if person["name"] is not None]
     if named:
         return 2, -min(named)
-    return 1, max(person["distance"] for person in persons)
+    return (1, -len(persons)) if persons else (0, 0)
 
 
 def _panel(message: People) -> Picture:

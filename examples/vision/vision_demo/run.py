@@ -10,16 +10,15 @@ from pathlib import Path
 from attrs import frozen
 from rich.console import Console
 from rich.live import Live
-from rich.progress import Progress
-
-from uoarm import OverflowPolicy, Plan, QueuePolicy, RobotManager, StatusMap
 from uoarm_vision.camera import count
 from uoarm_vision.photos import photos_in
+
+from uoarm import OverflowPolicy, Plan, QueuePolicy, RobotManager, StatusMap
 from vision_demo.footage import PACKAGES, Footage, prepare
 from vision_demo.hidden import hide
 from vision_demo.packages import Package
 from vision_demo.picture import Album
-from vision_demo.screen import bar, result_table, running, show_plan
+from vision_demo.screen import LiveStatus, bar, result_table, show_plan
 from vision_demo.tally import Tally
 
 __all__ = ["Result", "run"]
@@ -146,25 +145,23 @@ def _enrol(plan: Plan, footage: Footage, console: Console) -> None:
 
 
 def _watch(robot: RobotManager, footage: Footage, output: Path, console: Console) -> Result:
-    tally, album, status = Tally(footage.expected), Album(), StatusMap()
+    tally, album, status = Tally(footage.expected), Album(), LiveStatus(robot.status)
     with robot.request(_FUNCTION, validate="sampled", queue=_EVERYTHING) as people:
         camera = people.plan.steps[0].component.outputs[0].endpoint
         excerpt = camera.parameters.get("excerpt")
         sent = count(str(footage.playlist), excerpt if isinstance(excerpt, int) else 0)
-        progress: Progress = bar(console)
+        progress = bar(console)
         task = progress.add_task("watching", total=sent)
-        screen = running(progress, robot.status)
-        with Live(get_renderable=screen, console=console, refresh_per_second=4):
+        with Live(get_renderable=lambda: status.shown(progress), console=console):
             for message in people:
-                if not people.ended:
-                    status = robot.status()
-                progress.update(task, advance=1)
+                status.update()
+                progress.advance(task)
                 album.add(message)
                 for name in tally.add(message):
                     frame = message["frame"]
                     place = f"{frame['source']}, picture {frame['sequence']}"
                     console.print(f"I see {name} ({place})", highlight=False)
-        return Result(people.plan, tally, sent, status, album.write(output / "faces.png"))
+    return Result(people.plan, tally, sent, status.last, album.write(output / "faces.png"))
 
 
 def _tell(result: Result, console: Console) -> None:

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping
 
 from attrs import define, field
-
 from uoarm_vision.messages import People
 
 __all__ = ["Tally"]
