@@ -14,9 +14,14 @@ from typing import Any
 
 import cv2
 import pytest
+from attrs import evolve
 from uoarm_vision.messages import Box, Frame, People
 from vision_demo.footage import TALKING, Footage
+from vision_demo.run import Result
 from vision_demo.tally import Tally
+
+from uoarm import RobotManager, StatusMap
+from uoarm.model import Rejection, RouteStatus
 
 
 def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[int, Any, str]:
@@ -149,3 +154,41 @@ def test_tally_counts_pictures_mistakes_and_those_who_were_missed() -> None:
 
 def test_whoever_was_never_played_counts_as_missed() -> None:
     assert Tally({"a": "Ann", "s": None}).missed() == ["Ann"]
+
+
+@pytest.fixture
+def perfect(vision: Path) -> Result:
+    """What a run comes to in which everything is right."""
+    with RobotManager.from_file(vision / "robot.yaml") as robot:
+        plan = robot.resolve("faceRecognition")
+    tally = Tally({"a": "Ann", "s": None})
+    tally.add(message("a", "Ann"))
+    tally.add(message("s", None))
+    return Result(plan, tally, 2, StatusMap(), Path("faces.png"))
+
+
+def test_a_perfect_run_has_no_problems(perfect: Result) -> None:
+    assert perfect.problems == []
+    assert json.loads(perfect.as_json())["ok"]
+
+
+def test_lost_pictures_and_dropped_messages_are_problems(perfect: Result) -> None:
+    assert evolve(perfect, sent=3).problems == ["1 pictures were lost, 0 messages dropped"]
+    route = RouteStatus("a", "b", received=5, delivered=1, dropped=(("failed", 3), ("x", 1)))
+    dropping = evolve(perfect, status=StatusMap(routes=(route,)))
+    assert dropping.problems == ["0 pictures were lost, 4 messages dropped"]
+
+
+def test_whoever_is_not_recognised_is_a_problem(perfect: Result) -> None:
+    perfect.tally.expected = {"a": "Bob", "s": None}
+    assert "Bob was not recognised" in perfect.problems
+
+
+def test_mistakes_are_forgiven_only_where_better_candidates_were_passed_over(
+    perfect: Result,
+) -> None:
+    perfect.tally.add(message("s", "Ann"))
+    mistaken = evolve(perfect, sent=3)
+    assert mistaken.problems == ["somebody was mistaken in 1 pictures"]
+    rejected = (Rejection("faceRecognition", "resnet_recogniser", 20, ()),)
+    assert evolve(mistaken, plan=evolve(mistaken.plan, rejected=rejected)).problems == []

@@ -47,7 +47,7 @@ def camera(
     for sequence, (source, picture) in enumerate(itertools.islice(playing, limit or None)):
         if rate:
             time.sleep(max(0.0, due - time.monotonic()))
-            due = max(due, time.monotonic() - 1 / rate) + 1 / rate
+            due = time.monotonic() + 1 / rate
         yield as_frame(picture, source, sequence)
 
 
