@@ -8,14 +8,16 @@ import math
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import attrs
-import cattrs
 
 from uoarm.errors import ControlMessageError
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._structure import MessageStructure
+
+if TYPE_CHECKING:
+    from cattrs import Converter
 
 __all__ = ["from_json", "read_control", "to_json", "write_control"]
 
@@ -158,7 +160,9 @@ def _refuse_constant(name: str) -> Any:
 
 
 @cache
-def _converter() -> cattrs.Converter:
+def _converter() -> Converter:
+    import cattrs  # noqa: PLC0415 - slow import
+
     converter = cattrs.Converter(forbid_extra_keys=True)
     converter.register_structure_hook_func(
         lambda kind: kind is object or kind is Any, lambda data, _: data

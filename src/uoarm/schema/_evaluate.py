@@ -38,12 +38,13 @@ def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int
         deeper = [
             (child, item, (*path, *step))
             for child, item, step in _direct_parts(one, part)
-            if not accepts(child, item)
+            if not child.never and not accepts(child, item)
         ]
-        if deeper:
+        keyword = _failing_keyword(one, part)
+        if keyword == "rules" and deeper:
             waiting.extend(deeper[:3])
         else:
-            found.append((one, part, path, _failing_keyword(one, part)))
+            found.append((one, part, path, keyword))
     return found
 
 
