@@ -152,6 +152,15 @@ def test_tally_counts_pictures_mistakes_and_those_who_were_missed() -> None:
     assert not tally.strangers_known()
 
 
+def test_a_person_must_be_named_in_more_than_half_of_the_pictures() -> None:
+    tally = Tally({"a": "Ann"})
+    tally.add(message("a", "Ann"))
+    tally.add(message("a"))
+    assert tally.missed() == ["Ann"]
+    tally.add(message("a", "Ann"))
+    assert tally.missed() == []
+
+
 def test_whoever_was_never_played_counts_as_missed() -> None:
     assert Tally({"a": "Ann", "s": None}).missed() == ["Ann"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -90,3 +91,15 @@ def test_packages_are_told_before_they_are_fetched(cache: Path) -> None:
     told: list[str] = []
     prepare(cache, lambda package: told.append(package.name))
     assert told == [package.name for package in PACKAGES]
+
+
+@pytest.mark.usefixtures("footage")
+def test_what_an_earlier_version_left_is_not_played(cache: Path, tmp_path: Path) -> None:
+    (tmp_path / "packages").mkdir()
+    for file in (cache / "packages").iterdir():
+        if file.is_file():
+            shutil.copy(file, tmp_path / "packages")
+    footage = prepare(tmp_path)
+    old = footage.playlist / "0-old.jpg"
+    old.write_bytes(b"whatever")
+    assert {file.name for file in prepare(tmp_path).playlist.iterdir()} == set(footage.expected)

