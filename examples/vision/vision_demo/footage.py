@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import tarfile
 import zipfile
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import cv2
@@ -182,7 +182,7 @@ def _write(folder: Path, target: str, content: bytes) -> None:
     draft.replace(file)
 
 
-def _keep_only(folder: Path, targets: Set[str]) -> None:
+def _keep_only(folder: Path, targets: set[str]) -> None:
     """Remove what an earlier version of this module left."""
     for file in (*folder.glob("playlist/*"), *folder.glob("photos/*/*")):
         if file.relative_to(folder).as_posix() not in targets:
