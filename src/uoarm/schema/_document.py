@@ -16,9 +16,8 @@ __all__ = ["Document", "Pool"]
 _OUT_OF_SCOPE = {
     "$dynamicRef": "$dynamicRef is not followed",
     "$recursiveRef": "$recursiveRef is not followed",
-    "unevaluatedProperties": "unevaluatedProperties is not decided here",
-    "unevaluatedItems": "unevaluatedItems is not decided here",
 }
+_GAPS = {"unevaluatedProperties": "object", "unevaluatedItems": "array"}
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_POINTER = 20_000
 _KINDS = frozenset({"null", "boolean", "number", "string", "array", "object"})
@@ -181,6 +180,9 @@ class Document:
         for keyword, reason in _OUT_OF_SCOPE.items():
             if keyword in schema:
                 node.unsupported = reason
+        for keyword, kind in _GAPS.items():
+            if keyword in schema:
+                node.gaps[kind] = f"{keyword} is not decided here"
         named = schema.get("$schema", _DRAFT)
         if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
             node.unsupported = f"the schema is of another draft: {named}"
