@@ -151,11 +151,19 @@ class Document:
         for keyword, value in schema.items():
             if keyword in child:
                 content.append((keyword, child[keyword]))
-            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
+            elif self._matters(keyword, value, schema):
                 content.append((keyword, key_of(value)))
         node = Node(self._pool.number(frozenset(content)), schema, self)
         self._fill(node, schema)
         return self._keep(node)
+
+    def _matters(self, keyword: str, value: Any, schema: Any) -> bool:
+        """Say whether a keyword makes a schema differ from one without it."""
+        if keyword == "$schema":
+            return bool(value != _DRAFT)
+        if keyword == "$id":
+            return schema is not self._schema
+        return keyword not in ANNOTATIONS and not keyword.startswith("x-")
 
     def _keep(self, node: Node) -> Node:
         self._pool.nodes.append(node)
