@@ -16,9 +16,8 @@ __all__ = ["Document", "Pool"]
 _OUT_OF_SCOPE = {
     "$dynamicRef": "$dynamicRef is not followed",
     "$recursiveRef": "$recursiveRef is not followed",
-    "unevaluatedProperties": "unevaluatedProperties is not decided here",
-    "unevaluatedItems": "unevaluatedItems is not decided here",
 }
+_GAPS = {"unevaluatedProperties": "object", "unevaluatedItems": "array"}
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_POINTER = 20_000
 _KINDS = frozenset({"null", "boolean", "number", "string", "array", "object"})
@@ -152,11 +151,19 @@ class Document:
         for keyword, value in schema.items():
             if keyword in child:
                 content.append((keyword, child[keyword]))
-            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
+            elif self._matters(keyword, value, schema):
                 content.append((keyword, key_of(value)))
         node = Node(self._pool.number(frozenset(content)), schema, self)
         self._fill(node, schema)
         return self._keep(node)
+
+    def _matters(self, keyword: str, value: Any, schema: Any) -> bool:
+        """Say whether a keyword makes a schema differ from one without it."""
+        if keyword == "$schema":
+            return bool(value != _DRAFT)
+        if keyword == "$id":
+            return schema is not self._schema
+        return keyword not in ANNOTATIONS and not keyword.startswith("x-")
 
     def _keep(self, node: Node) -> Node:
         self._pool.nodes.append(node)
@@ -181,6 +188,9 @@ class Document:
         for keyword, reason in _OUT_OF_SCOPE.items():
             if keyword in schema:
                 node.unsupported = reason
+        for keyword, kind in _GAPS.items():
+            if keyword in schema:
+                node.gaps[kind] = f"{keyword} is not decided here"
         named = schema.get("$schema", _DRAFT)
         if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
             node.unsupported = f"the schema is of another draft: {named}"

@@ -106,6 +106,9 @@ def _valid(question: Question) -> Answer:
         raise OutOfScopeError(node.unsupported)
     if not _plain_rules(node, value):
         return False
+    gap = node.gaps.get(kind_of(value))
+    if gap:
+        raise OutOfScopeError(gap)
     if isinstance(value, list | tuple):
         if not (yield from _array(node, value)):
             return False
