@@ -26,6 +26,7 @@ from uoarm.model._status import (
 )
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Deliver, Message, Options, Schema
+from uoarm.model._wire import from_json, read_control, to_json, write_control
 
 __all__ = [
     "BridgeSpec",
@@ -61,4 +62,8 @@ __all__ = [
     "StatusMap",
     "Step",
     "ValidationMode",
+    "from_json",
+    "read_control",
+    "to_json",
+    "write_control",
 ]

@@ -10,7 +10,7 @@ __all__ = ["Deliver", "Message", "Options", "Schema"]
 Message: TypeAlias = Any
 """A value of the JSON data model, plus `bytes`-like octets and numeric buffers (numpy, array)."""
 
-Schema: TypeAlias = "Mapping[str, object] | bool"
+Schema: TypeAlias = Mapping[str, object] | bool
 """A JSON Schema of draft 2020-12; treated as immutable everywhere."""
 
 Options: TypeAlias = Mapping[str, object]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 from uoarm.schema._document import Document, Pool
-from uoarm.schema._evaluate import OutOfScopeError, accepts
+from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema._evaluate import accepts
 from uoarm.schema._explain import explain, find_losses
 from uoarm.schema._results import Found, Result, Unknown
 from uoarm.schema._solve import BudgetError, Solver
@@ -14,12 +15,13 @@ from uoarm.schema._verdict import Budget, Verdict
 
 __all__ = ["check"]
 
+Schema: TypeAlias = Mapping[str, Any] | bool
 _STANDARD = Budget()
 
 
 def check(
-    producer: Mapping[str, Any] | bool,
-    consumer: Mapping[str, Any] | bool,
+    producer: Schema,
+    consumer: Schema,
     *,
     budget: Budget | None = None,
 ) -> Verdict:
@@ -35,12 +37,15 @@ def check(
     """
     limits = budget or _STANDARD
     pool = Pool()
-    made, taken = Document(producer, pool), Document(consumer, pool)
+    try:
+        made, taken = Document(producer, pool), Document(consumer, pool)
+    except OutOfScopeError as error:
+        return Verdict(compatible=False, undecided=str(error))
     solver = Solver(pool, limits.steps, limits.seconds)
     result: Result
     try:
         result = solver.solve(((made.root, True), (taken.root, False)))
-    except BudgetError as error:
+    except (BudgetError, OutOfScopeError) as error:
         result = Unknown(str(error))
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)

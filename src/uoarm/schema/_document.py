@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 from urllib.parse import unquote
 
-from uoarm.schema._errors import SchemaError
+from uoarm.schema._errors import OutOfScopeError, SchemaError
 from uoarm.schema._node import Node
 from uoarm.schema._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES, check_keyword
 from uoarm.schema._values import exact, key_of
@@ -19,7 +19,8 @@ _OUT_OF_SCOPE = {
     "unevaluatedProperties": "unevaluatedProperties is not decided here",
     "unevaluatedItems": "unevaluatedItems is not decided here",
 }
-_OLD_DRAFTS = ("draft-03", "draft-04", "draft-06", "draft-07", "2019-09")
+_DRAFT = "https://json-schema.org/draft/2020-12/schema"
+_MAX_POINTER = 20_000
 _KINDS = frozenset({"null", "boolean", "number", "string", "array", "object"})
 
 
@@ -51,7 +52,12 @@ class Document:
         self._anchors: dict[str, object] = {}
         self._by_reference: dict[str, Node] = {}
         self._identity = 0 if not _has_references(schema) else pool.number(("document", id(schema)))
+        self._references: list[str] = []
         self.root = self._read(schema, "#")
+        for reference in self._references:
+            self.resolve(reference)
+        if self._references and _refers_in_place(self._nodes.values()):
+            self.root.unsupported = "the schema refers to itself without descending into the value"
 
     def resolve(self, reference: str) -> Node:
         """Return the node that a reference points to; an unsupported one when it is elsewhere."""
@@ -70,7 +76,7 @@ class Document:
             return self._node_of(self._schema)
         if not fragment.startswith("/"):
             if fragment not in self._anchors:
-                return self._strange(f"there is no anchor {fragment!r}")
+                raise SchemaError("#/$ref", "a reference to a part of the document", reference)
             return self._node_of(self._anchors[fragment])
         at: Any = self._schema
         for step in fragment[1:].split("/"):
@@ -108,6 +114,8 @@ class Document:
         return self._nodes[id(schema)]
 
     def _children(self, schema: Any, pointer: str) -> list[tuple[object, str]]:
+        if len(pointer) > _MAX_POINTER:
+            raise OutOfScopeError("the schema is nested too deep")
         if not isinstance(schema, Mapping):
             raise SchemaError(pointer, "a schema (an object, true or false)", schema)
         found: list[tuple[object, str]] = []
@@ -122,6 +130,8 @@ class Document:
                 found.extend((one, f"{at}/{name}") for name, one in value.items())
             elif keyword == "$anchor":
                 self._anchors[value] = schema
+            elif keyword == "$ref":
+                self._references.append(value)
         return found
 
     def _make(self, schema: Any) -> Node:
@@ -161,8 +171,8 @@ class Document:
         for keyword, reason in _OUT_OF_SCOPE.items():
             if keyword in schema:
                 node.unsupported = reason
-        named = schema.get("$schema", "")
-        if isinstance(named, str) and any(draft in named for draft in _OLD_DRAFTS):
+        named = schema.get("$schema", _DRAFT)
+        if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
             node.unsupported = f"the schema is of another draft: {named}"
         if "$id" in schema and schema is not self._schema:
             node.unsupported = "an embedded $id"
@@ -228,6 +238,34 @@ class Document:
         return tuple((name, self._nodes[id(one)]) for name, one in schemas.items())
 
 
+def _refers_in_place(nodes: Iterable[Node]) -> bool:
+    """Say whether a schema applies itself to the same value, by references and logic alone."""
+    done: set[int] = set()
+    for root in list(nodes):
+        path: set[int] = set()
+        stack: list[tuple[Node, bool]] = [(root, False)]
+        while stack:
+            node, leaving = stack.pop()
+            if leaving:
+                path.discard(id(node))
+                done.add(id(node))
+            elif id(node) in path:
+                return True
+            elif id(node) not in done:
+                path.add(id(node))
+                stack.append((node, True))
+                stack.extend((one, False) for one in _applied_in_place(node))
+    return False
+
+
+def _applied_in_place(node: Node) -> list[Node]:
+    single = [node.negated, node.condition, node.then, node.otherwise]
+    found = [one for one in single if one is not None]
+    found += [*node.all_of, *(node.any_of or ()), *(node.one_of or ())]
+    found += [one for _, one in node.dependent_schemas]
+    return found if node.reference is None else [*found, node.target()]
+
+
 _NUMBERS = {
     "minimum": "minimum",
     "maximum": "maximum",
@@ -248,9 +286,12 @@ _COUNTS = {
 
 
 def _has_references(schema: object) -> bool:
-    waiting = [schema]
+    waiting, seen = [schema], set[int]()
     while waiting:
         one = waiting.pop()
+        if id(one) in seen:
+            continue
+        seen.add(id(one))
         if isinstance(one, Mapping):
             if "$ref" in one:
                 return True

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-__all__ = ["SchemaError"]
+__all__ = ["OutOfScopeError", "SchemaError"]
+
+
+class OutOfScopeError(Exception):
+    """The schema holds something that is not decided; the text says what."""
 
 
 class SchemaError(ValueError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from typing import Any, TypeAlias
 
+from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._node import Node
 from uoarm.schema._regex import UnsupportedPatternError
 from uoarm.schema._trampoline import run
@@ -15,10 +16,6 @@ __all__ = ["OutOfScopeError", "accepts", "failures"]
 
 Question: TypeAlias = "tuple[Node, Any]"
 Answer: TypeAlias = Generator[Question, bool, bool]
-
-
-class OutOfScopeError(Exception):
-    """The schema holds something that is not decided; the text says what."""
 
 
 def accepts(node: Node, value: object) -> bool:
@@ -154,7 +151,8 @@ def _array(node: Node, value: Any) -> Answer:
         known: dict[tuple[int, object], bool] = {}
         for position, item in enumerate(value):
             for rule in item_rules(node, position):
-                key = (rule.number, key_of(item))
+                composite = isinstance(item, list | tuple | Mapping)
+                key = (rule.number, id(item) if composite else key_of(item))
                 if key not in known:
                     known[key] = yield rule, item
                 if not known[key]:

@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
-from uoarm.schema._evaluate import OutOfScopeError, failures, member_rules
+from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema._evaluate import failures, member_rules
 from uoarm.schema._node import Node
 from uoarm.schema._verdict import Loss, Reason
 
@@ -94,7 +95,10 @@ def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
         found.append(Loss(where, "nonfinite", sentence))
     for keyword in ("format", "contentEncoding", "contentMediaType", "x-unit"):
         if keyword in theirs and mine.get(keyword) != theirs[keyword]:
-            sentence = f"the consumer says {keyword} {theirs[keyword]!r}, the producer {mine.get(keyword)!r}"
+            mine_says = mine.get(keyword)
+            sentence = (
+                f"the consumer says {keyword} {theirs[keyword]!r}, the producer {mine_says!r}"
+            )
             found.append(Loss(where, "annotation", sentence))
     return found
 

@@ -30,9 +30,12 @@ def find_number(atoms: Iterable[tuple[Any, ...]], excluded: frozenset[Fraction])
             step = _common(step, Fraction(rest[0]))
         elif tag == "notmultiple":
             never.append(Fraction(rest[0]))
-    if low is not None and high is not None:
-        if low[0] > high[0] or (low[0] == high[0] and (low[1] or high[1])):
-            return EMPTY
+    if (
+        low is not None
+        and high is not None
+        and (low[0] > high[0] or (low[0] == high[0] and (low[1] or high[1])))
+    ):
+        return EMPTY
     if step is not None:
         return _on_lattice(step, low, high, never, excluded)
     return _anywhere(low, high, never, excluded)
@@ -66,11 +69,9 @@ def _on_lattice(
     periods = [(step / one).denominator for one in never]
     if 1 in periods:
         return EMPTY
-    tries = 0
-    for factor in _outwards(least, most):
+    for tries, factor in enumerate(_outwards(least, most)):
         if all(factor % period for period in periods) and factor * step not in excluded:
             return Found(_as_json(factor * step))
-        tries += 1
         if tries > _MAX_TRIES:
             return Unknown("too many multiples had to be tried")
     return EMPTY

@@ -120,15 +120,15 @@ def _meet_demands(
     if not demands:
         return (yield from _fill(solver, view, extra))
     demand, rest = demands[0], demands[1:]
-    tag, literal = demand[0], demand[-1]
+    tag: object = demand[0]
+    literal: Any = demand[-1]
     if tag == "somename":
-        node, sign = literal  # type: ignore[misc] # a literal
-        wanted: list[Literal] = [(node, sign)]
+        wanted: list[Literal] = [literal]
     elif tag == "somepattern":
         wanted = [(solver.make(f"match {demand[1]}", {"pattern": demand[1]}), True)]
     else:
         wanted = _unnamed(solver, demand[1])  # type: ignore[arg-type] # a node
-    needed: tuple[Literal, ...] = () if tag == "somename" else (literal,)  # type: ignore[assignment] # a literal
+    needed: tuple[Literal, ...] = () if tag == "somename" else (literal,)
     unknown: Unknown | None = None
     known = [*view.has, *(n for n in _mentioned(view) if n not in view.has)]
     for name in known:

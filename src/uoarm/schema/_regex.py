@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from uoarm.schema._charsets import ANY, CLASSES, DOT, CharSet, complement, union
 
-__all__ = ["Nfa", "UnsupportedPatternError", "compile_pattern"]
+__all__ = ["MalformedPatternError", "Nfa", "UnsupportedPatternError", "compile_pattern"]
 
 _MAX_REPEAT = 1000
 _MAX_STATES = 20_000
@@ -24,6 +24,10 @@ Piece: TypeAlias = "tuple[int, int]"
 
 class UnsupportedPatternError(ValueError):
     """The pattern is no regular expression, or not one that is decided here."""
+
+
+class MalformedPatternError(UnsupportedPatternError):
+    """The pattern breaks the grammar."""
 
 
 class Nfa:
@@ -54,7 +58,7 @@ def compile_pattern(pattern: str) -> Nfa:
     nfa = parser.nfa
     first, last = parser.alternation()
     if parser.at < len(pattern):
-        raise UnsupportedPatternError(f"unbalanced ) in {pattern!r}")
+        raise MalformedPatternError(f"unbalanced ) in {pattern!r}")
     before, after = nfa.state(), nfa.state()
     nfa.edges[before].append((ANY, before))
     nfa.edges[after].append((ANY, after))
@@ -112,7 +116,7 @@ class _Parser:
         if char == "\\":
             return self._on(self._escape(in_class=False))
         if char in "*+?" or (char == "{" and self._looks_counted()):
-            raise UnsupportedPatternError(f"nothing to repeat at {self.at} in {self.text!r}")
+            raise MalformedPatternError(f"nothing to repeat at {self.at} in {self.text!r}")
         return self._on(((ord(char), ord(char)),))
 
     def _group(self) -> Piece:
@@ -125,7 +129,7 @@ class _Parser:
                 raise UnsupportedPatternError("it looks ahead")
         piece = self.alternation()
         if not self._take(")"):
-            raise UnsupportedPatternError(f"a group is not closed in {self.text!r}")
+            raise MalformedPatternError(f"a group is not closed in {self.text!r}")
         return piece
 
     def _quantified(self, start: int, first: int, last: int) -> Piece:
@@ -170,7 +174,7 @@ class _Parser:
         if max(least, most or 0) > _MAX_REPEAT:
             raise UnsupportedPatternError(f"a repetition of more than {_MAX_REPEAT}")
         if most is not None and most < least:
-            raise UnsupportedPatternError("a repetition from more to less")
+            raise MalformedPatternError("a repetition from more to less")
         return least, most
 
     def _looks_counted(self) -> bool:
@@ -186,7 +190,7 @@ class _Parser:
         members: CharSet = ()
         while not self._take("]"):
             if self.at >= len(self.text):
-                raise UnsupportedPatternError(f"a class is not closed in {self.text!r}")
+                raise MalformedPatternError(f"a class is not closed in {self.text!r}")
             low = self._member()
             single = len(low) == 1 and low[0][0] == low[0][1]
             if (
@@ -197,7 +201,7 @@ class _Parser:
                 self.at += 1
                 high = self._member()
                 if high[0][0] < low[0][0]:
-                    raise UnsupportedPatternError("a range from more to less")
+                    raise MalformedPatternError("a range from more to less")
                 low = ((low[0][0], high[-1][1]),)
             members = union(members, low)
         return complement(members) if negated else members
@@ -209,7 +213,7 @@ class _Parser:
 
     def _escape(self, *, in_class: bool) -> CharSet:
         if self.at >= len(self.text):
-            raise UnsupportedPatternError("a lone backslash at the end")
+            raise MalformedPatternError("a lone backslash at the end")
         char = self.text[self.at]
         self.at += 1
         if char in CLASSES:
@@ -239,7 +243,7 @@ class _Parser:
         try:
             code = int(digits, 16)
         except ValueError:
-            raise UnsupportedPatternError(f"\\{kind} needs hexadecimal digits") from None
+            raise MalformedPatternError(f"\\{kind} needs hexadecimal digits") from None
         return ((code, code),)
 
     def _on(self, chars: CharSet) -> Piece:

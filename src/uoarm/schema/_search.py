@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from uoarm.schema._arrays import array_leaf
-from uoarm.schema._evaluate import OutOfScopeError
+from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._expand import Branch, expand
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
@@ -162,13 +162,18 @@ def _leaf(solver: Solver, state: State) -> Asking:
 
 
 def _find_string(state: State) -> Result:
-    least = max((atom[1] for atom in state.atoms if atom[0] == "least"), default=0)
-    most = min((atom[1] for atom in state.atoms if atom[0] == "most"), default=None)  # type: ignore[type-var] # lengths
+    least, most = 0, None
+    for tag, *rest in state.atoms:
+        size: Any = rest[0]
+        if tag == "least":
+            least = max(least, size)
+        elif tag == "most":
+            most = size if most is None else min(most, size)
     found = shortest_word(
         list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "match")),
         list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "nomatch")),
-        least,  # type: ignore[arg-type] # a length
-        most,  # type: ignore[arg-type] # a length
+        least,
+        most,
         [
             value
             for atom in state.atoms

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from uoarm.schema._errors import SchemaError
+from uoarm.schema._regex import (
+    MalformedPatternError,
+    UnsupportedPatternError,
+    compile_pattern,
+)
 
 __all__ = ["ANNOTATIONS", "LISTS", "MAPS", "SINGLES", "check_keyword"]
 
@@ -37,6 +43,9 @@ def check_keyword(keyword: str, value: object, pointer: str) -> None:
         _demand(isinstance(value, list) and bool(value), pointer, "a list of schemas", value)
     elif keyword in MAPS:
         _demand(_is_map(value), pointer, "schemas by name", value)
+        if keyword == "patternProperties":
+            for pattern in value:  # type: ignore[attr-defined] # a map
+                _demand_pattern(pattern, pointer)
     elif keyword in _COUNTS:
         _demand(_is_count(value), pointer, "a whole number, zero or more", value)
     elif keyword in _NUMBERS:
@@ -45,6 +54,8 @@ def check_keyword(keyword: str, value: object, pointer: str) -> None:
         _demand(positive, pointer, "a number above zero", value)
     elif keyword in _STRINGS:
         _demand(isinstance(value, str), pointer, "a string", value)
+        if keyword == "pattern":
+            _demand_pattern(value, pointer)
     elif keyword == "uniqueItems":
         _demand(isinstance(value, bool), pointer, "true or false", value)
     elif keyword == "enum":
@@ -65,6 +76,15 @@ def _demand(holds: bool, pointer: str, expected: str, got: object) -> None:  # n
         raise SchemaError(pointer, expected, got)
 
 
+def _demand_pattern(pattern: Any, pointer: str) -> None:
+    try:
+        compile_pattern(pattern)
+    except MalformedPatternError as error:
+        raise SchemaError(pointer, f"a regular expression ({error})", pattern) from error
+    except UnsupportedPatternError:
+        return
+
+
 def _is_map(value: object) -> bool:
     return isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
 
@@ -74,7 +94,9 @@ def _is_names(value: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, int) or math.isfinite(value)
 
 
 def _is_count(value: object) -> bool:

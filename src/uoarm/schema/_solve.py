@@ -15,7 +15,8 @@ from typing import Any, TypeAlias
 from attrs import define, field
 
 from uoarm.schema._document import Document, Pool
-from uoarm.schema._evaluate import OutOfScopeError, accepts
+from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema._evaluate import accepts
 from uoarm.schema._expand import KINDS, Atom, Branch, Literal, expand
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
+from uoarm.schema._errors import OutOfScopeError
+
 __all__ = ["run"]
+
+_MAX_DEPTH = 20_000
 
 Q = TypeVar("Q")
 A = TypeVar("A")
@@ -22,6 +26,8 @@ def run(question: Q, answer: Callable[[Q], Generator[Q, A, A]]) -> A:
             stack.pop()
             result = done.value
         else:
+            if len(stack) > _MAX_DEPTH:
+                raise OutOfScopeError(f"more than {_MAX_DEPTH:,} schemas within one another")
             stack.append(answer(asked))
             result = None
     return result  # type: ignore[return-value] # the last generator returned it

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from fractions import Fraction
 from typing import TypeAlias
 
+from uoarm.schema._errors import OutOfScopeError, SchemaError
+
 __all__ = ["Key", "exact", "key_of", "kind_of"]
+
+_MAX_NESTED = 100
 
 Key: TypeAlias = "tuple[object, ...]"
 
@@ -36,35 +41,31 @@ def key_of(value: object) -> Key:
     if isinstance(value, int):
         return ("number", value)
     if isinstance(value, float):
+        if not math.isfinite(value):
+            raise SchemaError("", "a JSON value", value)
         number = exact(value)
         return ("number", int(number) if number.denominator == 1 else number)
     if isinstance(value, str):
         return ("string", value)
-    return _composite_key(value)
+    return _composite_key(value, 0, {})
 
 
-def _composite_key(value: object) -> Key:
-    """Build the key of an array or object bottom up, with an explicit stack."""
-    done: dict[int, Key] = {}
-    stack: list[tuple[object, bool]] = [(value, False)]
-    while stack:
-        node, expanded = stack.pop()
-        parts = _parts(node)
-        if parts is None:
-            done[id(node)] = key_of(node)
-        elif not expanded:
-            stack.append((node, True))
-            stack.extend((part, False) for part in parts)
-        elif isinstance(node, Mapping):
-            done[id(node)] = ("object", frozenset((k, done[id(v)]) for k, v in node.items()))
-        else:
-            done[id(node)] = ("array", tuple(done[id(part)] for part in parts))
-    return done[id(value)]
+def _composite_key(value: object, depth: int, done: dict[int, Key]) -> Key:
+    """Return the key of an array or object; a part that is shared is keyed once."""
+    if id(value) in done:
+        return done[id(value)]
+    if depth > _MAX_NESTED:
+        raise OutOfScopeError(f"a constant value of more than {_MAX_NESTED} levels")
 
+    def part(one: object) -> Key:
+        composite = isinstance(one, Mapping | list | tuple)
+        return _composite_key(one, depth + 1, done) if composite else key_of(one)
 
-def _parts(node: object) -> list[object] | None:
-    if isinstance(node, Mapping):
-        return list(node.values())
-    if isinstance(node, list | tuple):
-        return list(node)
-    return None
+    if isinstance(value, Mapping):
+        key: Key = ("object", frozenset((name, part(one)) for name, one in value.items()))
+    elif isinstance(value, list | tuple):
+        key = ("array", tuple(part(one) for one in value))
+    else:
+        raise SchemaError("", "a JSON value", value)
+    done[id(value)] = key
+    return key

@@ -22,6 +22,7 @@ State: TypeAlias = "tuple[Subset | str | None, ...]"
 MAX_TEXT = 4_000_000
 _MAX_LAYERS = 5_000
 _MAX_WORK = 400_000
+_LAST, _SURROGATES = 0x10FFFF, range(0xD800, 0xE000)
 _FAVOURITES = "aAbcdefgxyz0123456789_- ./:"
 
 
@@ -215,10 +216,10 @@ def _letters(patterns: Collection[str], excluded: Collection[str]) -> list[str]:
     for text in excluded:
         for char in text:
             cuts |= {ord(char), ord(char) + 1}
-    bounds = sorted(one for one in cuts if one <= 0x10FFFF)
+    bounds = sorted(one for one in cuts if one <= _LAST)
     letters = []
-    for low, high in zip(bounds, [*bounds[1:], 0x110000], strict=True):
-        if not 0xD800 <= low < 0xE000:
+    for low, high in zip(bounds, [*bounds[1:], _LAST + 1], strict=True):
+        if low not in _SURROGATES:
             letters.append(_nicest(low, high - 1))
     return sorted(letters, key=lambda one: (_rank(one), one))
 
@@ -227,7 +228,7 @@ def _nicest(low: int, high: int) -> str:
     for char in _FAVOURITES:
         if low <= ord(char) <= high:
             return char
-    return chr(max(low, 33)) if low <= 126 <= high or low <= 33 <= high else chr(low)
+    return chr(low)
 
 
 def _rank(char: str) -> int:

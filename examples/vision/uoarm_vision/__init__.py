@@ -1,0 +1,1 @@
+"""The paper's chain as plain Python components: camera, face detection, face recognition."""

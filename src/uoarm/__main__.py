@@ -1,0 +1,5 @@
+"""`python -m uoarm`."""
+
+from uoarm.cli import main
+
+main()

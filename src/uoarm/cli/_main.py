@@ -1,0 +1,133 @@
+"""The commands that look: configuration, functions, plans, plugins, environment."""
+
+from __future__ import annotations
+
+import platform
+import sys
+
+import click
+
+import uoarm
+from uoarm.bridge import Registry
+from uoarm.cli._run import call, request
+from uoarm.cli._shared import (
+    CONFIGURATION,
+    configuration_option,
+    json_option,
+    open_robot,
+    print_json,
+    reporting,
+)
+from uoarm.config import inspect, load
+from uoarm.resolve import tell_plan
+from uoarm.schema._command import schema
+
+__all__ = ["main"]
+
+
+@click.group()
+@click.version_option(uoarm.__version__, prog_name="uoarm")
+def main() -> None:
+    """Ask for a robot function by name and get it from whichever framework provides it."""
+
+
+@main.command()
+@click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
+@json_option
+def check(file: str, *, as_json: bool) -> None:
+    """Say everything that is wrong with a configuration FILE."""
+    report = inspect(file)
+    if as_json:
+        print_json({"problems": report.problems, "warnings": report.warnings})
+    else:
+        for problem in report.problems:
+            click.echo(f"{click.style('error:', fg='red')} {problem}", err=True)
+        for warning in report.warnings:
+            click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)
+        if report.robot is not None:
+            count = len(report.robot.functions)
+            click.echo(f"{file}: {count} functions, {len(report.robot.bridges)} bridges, no errors")
+    sys.exit(0 if report.robot is not None else CONFIGURATION)
+
+
+@main.command("list")
+@configuration_option
+@json_option
+def list_functions(file: str, *, as_json: bool) -> None:
+    """List the functions and the components that can provide them."""
+    with reporting():
+        robot = load(file)
+    if as_json:
+        print_json(robot.functions)
+        return
+    for function in robot.functions.values():
+        click.echo(click.style(function.name, bold=True) + f"  {function.description}".rstrip())
+        for one in function.components:
+            click.echo(f"  {one.priority:>4}  {one.name}  ({one.bridge})")
+
+
+@main.command()
+@click.argument("name")
+@configuration_option
+@click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
+@json_option
+def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
+    """Find the plan for a function without opening anything."""
+    with open_robot(file) as robot:
+        plan = robot.resolve(name)
+    if as_json:
+        print_json(plan)
+    elif explain:
+        click.echo(tell_plan(plan))
+    else:
+        click.echo(" -> ".join(step.component.name for step in plan.steps))
+
+
+@main.command()
+@json_option
+def bridges(*, as_json: bool) -> None:
+    """List the installed bridge plugins, broken ones with the cause."""
+    registry = Registry()
+    if as_json:
+        types = [{"name": one.name, "summary": one.summary} for one in registry.types.values()]
+        print_json({"bridges": types, "problems": registry.problems})
+        return
+    for one in registry.types.values():
+        click.echo(f"{one.name:<10} {one.summary}")
+    for problem in registry.problems:
+        click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
+
+
+@main.command()
+@json_option
+def doctor(*, as_json: bool) -> None:
+    """Say what this environment is and what each plugin finds in it."""
+    registry = Registry()
+    facts: dict[str, dict[str, str]] = {
+        "uoarm": {
+            "version": uoarm.__version__,
+            "python": f"{platform.python_version()} at {sys.executable}",
+            "platform": platform.platform(),
+        }
+    }
+    for one in registry.types.values():
+        facts[one.name] = {"usable": "yes"}
+        if one.doctor is not None:
+            try:
+                facts[one.name] |= one.doctor()
+            except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+                facts[one.name]["usable"] = f"no: {type(error).__name__}: {error}"
+    for problem in registry.problems:
+        facts[problem.name] = {"usable": f"no: {problem.cause}"}
+    if as_json:
+        print_json(facts)
+        return
+    for name, findings in facts.items():
+        click.echo(click.style(name, bold=True))
+        for key, finding in findings.items():
+            click.echo(f"  {key:<14} {finding}")
+
+
+main.add_command(request)
+main.add_command(call)
+main.add_command(schema)

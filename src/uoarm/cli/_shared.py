@@ -1,0 +1,67 @@
+"""What every command shares: the configuration file, exit codes, one line for an error."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import click
+
+from uoarm import RobotManager, errors
+from uoarm.model import to_json
+
+__all__ = ["configuration_option", "json_option", "open_robot", "print_json", "reporting"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
+
+configuration_option = click.option(
+    "-f",
+    "--file",
+    "file",
+    default="robot.yaml",
+    envvar="UOARM_CONFIG",
+    show_default=True,
+    type=click.Path(dir_okay=False),
+    help="Configuration file; also UOARM_CONFIG.",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+
+
+@contextmanager
+def reporting() -> Iterator[None]:
+    """Turn errors into one message and the documented exit code."""
+    try:
+        yield
+    except errors.ConfigurationError as error:
+        _fail(error, CONFIGURATION)
+    except errors.ResolutionError as error:
+        _fail(error, REFUSED)
+    except (errors.MessageError, errors.UsageError) as error:
+        _fail(error, REFUSED)
+    except errors.UoarmError as error:
+        _fail(error, BRIDGE)
+    except KeyboardInterrupt:
+        click.echo("interrupted", err=True)
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def open_robot(file: str) -> Iterator[RobotManager]:
+    """Read the configuration and close the manager whatever happens."""
+    with reporting(), RobotManager.from_file(file) as robot:
+        yield robot
+
+
+def print_json(value: Any) -> None:
+    """Print a value of the model, or plain data, as indented JSON."""
+    click.echo(json.dumps(to_json(value), indent=2))
+
+
+def _fail(error: Exception, code: int) -> None:
+    click.echo(f"{click.style('error:', fg='red')} {error}", err=True)
+    sys.exit(code)

@@ -1,0 +1,65 @@
+"""`uoarm schema check A.json B.json`, also as `python -m uoarm.schema`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from uoarm.schema._check import check
+from uoarm.schema._errors import SchemaError
+from uoarm.schema._verdict import Verdict
+
+__all__ = ["schema"]
+
+_UNDECIDED = 3
+_UNREADABLE = 2
+
+
+@click.group()
+def schema() -> None:
+    """Message structures on their own."""
+
+
+@schema.command("check")
+@click.argument("producer", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("consumer", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
+def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
+    """Say whether every message of PRODUCER is accepted by CONSUMER.
+
+    Exit codes: 0 compatible, 1 incompatible, 2 not a schema, 3 undecided.
+    """
+    try:
+        verdict = check(_read(producer), _read(consumer))
+    except SchemaError as error:
+        click.echo(f"not a JSON Schema: {error}", err=True)
+        sys.exit(_UNREADABLE)
+    click.echo(json.dumps(verdict.to_dict(), indent=2) if as_json else _tell(verdict))
+    sys.exit(0 if verdict.compatible else 1 if verdict.incompatible else _UNDECIDED)
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        click.echo(f"{path}: not JSON: {error}", err=True)
+        sys.exit(_UNREADABLE)
+
+
+def _tell(verdict: Verdict) -> str:
+    if verdict.undecided is not None:
+        return f"undecided: {verdict.undecided}"
+    lines = ["compatible" if verdict.compatible else "incompatible"]
+    for reason in verdict.reasons:
+        lines.append(f"  {reason.path or 'the message'}: {reason.sentence}")
+        lines.append(f"    may be emitted: {reason.producer}")
+        lines.append(f"    is taken:       {reason.consumer}")
+    if verdict.incompatible:
+        text = json.dumps(verdict.counterexample)
+        lines.append(f"  counterexample: {text[:400]}")
+    lines += [f"  note, {loss.path or 'the message'}: {loss.sentence}" for loss in verdict.losses]
+    return "\n".join(lines)

@@ -1,0 +1,124 @@
+"""Components that tests play on: what they emit, when they hang and when they die."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from queue import SimpleQueue
+from typing import Annotated, TypedDict
+
+from uoarm.local import Range
+
+Small = Annotated[int, Range(0, 255)]
+Wide = Annotated[int, Range(-32768, 32767)]
+
+
+class Narrow(TypedDict):
+    value: Small
+
+
+class Broad(TypedDict):
+    value: Wide
+
+
+class Renamed(TypedDict):
+    amount: Small
+
+
+END = object()
+script: SimpleQueue[object] = SimpleQueue()
+gate = threading.Event()
+built: list[str] = []
+closed: list[str] = []
+
+
+def reset() -> None:
+    """Begin a test with nothing played and the gate shut."""
+    global script
+    script = SimpleQueue()
+    gate.clear()
+    built.clear()
+    closed.clear()
+
+
+def release() -> None:
+    """Let everything that waits go on."""
+    gate.set()
+    script.put(END)
+
+
+def narrow() -> Iterator[Narrow]:
+    yield from _play()
+
+
+def broad() -> Iterator[Broad]:
+    yield from _play()
+
+
+def _play() -> Iterator[Narrow]:
+    while True:
+        item = script.get()
+        if item is END:
+            return
+        if isinstance(item, Exception):
+            raise item
+        yield item  # type: ignore[misc] # a lie is part of some tests
+
+
+def take_narrow(message: Narrow) -> Narrow:
+    return {"value": message["value"]}
+
+
+def take_broad(message: Broad) -> Broad:
+    return {"value": message["value"]}
+
+
+def take_renamed(message: Renamed) -> Renamed:
+    return {"amount": message["amount"]}
+
+
+def stuck(message: Narrow) -> Narrow:
+    gate.wait(30)
+    return message
+
+
+def greet(message: Narrow) -> Broad:
+    return {"value": -message["value"]}
+
+
+def hang(message: Narrow) -> Narrow:
+    gate.wait(30)
+    return message
+
+
+class Counted:
+    """Says when it is built and closed."""
+
+    def __init__(self) -> None:
+        built.append("counted")
+
+    def __call__(self, message: Narrow) -> Narrow:
+        return message
+
+    def close(self) -> None:
+        closed.append("counted")
+
+
+class Unbuildable:
+    """Cannot be built."""
+
+    def __init__(self) -> None:
+        raise RuntimeError("no such device")
+
+    def __call__(self, message: Narrow) -> Narrow:
+        return message
+
+
+class Slow:
+    """Hangs while it is built."""
+
+    def __init__(self) -> None:
+        gate.wait(30)
+
+    def __call__(self, message: Narrow) -> Narrow:
+        return message
