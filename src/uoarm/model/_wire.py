@@ -18,6 +18,7 @@ __all__ = ["from_json", "to_json"]
 T = TypeVar("T")
 
 _MAX_CAUSES = 50
+_MAX_DEPTH = 200
 _SHOWN = 5
 _CUT = Reason("its own causes lie too deep to be written down")
 
@@ -37,16 +38,16 @@ def from_json(data: Any, kind: type[T]) -> T:
     Raises:
         ValueError: the data is of another shape; the text names the first few fields.
     """
+    if _is_deeper(data, _MAX_DEPTH):
+        raise ValueError(f"{kind.__name__}: nested more than {_MAX_DEPTH} levels deep")
     try:
         return _converter().structure(data, kind)
     except cattrs.BaseValidationError as error:
-        told = cattrs.transform_error(error)
+        told = cattrs.transform_error(error, format_exception=_say)
         more = f"; and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
         raise ValueError(f"{kind.__name__}: {'; '.join(told[:_SHOWN])}{more}") from error
-    except (cattrs.StructureHandlerNotFoundError, TypeError, ValueError) as error:
-        raise ValueError(f"{kind.__name__}: {error}") from error
-    except RecursionError:
-        raise ValueError(f"{kind.__name__}: the data is nested too deeply") from None
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{kind.__name__}: {_say(error, kind)}") from error
 
 
 def _plain(value: Any, causes: int) -> Any:
@@ -106,6 +107,29 @@ def _texts(data: Any) -> list[str]:
     if not isinstance(data, list) or not all(isinstance(one, str) for one in data):
         raise TypeError("expected a string or a list of strings")
     return data
+
+
+def _say(error: BaseException, kind: type | None) -> str:
+    """One error of the converter as a sentence."""
+    if isinstance(error, cattrs.ForbiddenExtraKeysError):
+        return f"unknown fields {', '.join(sorted(error.extra_fields))}"
+    if isinstance(error, KeyError):
+        return f"the field {error} is missing"
+    if isinstance(error, AttributeError):
+        return f"expected the fields of {getattr(kind, '__name__', 'an object')}"
+    return str(error)
+
+
+def _is_deeper(data: Any, limit: int) -> bool:
+    waiting: list[tuple[Any, int]] = [(data, 1)]
+    while waiting:
+        value, depth = waiting.pop()
+        if isinstance(value, Mapping | list):
+            if depth > limit:
+                return True
+            inner = value.values() if isinstance(value, Mapping) else value
+            waiting.extend((one, depth + 1) for one in inner)
+    return False
 
 
 def _mapping(data: Any) -> Mapping[str, object]:
