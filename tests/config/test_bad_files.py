@@ -251,6 +251,13 @@ SHAPE = {
         f"{AT}.output.structure.items.minimum",
         'expected a number, got "low"',
     ),
+    "structure of a key's name": Bad(
+        component("output: {endpoint: [x], structure: {propertyNames: 3}}"),
+        5,
+        95,
+        f"{AT}.output.structure.propertyNames",
+        "not a JSON Schema: expected a mapping or true or false, got 3",
+    ),
     "request": Bad(
         component("service: {endpoint: [x], request: {required: a}}"),
         5,

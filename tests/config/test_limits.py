@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.config import inspect, loads
+from uoarm.config._spelling import Speller
 from uoarm.errors import ConfigurationError
 
 FRAME = "version: 1\nbridges: {}\nfunctions: {}\n"
@@ -83,6 +84,15 @@ def test_thousands_of_wrong_references_are_told_in_bounded_text() -> None:
     lines = refusal(f"version: 1\nbridges: {{}}\nfunctions:\n{functions}").splitlines()
     assert len(lines) == 51
     assert lines[-1] == "... and 3,950 more"
+
+
+def test_guesses_end_when_they_have_cost_enough() -> None:
+    speller = Speller()
+    known = [f"name{number}" for number in range(1000)]
+    guesses = [speller.guess(f"nam{number}", known) for number in range(1000)]
+    assert guesses[0] == 'did you mean "name0"?'
+    assert 100 < sum(map(bool, guesses)) < 500
+    assert guesses[-1] == ""
 
 
 def test_long_keys_and_values_are_cut_in_the_text() -> None:

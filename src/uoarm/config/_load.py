@@ -137,7 +137,8 @@ def _judge(document: Document, file: str) -> Report:
 
 
 def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...]:
-    return tuple(sorted(problems, key=lambda one: (one.place, one.path, one.sentence)))
+    """Order problems by place; what several parts of a metaschema say alike is said once."""
+    return tuple(sorted(set(problems), key=lambda one: (one.place, one.path, one.sentence)))
 
 
 def _unreadable(file: str, sentence: str, place: Place = _START, hint: str = "") -> Report:
