@@ -30,6 +30,10 @@ check: lint types test  ## everything that must be green
 bench: $(VENV)/.dev  ## tables of medians and p99
 	$(BIN)/python -m bench
 
+mutation: $(VENV)/.dev  ## mutation tests of the schema checker, sampled
+	$(BIN)/python -m pip install --quiet 'mutmut>=3.8'
+	$(BIN)/python bench/mutation.py --sample 300
+
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip

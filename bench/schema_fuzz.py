@@ -23,8 +23,8 @@ from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
 from tests.schema._strategies import related_pair
 from tests.schema._universe import universe
-from uoarm.schema import check
 
+from uoarm.schema import check
 from uoarm.testing._choices import chance
 
 

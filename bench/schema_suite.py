@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.schema._judge import answer
 from tests.schema._official import groups
 from tests.schema._suite_pairs import Derived, const_pairs, schema_pairs
+
 from uoarm.schema import check
 
 if TYPE_CHECKING:

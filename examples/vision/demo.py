@@ -53,7 +53,8 @@ def main() -> int:
 
 def _run(footage: Footage, console: Console, output: Path, *, light: bool) -> dict[str, Any]:
     seen: dict[str, Counter[str]] = {name: Counter() for name in EXPECTED}
-    with RobotManager(loads(_configuration(footage, light=light), str(HERE / "robot.yaml"))) as robot:
+    configuration = _configuration(footage, light=light)
+    with RobotManager(loads(configuration, str(HERE / "robot.yaml"))) as robot:
         plan = robot.resolve("faceRecognition")
         console.print(tell_plan(plan), highlight=False)
         wait = QueuePolicy(8, OverflowPolicy.BLOCK, 60)

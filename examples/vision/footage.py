@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["FootageError", "Footage", "fetch"]
+__all__ = ["Footage", "FootageError", "fetch"]
 
 _ROOT = Path(__file__).resolve().parents[2]
 _SECONDS = 300

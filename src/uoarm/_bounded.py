@@ -3,7 +3,8 @@
 `run` hands a step to a daemon thread and waits for it no longer than its limit. A step that
 itself calls `run` stays in its thread: the waiter then watches the inner step's limit and names
 the inner step when it gives up, so that a whole transaction of many steps costs one hop.
-A late result is handed to `on_late`, which puts it away.
+A late result is handed to `on_late`, which puts it away. Steps that clean up after a step that
+was given up get limits of their own.
 """
 
 from __future__ import annotations
@@ -155,7 +156,7 @@ def run(
         BaseException: whatever the action raised.
     """
     outer = _current.job
-    if outer is None:
+    if outer is None or outer.given_up():
         job = _Job(step, limit, action, on_late)
         _workers.submit(job)
         return job.wait()
@@ -169,8 +170,6 @@ def _run_inside(
     action: Callable[[], T],
     on_late: Callable[[T], None] | None,
 ) -> T:
-    if outer.given_up():
-        raise BridgeTimeoutError(f"{step} was not begun: {outer.step} had been given up")
     before = outer.step, outer.limit, outer.deadline
     deadline = time.monotonic() + limit
     if deadline < outer.deadline:

@@ -342,6 +342,15 @@ def test_a_damaged_configuration_is_read_or_refused(
     assert all(line.startswith(("<text>:1:", "... and ")) for line in problems_of(text))
 
 
+@given(st.data())
+def test_a_file_with_a_slip_of_the_keyboard_is_read_or_refused(data: st.DataObject) -> None:
+    at = data.draw(st.integers(0, len(FULL) - 1))
+    length = data.draw(st.integers(0, 12))
+    extra = data.draw(st.sampled_from(["", "x", "[", "}", ": ", "\n", "- ", "\t", "*a", "&a "]))
+    text = FULL[:at] + extra + FULL[at + length :]
+    assert all(line.startswith(("<text>:", "... and ")) for line in problems_of(text))
+
+
 def problems_of(text: str) -> list[str]:
     try:
         loads(text)

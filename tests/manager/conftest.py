@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
 from tests.manager import stage
+
 from uoarm import RobotManager
 from uoarm.config import loads
 

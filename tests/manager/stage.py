@@ -26,7 +26,19 @@ class Renamed(TypedDict):
 
 
 END = object()
-script: SimpleQueue[object] = SimpleQueue()
+
+
+class Script:
+    """What sources emit; each test has a queue of its own, so that no old source steals from it."""
+
+    def __init__(self) -> None:
+        self.queue: SimpleQueue[object] = SimpleQueue()
+
+    def put(self, item: object) -> None:
+        self.queue.put(item)
+
+
+script = Script()
 gate = threading.Event()
 built: list[str] = []
 closed: list[str] = []
@@ -34,8 +46,7 @@ closed: list[str] = []
 
 def reset() -> None:
     """Begin a test with nothing played and the gate shut."""
-    global script
-    script = SimpleQueue()
+    script.queue = SimpleQueue()
     gate.clear()
     built.clear()
     closed.clear()
@@ -56,8 +67,9 @@ def broad() -> Iterator[Broad]:
 
 
 def _play() -> Iterator[Narrow]:
+    queue = script.queue
     while True:
-        item = script.get()
+        item = queue.get()
         if item is END:
             return
         if isinstance(item, Exception):

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import jsonschema_rs
 from jsonschema import Draft202012Validator
 from tests.schema._reference import Reference
-from uoarm.schema import Budget, Verdict, check
 
+from uoarm.schema import Budget, Verdict, check
 from uoarm.testing._instances import find_instance
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from hypothesis.strategies import DataObject, data
 from tests.schema._judge import answer
 from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import Body, any_schema, schemas
-from uoarm.schema import SchemaError, check
 
+from uoarm.schema import SchemaError, check
 from uoarm.testing._choices import Choices, DrawnChoices, chance
 
 if TYPE_CHECKING:

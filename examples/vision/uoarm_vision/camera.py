@@ -41,7 +41,10 @@ def _pictures(path: str, every: int, limit: int) -> Iterator[Pixel]:
     if Path(path).is_dir():
         for file in sorted(Path(path).iterdir()):
             if file.suffix.lower() in _PICTURES:
-                yield cv2.imread(str(file))
+                picture = cv2.imread(str(file))
+                if picture is None:
+                    raise ValueError(f"{file} is not a picture")
+                yield picture
         return
     if not path.isdecimal() and not Path(path).is_file():
         raise FileNotFoundError(f"there is nothing to play at {path}")

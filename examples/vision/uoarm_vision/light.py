@@ -9,10 +9,11 @@ from uoarm_vision.enrolment import photos
 from uoarm_vision.messages import Box, Faces, Frame, People, Person, Pixel, pixels_of
 
 _SIDE = (100, 100)
+_CASCADE = "haarcascade_frontalface_default.xml"
 
 
 def _cascade() -> cv2.CascadeClassifier:
-    return cv2.CascadeClassifier(cv2.data.haarcascades + "haarcascade_frontalface_default.xml")
+    return cv2.CascadeClassifier(cv2.data.haarcascades + _CASCADE)  # type: ignore[attr-defined] # not in its stubs
 
 
 class Detector:
@@ -44,7 +45,7 @@ class Recogniser:
             for box in _find(cascade, photo)[:1]:
                 faces.append(_face(photo, box))
                 labels.append(self._names.index(name))
-        self._model = cv2.face.LBPHFaceRecognizer_create()
+        self._model = cv2.face.LBPHFaceRecognizer_create()  # type: ignore[attr-defined] # not in its stubs
         self._model.train(faces, np.array(labels))
 
     def __call__(self, faces: Faces) -> People:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from uoarm.local import Octets, Range
 
 Pixels = Annotated[int, Range(0, 10_000)]
-Pixel = NDArray[np.uint8]
+Pixel = NDArray[Any]
 
 
 class Frame(TypedDict):

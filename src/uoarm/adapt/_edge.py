@@ -49,7 +49,7 @@ def check_edge(
         allow_loss: fields that may be dropped.
     """
     verdict = _judge(producer, consumer, mapping, allow_loss)
-    if verdict.compatible or not verdict.reasons:
+    if verdict.compatible or not verdict.reasons or verdict.reasons[0].suggestion:
         return verdict
     lines = suggest(
         producer, consumer, lambda *trial: _judge(producer, consumer, *trial).compatible

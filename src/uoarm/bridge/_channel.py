@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from uoarm import _bounded
 from uoarm.bridge._border import translated
@@ -18,7 +18,7 @@ _CLOSE_SECONDS = 5.0
 class Channel(ABC):
     """One open native link of a bridge.
 
-    Must implement: `_close`.
+    Must implement: `_close`. May implement: `facts`.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -50,6 +50,10 @@ class Channel(ABC):
         step = f"bridge {self.endpoint.bridge!r}: closing {self.endpoint}"
         with translated(step):
             _bounded.run(step, timeout, self._close)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return what the framework knows of the link now, for the status; quick, any thread."""
+        return {}
 
     @abstractmethod
     def _close(self) -> None:

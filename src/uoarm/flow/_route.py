@@ -93,11 +93,7 @@ class Route:
         self._give: Deliver = self._hand_over
         if queue is not None:
             self._queue = BoundedQueue(queue, self.drop)
-            self._give = self._queue.put
-            self._worker = threading.Thread(
-                target=self._work, args=(self._queue,), name=f"uoarm-to-{consumer}", daemon=True
-            )
-            self._worker.start()
+            self._give = self._queue_first
 
     def deliver(self, message: Message) -> None:
         """Take one message, in the thread in which it arrived. Never raises."""
@@ -136,7 +132,8 @@ class Route:
 
         Waits a second at most for a message that the worker has in hand.
         """
-        self._closed = True
+        with self._dropping:
+            self._closed = True
         if self._queue is not None:
             self._queue.close(discard=True)
         if self._worker is not None and self._worker is not threading.current_thread():
@@ -157,6 +154,21 @@ class Route:
             age=age,
             last_error=self.last_error,
         )
+
+    def _queue_first(self, message: Message) -> None:
+        """Start the worker with the first message: opening a route starts no thread."""
+        assert self._queue is not None, "only a route with a queue comes here"
+        with self._dropping:
+            if self._worker is None and not self._closed:
+                self._worker = threading.Thread(
+                    target=self._work,
+                    args=(self._queue,),
+                    name=f"uoarm-to-{self.consumer}",
+                    daemon=True,
+                )
+                self._worker.start()
+        self._give = self._queue.put
+        self._queue.put(message)
 
     def _hand_over(self, message: Message) -> None:
         if self._closed:

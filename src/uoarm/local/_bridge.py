@@ -6,6 +6,8 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from attrs import define, field
+
 from uoarm.bridge import Bridge, BridgeType, Capabilities, Channel, Description, Sink, hookimpl
 from uoarm.local._instance import Instance
 from uoarm.local._target import Target, find
@@ -26,6 +28,15 @@ _OPTIONS = {
 }
 
 
+@define
+class _Slot:
+    """One component's instance and how many open ports use it."""
+
+    building: threading.Lock = field(factory=threading.Lock)
+    users: int = 0
+    instance: Instance | None = None
+
+
 class PythonBridge(Bridge):
     """Runs plain Python objects as components, in threads of this process.
 
@@ -39,8 +50,8 @@ class PythonBridge(Bridge):
         super().__init__(name, options)
         path: Any = options.get("path", ())
         self._path: Sequence[str] = tuple(path)
-        self._instances: dict[str, Instance] = {}
-        self._making = threading.Lock()
+        self._slots: dict[str, _Slot] = {}
+        self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._target(endpoint).describe(endpoint)
@@ -81,22 +92,28 @@ class PythonBridge(Bridge):
         return find(endpoint.address, self._path)
 
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
-        with self._making:
-            instance = self._instances.get(endpoint.component)
-            if instance is None:
-                instance = Instance(target, endpoint.parameters)
-                self._instances[endpoint.component] = instance
-            instance.users += 1
-            return instance
+        """Return the component's instance; one that is slow to build holds up nobody else."""
+        with self._counting:
+            slot = self._slots.setdefault(endpoint.component, _Slot())
+            slot.users += 1
+        try:
+            with slot.building:
+                if slot.instance is None:
+                    slot.instance = Instance(target, endpoint.parameters)
+                return slot.instance
+        except BaseException:
+            self._leave(endpoint)
+            raise
 
     def _leave(self, endpoint: Endpoint) -> None:
-        with self._making:
-            instance = self._instances[endpoint.component]
-            instance.users -= 1
-            if instance.users:
+        with self._counting:
+            slot = self._slots[endpoint.component]
+            slot.users -= 1
+            if slot.users:
                 return
-            del self._instances[endpoint.component]
-        instance.close()
+            del self._slots[endpoint.component]
+        if slot.instance is not None:
+            slot.instance.close()
 
     def _leave_source(self, endpoint: Endpoint, instance: Instance) -> None:
         instance.emit_to(endpoint.port, None)

@@ -33,7 +33,6 @@ class Instance:
     """
 
     def __init__(self, target: Target, parameters: Options) -> None:
-        self.users = 0
         self._target = target
         self._parameters = dict(parameters)
         self._emitters: dict[str, Deliver] = {}

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import attrs
-import cattrs
 
 from uoarm.model._plan import Reason, Rejection
 from uoarm.model._structure import MessageStructure
+
+if TYPE_CHECKING:
+    from cattrs import Converter
 
 __all__ = ["from_json", "to_json"]
 
@@ -38,6 +40,8 @@ def from_json(data: Any, kind: type[T]) -> T:
     Raises:
         ValueError: the data is of another shape; the text names the first few fields.
     """
+    import cattrs  # noqa: PLC0415 - slow import
+
     if _is_deeper(data, _MAX_DEPTH):
         raise ValueError(f"{kind.__name__}: nested more than {_MAX_DEPTH} levels deep")
     try:
@@ -70,8 +74,10 @@ def _plain(value: Any, causes: int) -> Any:
 
 
 @cache
-def _converter() -> cattrs.Converter:
+def _converter() -> Converter:
     """Take nothing for what it is not: no number for text, no text for a number."""
+    import cattrs  # noqa: PLC0415 - slow import
+
     converter = cattrs.Converter(forbid_extra_keys=True)
     for kind in (str, int, bool):
         converter.register_structure_hook(kind, _exactly)
@@ -111,7 +117,9 @@ def _texts(data: Any) -> list[str]:
 
 def _say(error: BaseException, kind: type | None) -> str:
     """One error of the converter as a sentence."""
-    if isinstance(error, cattrs.ForbiddenExtraKeysError):
+    from cattrs import ForbiddenExtraKeysError  # noqa: PLC0415 - slow import
+
+    if isinstance(error, ForbiddenExtraKeysError):
         return f"unknown fields {', '.join(sorted(error.extra_fields))}"
     if isinstance(error, KeyError):
         return f"the field {error} is missing"

@@ -16,9 +16,8 @@ __all__ = ["Document", "Pool"]
 _OUT_OF_SCOPE = {
     "$dynamicRef": "$dynamicRef is not followed",
     "$recursiveRef": "$recursiveRef is not followed",
-    "unevaluatedProperties": "unevaluatedProperties is not decided here",
-    "unevaluatedItems": "unevaluatedItems is not decided here",
 }
+_GAPS = {"unevaluatedProperties": "object", "unevaluatedItems": "array"}
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_POINTER = 20_000
 _KINDS = frozenset({"null", "boolean", "number", "string", "array", "object"})
@@ -53,6 +52,7 @@ class Document:
         self._by_reference: dict[str, Node] = {}
         self._identity = 0 if not _has_references(schema) else pool.number(("document", id(schema)))
         self._references: list[str] = []
+        self._embeds_documents = False
         self.root = self._read(schema, "#")
         for reference in self._references:
             self.resolve(reference)
@@ -71,7 +71,14 @@ class Document:
         own = self._schema.get("$id", "") if isinstance(self._schema, Mapping) else ""
         if base and base != own:
             return self._strange(f"the reference {reference!r} leads out of the document")
-        fragment = unquote(fragment)
+        try:
+            return self._look_up(unquote(fragment), reference)
+        except SchemaError:
+            if self._embeds_documents:
+                return self._strange("a reference within a document with an embedded $id")
+            raise
+
+    def _look_up(self, fragment: str, reference: str) -> Node:
         if not fragment:
             return self._node_of(self._schema)
         if not fragment.startswith("/"):
@@ -128,10 +135,12 @@ class Document:
                 found.extend((one, f"{at}/{n}") for n, one in enumerate(value))
             elif keyword in MAPS:
                 found.extend((one, f"{at}/{name}") for name, one in value.items())
-            elif keyword == "$anchor":
+            elif keyword in {"$anchor", "$dynamicAnchor"}:
                 self._anchors[value] = schema
             elif keyword == "$ref":
                 self._references.append(value)
+            elif keyword == "$id" and schema is not self._schema:
+                self._embeds_documents = True
         return found
 
     def _make(self, schema: Any) -> Node:
@@ -142,11 +151,19 @@ class Document:
         for keyword, value in schema.items():
             if keyword in child:
                 content.append((keyword, child[keyword]))
-            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
+            elif self._matters(keyword, value, schema):
                 content.append((keyword, key_of(value)))
         node = Node(self._pool.number(frozenset(content)), schema, self)
         self._fill(node, schema)
         return self._keep(node)
+
+    def _matters(self, keyword: str, value: Any, schema: Any) -> bool:
+        """Say whether a keyword makes a schema differ from one without it."""
+        if keyword == "$schema":
+            return bool(value != _DRAFT)
+        if keyword == "$id":
+            return schema is not self._schema
+        return keyword not in ANNOTATIONS and not keyword.startswith("x-")
 
     def _keep(self, node: Node) -> Node:
         self._pool.nodes.append(node)
@@ -171,6 +188,9 @@ class Document:
         for keyword, reason in _OUT_OF_SCOPE.items():
             if keyword in schema:
                 node.unsupported = reason
+        for keyword, kind in _GAPS.items():
+            if keyword in schema:
+                node.gaps[kind] = f"{keyword} is not decided here"
         named = schema.get("$schema", _DRAFT)
         if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
             node.unsupported = f"the schema is of another draft: {named}"

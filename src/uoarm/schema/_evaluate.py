@@ -38,12 +38,13 @@ def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int
         deeper = [
             (child, item, (*path, *step))
             for child, item, step in _direct_parts(one, part)
-            if not accepts(child, item)
+            if not child.never and not accepts(child, item)
         ]
-        if deeper:
+        keyword = _failing_keyword(one, part)
+        if keyword == "rules" and deeper:
             waiting.extend(deeper[:3])
         else:
-            found.append((one, part, path, _failing_keyword(one, part)))
+            found.append((one, part, path, keyword))
     return found
 
 
@@ -105,6 +106,9 @@ def _valid(question: Question) -> Answer:
         raise OutOfScopeError(node.unsupported)
     if not _plain_rules(node, value):
         return False
+    gap = node.gaps.get(kind_of(value))
+    if gap:
+        raise OutOfScopeError(gap)
     if isinstance(value, list | tuple):
         if not (yield from _array(node, value)):
             return False

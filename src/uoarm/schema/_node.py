@@ -18,7 +18,8 @@ __all__ = ["Node"]
 class Node:
     """One schema. Equal content has the same `number`, so that comparing is comparing integers.
 
-    A node that holds something out of scope says so in `unsupported`. `never` is `false`.
+    A node that holds something out of scope says so in `unsupported`, or in `gaps` by the kind of
+    value that it concerns. `never` is `false`.
     """
 
     number: int
@@ -26,6 +27,7 @@ class Node:
     document: Document
     never: bool = False
     unsupported: str = ""
+    gaps: dict[str, str] = field(factory=dict)
     kinds: frozenset[str] | None = None
     integer_only: bool = False
     values: dict[Key, object] | None = None

@@ -127,6 +127,9 @@ def _judge(state: State, view: ObjectView | None, choice: list[Branch], *, many:
             node, sign = branch.literals[0]
             if (node.number, sign) in state.seen:
                 return None
+            if node.unsupported or state.kind in node.gaps:
+                alive.append(branch)
+                continue
             if (node.number, not sign) in state.seen or expand((node, sign), state.kind) is None:
                 continue
             if not sign and node.kinds is not None and state.kind not in node.kinds:

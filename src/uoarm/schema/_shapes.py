@@ -24,7 +24,7 @@ MAPS = ("properties", "patternProperties", "dependentSchemas", "$defs")
 ANNOTATIONS = frozenset(
     {"$comment", "title", "description", "default", "examples", "deprecated", "readOnly",
      "writeOnly", "format", "contentEncoding", "contentMediaType", "contentSchema", "$defs",
-     "$anchor", "$schema", "$vocabulary", "$id", "definitions"}
+     "$anchor", "$dynamicAnchor", "$schema", "$vocabulary", "$id", "definitions"}
 )  # fmt: skip
 _COUNTS = frozenset(
     {"minLength", "maxLength", "minItems", "maxItems", "minContains", "maxContains",

@@ -68,8 +68,11 @@ class State:
                 if node.unsupported:
                     raise OutOfScopeError(node.unsupported)
                 more = expand((node, sign), self.kind)
-                if more is None:
+                gap = node.gaps.get(self.kind, "")
+                if more is None and (sign or not gap):
                     return False
+                if gap or more is None:
+                    raise OutOfScopeError(gap)
                 waiting.append(more)
         return True
 

@@ -1,0 +1,199 @@
+"""One ROS 2 topic to another: through uoarm, natively linked, and through a bare rclpy node.
+
+Each relay is a process of its own; the client publishes and listens in this one.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from typing import Any
+
+from bench.tables import print_table, row
+
+DOMAIN = str(20 + os.getpid() % 80)
+SIZES = {"100 B": 100, "1 KB": 1_000, "1 MB": 1_000_000}
+ROUNDS = {100: 2000, 1_000: 2000, 1_000_000: 300}
+BURST = {100: 5000, 1_000: 5000, 1_000_000: 100}
+RELAYS = (
+    "a bare rclpy relay",
+    "uoarm bridge, source to sink",
+    "uoarm bridge, events executor",
+    "uoarm native link",
+    "uoarm manager, adapted route",
+)
+KIND = "std_msgs/msg/UInt8MultiArray"
+
+
+def main() -> int:
+    """Print the tables; 0 also when there is no ROS 2 to measure."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = DOMAIN
+    try:
+        import rclpy  # noqa: F401, PLC0415
+        import uoarm_ros2  # noqa: F401, PLC0415
+    except ImportError as error:
+        print(f"no relay table: {error}", file=sys.stderr)
+        return 0
+    times: list[tuple[str, ...]] = []
+    rates: list[tuple[str, ...]] = []
+    for number, relay in enumerate(RELAYS):
+        arguments = [sys.executable, "-m", "bench.ros2_relay", relay, str(number)]
+        with subprocess.Popen(arguments, stdin=subprocess.PIPE) as process:
+            _measure(relay, number, times, rates)
+            process.communicate(timeout=20)
+    print_table("ROS 2 relay, round trip (us)", ("relay", "median", "p99", "size"), times)
+    print_table("ROS 2 relay, one way, reliable", ("relay", "messages/s", "size"), rates)
+    return 0
+
+
+def _measure(
+    relay: str, number: int, times: list[tuple[str, ...]], rates: list[tuple[str, ...]]
+) -> None:
+    import rclpy  # noqa: PLC0415
+    from rclpy.node import Node  # noqa: PLC0415
+    from rclpy.qos import HistoryPolicy, QoSProfile  # noqa: PLC0415
+    from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
+
+    rclpy.init(args=[])
+    node = Node(f"client_{number}")
+    qos = QoSProfile(depth=100, history=HistoryPolicy.KEEP_ALL)
+    seen = [0]
+
+    def take(_: Any) -> None:
+        seen[0] += 1
+
+    node.create_subscription(UInt8MultiArray, f"/there_{number}", take, qos)
+    publisher = node.create_publisher(UInt8MultiArray, f"/here_{number}", qos)
+    deadline = time.monotonic() + 20.0
+    ready = UInt8MultiArray(data=b"0")
+    while not seen[0]:
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"{relay} passes nothing")
+        publisher.publish(ready)
+        rclpy.spin_once(node, timeout_sec=0.2)
+    for label, size in SIZES.items():
+        message = UInt8MultiArray(data=bytes(size))
+        times.append(
+            (*row(relay, _round_trips(node, publisher, message, seen, ROUNDS[size]))[:3], label)
+        )
+        rates.append((relay, f"{_burst(node, publisher, message, seen, BURST[size]):,.0f}", label))
+    rclpy.shutdown()
+
+
+def _round_trips(
+    node: Any, publisher: Any, message: Any, seen: list[int], rounds: int
+) -> list[float]:
+    import rclpy  # noqa: PLC0415
+
+    while rclpy.spin_once(node, timeout_sec=0.2) or seen[0] < 0:
+        pass
+    samples = []
+    for _ in range(rounds):
+        before = seen[0]
+        start = time.perf_counter_ns()
+        publisher.publish(message)
+        while seen[0] == before:
+            rclpy.spin_once(node, timeout_sec=1.0)
+        samples.append((time.perf_counter_ns() - start) / 1000)
+    return sorted(samples)
+
+
+def _burst(node: Any, publisher: Any, message: Any, seen: list[int], count: int) -> float:
+    import rclpy  # noqa: PLC0415
+
+    start, before, sent = time.perf_counter(), seen[0], 0
+    while seen[0] - before < count:
+        # A window of 50 under way: enough to keep the relay busy, and none is ever refused.
+        while sent < count and sent - (seen[0] - before) < 50:
+            publisher.publish(message)
+            sent += 1
+        rclpy.spin_once(node, timeout_sec=1.0)
+    return count / (time.perf_counter() - start)
+
+
+def relay_by_hand(here: str, there: str) -> None:
+    import rclpy  # noqa: PLC0415
+    from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
+    from rclpy.node import Node  # noqa: PLC0415
+    from rclpy.qos import HistoryPolicy, QoSProfile  # noqa: PLC0415
+    from std_msgs.msg import UInt8MultiArray  # noqa: PLC0415
+
+    rclpy.init(args=[])
+    node = Node("relay")
+    qos = QoSProfile(depth=100, history=HistoryPolicy.KEEP_ALL)
+    publisher = node.create_publisher(UInt8MultiArray, there, qos)
+    node.create_subscription(UInt8MultiArray, here, publisher.publish, qos)
+    _until_told(rclpy.shutdown)
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+def relay_by_manager(here: str, there: str) -> None:
+    from uoarm.config import loads  # noqa: PLC0415
+    from uoarm.manager import RobotManager  # noqa: PLC0415
+
+    text = f"""
+version: 1
+bridges: {{ros: {{plugin: ros2, options: {{}}}}}}
+functions:
+  octets:
+    components:
+      - name: here
+        bridge: ros
+        output: {{endpoint: [{here}, {KIND}], options: {{qos: {{history: keep_all}}}}}}
+  relayed:
+    components:
+      - name: there
+        bridge: ros
+        input:
+          {{from: octets, endpoint: [{there}, {KIND}], map: {{data: data}}}}
+"""
+    with RobotManager(loads(text)) as robot, robot.request("relayed"):
+        sys.stdin.read()
+
+
+def relay_by_bridge(here: str, there: str, *, executor: str, link: bool) -> None:
+    from uoarm.bridge import Registry  # noqa: PLC0415
+    from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
+
+    bridge = Registry().create(BridgeSpec("ros", "ros2", {"executor": executor}))
+    qos = {"qos": {"history": "keep_all"}}
+    source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=qos)
+    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND))
+    structure = bridge.describe(source).message
+    assert structure is not None
+    if link:
+        bridge.link(source, sink)
+    else:
+        bridge.open_source(source, structure, bridge.open_sink(sink, structure).send)
+    sys.stdin.read()
+    bridge.close()
+
+
+def _until_told(stop: Any) -> None:
+    import threading  # noqa: PLC0415
+
+    threading.Thread(target=lambda: (sys.stdin.read(), stop()), daemon=True).start()
+
+
+def relay(name: str, number: str) -> None:
+    """Be one of the relays until standard input ends."""
+    here, there = f"/here_{number}", f"/there_{number}"
+    if name == RELAYS[0]:
+        relay_by_hand(here, there)
+    elif "manager" in name:
+        relay_by_manager(here, there)
+    else:
+        executor = "events" if "events" in name else "standard"
+        relay_by_bridge(here, there, executor=executor, link="link" in name)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        relay(*sys.argv[1:])
+    else:
+        sys.exit(main())

@@ -1,0 +1,45 @@
+"""A ROS 2 camera: paints a face-coloured patch that wanders over a dark wall, 10 pictures a second.
+
+It knows nothing of uoarm.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+HEIGHT, WIDTH, SIDE = 240, 320, 48
+SKIN = (224, 172, 105)
+
+
+def main() -> None:
+    """Publish on /image_raw until interrupted."""
+    rclpy.init()
+    node = Node("camera")
+    publisher = node.create_publisher(Image, "/image_raw", qos_profile_sensor_data)
+    taken = 0
+
+    def take() -> None:
+        nonlocal taken
+        taken += 1
+        picture = np.full((HEIGHT, WIDTH, 3), 20, np.uint8)
+        left = taken * 4 % (WIDTH - SIDE)
+        picture[96 : 96 + SIDE, left : left + SIDE] = SKIN
+        image = Image(height=HEIGHT, width=WIDTH, encoding="rgb8", step=WIDTH * 3)
+        image.header.stamp = node.get_clock().now().to_msg()
+        image.data = picture.tobytes()
+        publisher.publish(image)
+
+    node.create_timer(0.1, take)
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,254 @@
+"""The bridge: which native thing stands behind each step of the contract."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from uoarm.bridge import Bridge, Capabilities, Channel, Description, Discovered, Handler, Sink
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm_ros2 import _actions, _services
+from uoarm_ros2._actions import Action, ActionSink, ActionSource
+from uoarm_ros2._discovery import Attendance, discovered, message_structure
+from uoarm_ros2._graph import Graph, Topic
+from uoarm_ros2._link import Relay, SameTopic
+from uoarm_ros2._middleware import Participant, Station
+from uoarm_ros2._read import reader
+from uoarm_ros2._services import Caller, Server
+from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._sink import TopicSink
+from uoarm_ros2._source import Place, Source
+from uoarm_ros2._types import ACTION, import_type
+from uoarm_ros2._write import writer
+
+__all__ = ["Ros2Bridge"]
+
+_CLOSE_SECONDS = 1.0
+Watched = TypeVar("Watched", Source, TopicSink, Relay)
+
+
+class Ros2Bridge(Bridge):
+    """One participant in one DDS domain, with a context of its own.
+
+    Messages are delivered in one thread; replies, results and feedback arrive in a second one, so
+    that whoever takes a message may call a service through the same bridge; each served service
+    has a third kind of its own.
+    """
+
+    capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
+
+    def __init__(self, name: str, options: Options) -> None:
+        super().__init__(name, options)
+        given = {key: value for key, value in options.items() if key != "node"}
+        node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
+        self._settings = BridgeSettings(node, **given)  # type: ignore[arg-type]  # by the schema
+        self._participant = Participant(
+            self._settings.domain_id, self._settings.namespace, self._settings.executor
+        )
+        try:
+            self._station = self._participant.station(node)
+        except BaseException:
+            self._participant.close(_CLOSE_SECONDS)
+            raise
+        self._graph = Graph(self._station, self._settings.wait)
+        self._attendance = Attendance(
+            self._station.node, self._participant.node_names, self._node_changed
+        )
+        self._making = threading.RLock()
+        self._replies: Station | None = None
+        self._callers: dict[tuple[str, str], Caller] = {}
+        self._actions: dict[tuple[str, str], Action] = {}
+        self._called: dict[Address, Caller | Action] = {}
+        self._watched: dict[Channel, Callable[[], None]] = {}
+        self._station.tick = self._tick
+        self._station.cut_off = self._cut_off
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        address, settings = address_of(endpoint), settings_of(endpoint)
+        if endpoint.role is Role.SERVICE:
+            return self._describe_service(address, settings)
+        if address.kind == ACTION:
+            self._require_server(address, settings, action=True)
+            return Description(message=_actions.part_structure(address.type, address.part))
+        topic = self._graph.topic(address, endpoint.role, settings)
+        self._mention_others(topic, endpoint)
+        return Description(message=message_structure(topic.type))
+
+    def _describe_service(self, address: Address, settings: Settings) -> Description:
+        action, _, type_name = self._require_server(address, settings)
+        return _actions.described(type_name) if action else _services.described(type_name)
+
+    def _require_server(
+        self,
+        address: Address,
+        settings: Settings,
+        *,
+        action: bool | None = None,
+        at_most: float = math.inf,
+    ) -> tuple[bool, str, str]:
+        """Return whether it is an action, its full name and its type, once a server is there."""
+        name = self._station.node.resolve_service_name(address.name)
+        hidden = f"{name}/_action/send_goal"
+
+        def there() -> bool:
+            return self._station.has_server(name) or self._station.has_server(hidden)
+
+        needed = settings.peer_required or not address.type
+        if needed and not self._graph.settled(there, settings, at_most):
+            text = f"there is no server of {name} on the graph"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        if action is None:
+            action = address.kind == ACTION
+            if not address.type:
+                action = not self._station.has_server(name)
+        full, type_name = self._graph.service(address, action=action)
+        return action, full, type_name
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        del structure  # the native type is in the address, or on the graph
+        address, settings = address_of(endpoint), settings_of(endpoint)
+        if address.kind == ACTION:
+            return self._open_action_source(endpoint, address, settings, deliver)
+        place = self._place(endpoint, address, settings)
+        read = reader(shape_of(place.native, place.topic.type))
+        source = Source(place, lambda native: deliver(read(native)))
+        return self._waited(source)
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        del structure
+        address, settings = address_of(endpoint), settings_of(endpoint)
+        if address.kind == ACTION:
+            return ActionSink(endpoint, self._reachable(address, settings), address.part)
+        place = self._place(endpoint, address, settings)
+        sink = TopicSink(place, writer(shape_of(place.native, place.topic.type)))
+        return self._waited(sink)
+
+    def _open_action_source(
+        self, endpoint: Endpoint, address: Address, settings: Settings, deliver: Deliver
+    ) -> Channel:
+        action = self._reachable(address, settings)
+        return ActionSource(endpoint, action, address.part, deliver, self._told)
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        address, settings = address_of(endpoint), settings_of(endpoint)
+        wait = min(self._graph.limit(settings), timeout / 2)
+        server = self._called.get(address)
+        if server is None or not server.ready():
+            action, name, type_name = self._require_server(address, settings, at_most=wait)
+            server = (self._action if action else self._caller)(name, type_name)
+            self._called[address] = server
+        return server.call(message, timeout, wait)
+
+    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+        address = address_of(endpoint)
+        if not address.type or address.kind == ACTION:
+            text = f"{endpoint}: serving needs a type package/srv/Name in the address"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        name = self._station.node.resolve_service_name(address.name)
+        return Server(self._participant, endpoint, name, address.type, handler, self._told)
+
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        wanted = [(each, address_of(each), settings_of(each)) for each in (source, sink)]
+        if any(address.kind == ACTION for _, address, _ in wanted):
+            return None
+        places = [self._place(*each) for each in wanted]
+        if places[0].topic.type != places[1].topic.type:
+            return None
+        if places[0].topic.name != places[1].topic.name:
+            return self._waited(Relay(*places))
+        same = SameTopic(*places)
+        self._watched[same] = same.tick
+        return same
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        self._graph.settled(lambda: False, Settings())
+        own = self._participant.node_names()
+        return discovered(self.name, self._station.node, own)
+
+    def _close(self) -> None:
+        self._watched.clear()
+        self._participant.close(_CLOSE_SECONDS)
+
+    def _place(self, endpoint: Endpoint, address: Address, settings: Settings) -> Place:
+        topic = self._graph.topic(address, endpoint.role, settings)
+        self._mention_others(topic, endpoint)
+        return Place(
+            self._station,
+            self._graph,
+            endpoint,
+            topic,
+            import_type(topic.type),
+            settings,
+            self._settings.settle,
+            self._told,
+        )
+
+    def _waited(self, channel: Watched) -> Watched:
+        """Wait for the other end; nothing stays open when it does not come."""
+        self._watched[channel] = channel.tick
+        try:
+            channel.wait()
+        except BaseException:
+            channel.close()
+            raise
+        return channel
+
+    def _mention_others(self, topic: Topic, endpoint: Endpoint) -> None:
+        if topic.others:
+            text = f"topic {topic.name} carries other types than {topic.type} too: {topic.others}"
+            self.report(Health.DEGRADED, text, component=endpoint.component)
+
+    def _reachable(self, address: Address, settings: Settings) -> Action:
+        _, name, type_name = self._require_server(address, settings, action=True)
+        action = self._action(name, type_name)
+        if settings.peer_required:
+            action.wait(self._graph.limit(settings))
+        return action
+
+    def _caller(self, name: str, type_name: str) -> Caller:
+        with self._making:
+            caller = self._callers.get((name, type_name))
+            if caller is None:
+                caller = Caller(self._reply_station(), self._graph, name, type_name)
+                self._callers[name, type_name] = caller
+            return caller
+
+    def _action(self, name: str, type_name: str) -> Action:
+        with self._making:
+            action = self._actions.get((name, type_name))
+            if action is None:
+                action = Action(self._reply_station(), self._graph, name, type_name)
+                self._actions[name, type_name] = action
+            return action
+
+    def _reply_station(self) -> Station:
+        if self._replies is None:
+            self._replies = self._participant.station(f"{self._settings.node}_replies")
+        return self._replies
+
+    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
+
+    def _node_changed(self, health: Health, cause: str, node: str) -> None:
+        self.report(health, cause, component=node)
+
+    def _cut_off(self) -> None:
+        text = "the ROS 2 context was shut down from outside, as rclpy's signal handlers do"
+        self.report(Health.LOST, text)
+
+    def _tick(self) -> None:
+        for channel, tick in list(self._watched.items()):
+            if channel.closed:
+                self._watched.pop(channel, None)
+            else:
+                tick()
+        for action in list(self._actions.values()):
+            action.tick()
+        self._graph.tick()
+        self._attendance.tick()

@@ -1,0 +1,158 @@
+"""What the graph shows, waited for while it forms, and the errors that say what is missing."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+
+from attrs import frozen
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Role
+from uoarm_ros2._middleware import Peer, Station
+from uoarm_ros2._settings import Address, Settings
+
+__all__ = ["Graph", "Topic"]
+
+_GLANCE_SECONDS = 0.004
+_GRACE_SECONDS = 0.5
+_FRESH_SECONDS = 0.5
+_EVERY_NODE_PUBLISHES = "/parameter_events"
+_MOST_PARTICIPANTS = 10_000
+
+
+@frozen
+class Topic:
+    """A topic with the type that was settled for it.
+
+    `others` says which other types live on the same name, empty when none do.
+    """
+
+    name: str
+    type: str
+    others: str = ""
+
+
+class Graph:
+    """A station's view of the graph, which counts as formed `wait` seconds after its start.
+
+    From then on what is missing is waited for half a second: a peer that has just started.
+    """
+
+    def __init__(self, station: Station, wait: float) -> None:
+        self._station = station
+        self._wait = wait
+        self._formed_at = time.monotonic() + wait
+        self._met: dict[bytes, float] = {}
+
+    def limit(self, settings: Settings) -> float:
+        """Return how many seconds an opening channel waits for its other end."""
+        return self._wait if settings.wait is None else settings.wait
+
+    def until(self, ready: Callable[[], bool], limit: float) -> bool:
+        """Wait for a condition no longer than `limit` seconds; whether it came true."""
+        deadline = time.monotonic() + limit
+        while not ready():
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(_GLANCE_SECONDS)
+        return True
+
+    def tick(self) -> None:
+        """Take note of the participants that are there."""
+        self._meet(self._station.publishers(_EVERY_NODE_PUBLISHES))
+
+    def settle(self, peers: Iterable[Peer], seconds: float, given_up: Callable[[], bool]) -> None:
+        """Give matched peers the time to match us in turn, which DDS does not tell.
+
+        Those that we have known for a while need next to none: under a millisecond as measured.
+        Discovery of a participant goes both ways in turn, so newcomers get half a second.
+        """
+        met = self._meet(peers)
+        fresh = max((_FRESH_SECONDS - (time.monotonic() - at) for at in met), default=0.0)
+        self.until(given_up, max(seconds, fresh))
+
+    def _meet(self, peers: Iterable[Peer]) -> list[float]:
+        if len(self._met) > _MOST_PARTICIPANTS:
+            self._met.clear()
+        now = time.monotonic()
+        return [self._met.setdefault(peer.participant, now) for peer in peers]
+
+    def topic(self, address: Address, role: Role, settings: Settings) -> Topic:
+        """Settle a topic's type and see that its other end is there, as far as required.
+
+        Raises:
+            BridgeError: no such topic, no peer, another type, or two types and no choice.
+        """
+        name = self._station.node.resolve_topic_name(address.name)
+        peers = self._station.publishers if role is Role.OUTPUT else self._station.subscriptions
+        wanted = address.type
+        needed = settings.peer_required or not wanted
+
+        def there() -> bool:
+            return any(not wanted or peer.type == wanted for peer in peers(name))
+
+        if needed and not self.until(there, self._patience(settings)):
+            raise self._nobody(name, wanted, role, peers(name))
+        types = _types((*self._station.publishers(name), *self._station.subscriptions(name)))
+        if not wanted and len(types) > 1:
+            text = f"topic {name} carries several types: {_listed(types)}; name one in the address"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        chosen = wanted or next(iter(types))
+        others = {kind: nodes for kind, nodes in types.items() if kind != chosen}
+        return Topic(name, chosen, _listed(others))
+
+    def service(self, address: Address, *, action: bool) -> tuple[str, str]:
+        """Return the full name and the type of a service or action on the graph.
+
+        Raises:
+            BridgeError: the graph shows another type, or no type and none is in the address.
+        """
+        name = self._station.node.resolve_service_name(address.name)
+        what = "action" if action else "service"
+        listing = self._station.actions if action else self._station.services
+        types = listing().get(name, [])
+        if address.type and types and address.type not in types:
+            text = f"{what} {name} has type {', '.join(types)}, not {address.type}"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        if not address.type and len(types) != 1:
+            seen = f"several types: {', '.join(types)}" if types else "no server on the graph"
+            text = f"{what} {name} has {seen}; name its type in the address"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        return name, address.type or types[0]
+
+    def settled(
+        self, found: Callable[[], bool], settings: Settings, at_most: float = math.inf
+    ) -> bool:
+        """Wait for something that describing needs, only while the graph still forms."""
+        return self.until(found, min(at_most, self._patience(settings)))
+
+    def _patience(self, settings: Settings) -> float:
+        if settings.wait is not None:
+            return settings.wait
+        return max(_GRACE_SECONDS, self._formed_at - time.monotonic())
+
+    def _nobody(self, name: str, wanted: str, role: Role, peers: tuple[Peer, ...]) -> BridgeError:
+        who = "publisher" if role is Role.OUTPUT else "subscription"
+        if peers:
+            text = f"topic {name} has no {who} of type {wanted}, but {_listed(_types(peers))}"
+            return BridgeError(text, FailureReason.UNAVAILABLE)
+        known = name in dict(self._station.node.get_topic_names_and_types())
+        text = f"topic {name} {f'has no {who}' if known else 'is not on the graph'}"
+        if role is Role.INPUT:
+            text += "; to publish without a subscription set option peer: optional"
+        return BridgeError(text, FailureReason.UNAVAILABLE if known else FailureReason.NOT_FOUND)
+
+
+def _types(peers: Iterable[Peer]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for peer in peers:
+        nodes = found.setdefault(peer.type, [])
+        if peer.node not in nodes:
+            nodes.append(peer.node)
+    return found
+
+
+def _listed(types: dict[str, list[str]]) -> str:
+    return "; ".join(f"{kind} ({', '.join(nodes)})" for kind, nodes in sorted(types.items()))

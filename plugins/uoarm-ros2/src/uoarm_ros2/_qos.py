@@ -1,0 +1,155 @@
+"""Quality of service as plain values: what is wished, what fits the peers, and what clashes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from attrs import evolve, frozen
+
+__all__ = ["Policies", "QosWish", "clashes", "for_reading", "for_writing", "wish_from"]
+
+_DEPTH = 100
+_MAX_DEPTH = 1_000_000
+_CHOICES: Mapping[str, tuple[str, ...]] = {
+    "reliability": ("auto", "reliable", "best_effort"),
+    "durability": ("auto", "volatile", "transient_local"),
+    "history": ("keep_last", "keep_all"),
+    "liveliness": ("auto", "automatic", "manual_by_topic"),
+}
+_SECONDS = ("deadline", "lifespan", "lease_duration")
+
+
+@frozen
+class Policies:
+    """The policies of one publisher or subscription; times in seconds, None for no limit."""
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = _DEPTH
+    deadline: float | None = None
+    lifespan: float | None = None
+    liveliness: str = "automatic"
+    lease_duration: float | None = None
+
+    def __str__(self) -> str:
+        kept = "all" if self.history == "keep_all" else f"last {self.depth}"
+        words = [self.reliability, self.durability, f"keep {kept}"]
+        words += [f"deadline {self.deadline:g} s"] if self.deadline is not None else []
+        words += [self.liveliness] if self.liveliness != "automatic" else []
+        words += [f"lease {self.lease_duration:g} s"] if self.lease_duration is not None else []
+        return ", ".join(words)
+
+
+@frozen
+class QosWish:
+    """What an endpoint's options ask for; `auto` is settled against the peers.
+
+    A deadline or lease that is "auto" is what the peers state; None asks for none.
+    """
+
+    reliability: str = "auto"
+    durability: str = "auto"
+    history: str = "keep_last"
+    depth: int = _DEPTH
+    deadline: float | str | None = "auto"
+    lifespan: float | None = None
+    liveliness: str = "auto"
+    lease_duration: float | str | None = "auto"
+
+
+def wish_from(options: object) -> QosWish:
+    """Read the `qos` option of an endpoint: "auto", or a table of policies.
+
+    Raises:
+        ValueError: with the sentence that says what is wrong.
+    """
+    if options is None or options == "auto":
+        return QosWish()
+    if not isinstance(options, Mapping):
+        raise ValueError(  # noqa: TRY004 - one kind of error for every mistake in a file
+            f"qos must be auto or a table of policies, got {options!r}"
+        )
+    given = dict(options)
+    unknown = sorted(set(given) - {*_CHOICES, *_SECONDS, "depth"})
+    if unknown:
+        known = ", ".join(sorted({*_CHOICES, *_SECONDS, "depth"}))
+        raise ValueError(f"qos has no policy {unknown[0]!r}; there are {known}")
+    for name, choices in _CHOICES.items():
+        if name in given and given[name] not in choices:
+            raise ValueError(f"qos.{name} must be one of {', '.join(choices)}, got {given[name]!r}")
+    for name in _SECONDS:
+        if name in given and not _is_seconds(given[name], auto=name != "lifespan"):
+            raise ValueError(f"qos.{name} must be seconds above 0, got {given[name]!r}")
+    depth = given.get("depth", _DEPTH)
+    if isinstance(depth, bool) or not isinstance(depth, int) or not 1 <= depth <= _MAX_DEPTH:
+        raise ValueError(f"qos.depth must be 1 to {_MAX_DEPTH}, got {depth!r}")
+    return QosWish(**given)
+
+
+def _is_seconds(value: object, *, auto: bool) -> bool:
+    if value is None or (auto and value == "auto"):
+        return True
+    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+
+
+def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
+    """Return what a subscription asks so that it gets the most that all publishers offer.
+
+    Without a publisher it asks for reliable and volatile: the default that most publishers offer.
+    """
+    seen = tuple(offers)
+    asked = Policies(history=wish.history, depth=wish.depth)
+    if any(offer.reliability == "best_effort" for offer in seen):
+        asked = evolve(asked, reliability="best_effort")
+    if seen and all(offer.durability == "transient_local" for offer in seen):
+        asked = evolve(asked, durability="transient_local")
+    return _settled(asked, wish, deadline=None, lease=None)
+
+
+def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:
+    """Return what a publisher offers so that every subscription is served as it asks."""
+    seen = tuple(requests)
+    offered = Policies(history=wish.history, depth=wish.depth, lifespan=wish.lifespan)
+    if any(request.durability == "transient_local" for request in seen):
+        offered = evolve(offered, durability="transient_local")
+    if any(request.liveliness == "manual_by_topic" for request in seen):
+        offered = evolve(offered, liveliness="manual_by_topic")
+    deadlines = [each.deadline for each in seen if each.deadline is not None]
+    leases = [each.lease_duration for each in seen if each.lease_duration is not None]
+    return _settled(
+        offered, wish, deadline=min(deadlines, default=None), lease=min(leases, default=None)
+    )
+
+
+def _settled(
+    found: Policies, wish: QosWish, *, deadline: float | None, lease: float | None
+) -> Policies:
+    """Let every policy that the wish states override what was found."""
+    return evolve(
+        found,
+        reliability=found.reliability if wish.reliability == "auto" else wish.reliability,
+        durability=found.durability if wish.durability == "auto" else wish.durability,
+        liveliness=found.liveliness if wish.liveliness == "auto" else wish.liveliness,
+        deadline=deadline if isinstance(wish.deadline, str) else wish.deadline,
+        lease_duration=lease if isinstance(wish.lease_duration, str) else wish.lease_duration,
+    )
+
+
+def clashes(offered: Policies, requested: Policies) -> tuple[str, ...]:
+    """Return every policy on which a publisher and a subscription cannot meet, in words."""
+    found = []
+    if offered.reliability == "best_effort" and requested.reliability == "reliable":
+        found.append("reliability (offered best_effort, asked reliable)")
+    if offered.durability == "volatile" and requested.durability == "transient_local":
+        found.append("durability (offered volatile, asked transient_local)")
+    if offered.liveliness == "automatic" and requested.liveliness == "manual_by_topic":
+        found.append("liveliness (offered automatic, asked manual_by_topic)")
+    for name, here, there in (
+        ("deadline", offered.deadline, requested.deadline),
+        ("lease_duration", offered.lease_duration, requested.lease_duration),
+    ):
+        if there is not None and (here is None or here > there):
+            offer = "none" if here is None else f"{here:g} s"
+            found.append(f"{name} (offered {offer}, asked {there:g} s)")
+    return tuple(found)

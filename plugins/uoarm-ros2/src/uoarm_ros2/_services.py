@@ -1,0 +1,152 @@
+"""Services both ways: calling a server of ROS, and being one."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from uoarm.bridge import Channel, Description, Handler
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Endpoint, Health, Message
+from uoarm_ros2._graph import Graph
+from uoarm_ros2._middleware import Participant, Station
+from uoarm_ros2._read import reader
+from uoarm_ros2._schema import structure_of
+from uoarm_ros2._shape import Record, shape_of
+from uoarm_ros2._types import import_type
+from uoarm_ros2._write import writer
+
+__all__ = ["Caller", "Server", "answered", "described"]
+
+_GLANCE_SECONDS = 0.25
+_STOP_SECONDS = 2.0
+_log = logging.getLogger("uoarm.ros2")
+
+
+def described(type_name: str) -> Description:
+    """Return the request and reply structures of a service type."""
+    request, reply = _records(import_type(type_name), type_name)
+    return Description(request=structure_of(request), reply=structure_of(reply))
+
+
+def _records(native: type, name: str) -> tuple[Record, Record]:
+    request: type = native.Request  # type: ignore[attr-defined]  # generated
+    reply: type = native.Response  # type: ignore[attr-defined]  # generated
+    return shape_of(request, f"{name}_Request"), shape_of(reply, f"{name}_Response")
+
+
+def answered(future: Any, deadline: float, there: Callable[[], bool], what: str) -> Any:
+    """Wait for a future's result while its server is there.
+
+    Raises:
+        BridgeTimeoutError: the deadline passed.
+        BridgeError: the server went away before it answered.
+    """
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    while not done.wait(max(0.0, min(_GLANCE_SECONDS, deadline - time.monotonic()))):
+        if time.monotonic() >= deadline:
+            raise BridgeTimeoutError(f"{what} did not answer in time")
+        if not there():
+            raise BridgeError(f"{what} went away in mid-call", FailureReason.UNAVAILABLE)
+    return future.result()
+
+
+class Caller:
+    """A client of one service, shared by all calls to it; calls may overlap."""
+
+    def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
+        native = import_type(type_name)
+        request, reply = _records(native, type_name)
+        self._what = f"service {name}"
+        self._graph = graph
+        self._write = writer(request)
+        self._read = reader(reply)
+        self._client = station.client(native, name)
+
+    def ready(self) -> bool:
+        """Whether a server is matched."""
+        return bool(self._client.service_is_ready())
+
+    def call(self, message: Message, timeout: float, wait: float) -> Message:
+        """Send a request and return the reply.
+
+        Raises:
+            MessageError: the request does not fit its native type.
+            BridgeTimeoutError: no reply within `timeout` seconds.
+            BridgeError: no server within `wait` seconds, or it went away in mid-call.
+        """
+        deadline = time.monotonic() + timeout
+        request = self._write(message)
+        if not self._graph.until(self.ready, min(wait, timeout)):
+            raise BridgeError(f"{self._what} has no server", FailureReason.UNAVAILABLE)
+        future = self._client.call_async(request)
+        try:
+            return self._read(answered(future, deadline, self.ready, self._what))
+        finally:
+            self._client.remove_pending_request(future)
+
+
+class Server(Channel):
+    """A service offered to ROS, with a station of its own so that a slow handler holds up nobody.
+
+    When the handler fails, a reply type with `success` and `message` says so; any other client is
+    left without a reply, since ROS 2 has no other way to refuse, and the channel is degraded.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        endpoint: Endpoint,
+        name: str,
+        type_name: str,
+        handler: Handler,
+        report: Callable[[Channel, Health, str], None],
+    ) -> None:
+        super().__init__(endpoint)
+        native = import_type(type_name)
+        request, reply = _records(native, type_name)
+        self._name = name
+        self._read = reader(request)
+        self._write = writer(reply)
+        self._refusable = {"success", "message"} <= {each.name for each in reply.fields}
+        self._handler = handler
+        self._report = report
+        self._participant = participant
+        self._answering = False
+        self.failures = 0
+        self.count = 0
+        self._station = participant.station(f"uoarm_serves_{name.strip('/').replace('/', '_')}")
+        try:
+            self._station.server(native, name, self._answer)
+        except BaseException:
+            participant.dismiss(self._station, _STOP_SECONDS)
+            raise
+
+    def facts(self) -> dict[str, object]:
+        """Return how many requests came and how many the handler failed."""
+        return {"requests": self.count, "failures": self.failures}
+
+    def _close(self) -> None:
+        # The handler that is at work may be what asked for the close.
+        self._participant.dismiss(self._station, 0.0 if self._answering else _STOP_SECONDS)
+
+    def _answer(self, request: Any, response: Any) -> Any:
+        self._answering = True
+        self.count += 1
+        try:
+            return self._write(self._handler(self._read(request)))
+        except Exception as error:
+            self.failures += 1
+            cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
+            self._report(self, Health.DEGRADED, cause)
+            if not self._refusable:
+                raise
+            _log.warning("%s", cause)
+            response.success, response.message = False, str(error)
+            return response
+        finally:
+            self._answering = False

@@ -1,0 +1,206 @@
+"""Addresses and options as the configuration writes them, read without any middleware."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from attrs import field, frozen
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Options, Role, Schema
+from uoarm_ros2._qos import QosWish, wish_from
+from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
+
+__all__ = [
+    "BRIDGE_OPTIONS",
+    "Address",
+    "BridgeSettings",
+    "Settings",
+    "address_of",
+    "mistake",
+    "settings_of",
+]
+
+_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+_PARTS = {Role.OUTPUT: ("feedback", "result", "status"), Role.INPUT: ("goal", "cancel")}
+# Fast DDS announces a participant every 3 s: who starts beside us may be unseen that long.
+_WAIT_SECONDS = 3.5
+_SETTLE_SECONDS = 0.05
+
+_SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
+BRIDGE_OPTIONS: Schema = {
+    "type": "object",
+    "additionalProperties": False,
+    "properties": {
+        "domain_id": {
+            "type": "integer",
+            "minimum": 0,
+            "maximum": 232,
+            "description": "DDS domain; default: ROS_DOMAIN_ID of the environment, else 0",
+        },
+        "node": {
+            "type": "string",
+            "pattern": "^[A-Za-z_][A-Za-z0-9_]*$",
+            "description": "name of the bridge's node; default: uoarm_ and the bridge's name",
+        },
+        "namespace": {"type": "string", "description": "namespace of the bridge's node"},
+        "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
+        "settle": {
+            **_SECONDS,
+            "description": "seconds for a matched publisher to learn of us; default 0.05",
+        },
+        "executor": {
+            "enum": ["standard", "events"],
+            "description": "rclpy executor; events is faster and still experimental in rclpy",
+        },
+    },
+}
+
+
+@frozen
+class Address:
+    """A topic, service or action by name.
+
+    Attributes:
+        name: as written; relative names are resolved in the bridge's namespace.
+        type: `package/msg/Name` or the like; empty to take what the graph shows.
+        part: of an action the stream meant; otherwise empty.
+    """
+
+    name: str
+    type: str = ""
+    part: str = ""
+
+    @property
+    def kind(self) -> str:
+        """`msg`, `srv` or `action`; `msg` also when the type is left to the graph."""
+        return kind_of(self.type) if self.type else MESSAGE
+
+
+@frozen
+class BridgeSettings:
+    """The options of a bridge instance; `domain_id` None: what the environment says."""
+
+    node: str
+    namespace: str = ""
+    domain_id: int | None = None
+    wait: float = _WAIT_SECONDS
+    settle: float = _SETTLE_SECONDS
+    executor: str = "standard"
+
+
+@frozen
+class Settings:
+    """The options of an endpoint.
+
+    Attributes:
+        qos: policies asked for.
+        peer_required: whether an endpoint without another end counts as unavailable.
+        wait: seconds to wait for the other end; None: as the bridge says.
+        stale_after: seconds without a message after which the channel is lost; None: never.
+    """
+
+    qos: QosWish = field(factory=QosWish)
+    peer_required: bool = True
+    wait: float | None = None
+    stale_after: float | None = None
+
+
+def address_of(endpoint: Endpoint) -> Address:
+    """Read an endpoint's address.
+
+    Raises:
+        BridgeError: with BAD_ENDPOINT and what is wrong.
+    """
+    try:
+        address = _address(endpoint.address)
+        _fits(address, endpoint.role)
+        if address.kind == ACTION and endpoint.role is not Role.SERVICE:
+            part = address.part or _default_part(endpoint)
+            address = Address(address.name, address.type, part)
+    except ValueError as error:
+        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+    return address
+
+
+def settings_of(endpoint: Endpoint) -> Settings:
+    """Read an endpoint's options.
+
+    Raises:
+        BridgeError: with BAD_ENDPOINT and what is wrong.
+    """
+    try:
+        return _settings(endpoint.options)
+    except ValueError as error:
+        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+
+def mistake(address: tuple[str, ...], options: Options) -> str:
+    """Return what is wrong with an address or its options, or ""."""
+    try:
+        _address(address)
+        _settings(options)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _address(parts: tuple[str, ...]) -> Address:
+    if not 1 <= len(parts) <= 3:  # noqa: PLR2004 - the three parts of the sentence
+        raise ValueError(f"expected [name, type] or [name, action type, part], got {list(parts)}")
+    address = Address(*parts)
+    if not _NAME.fullmatch(address.name):
+        raise ValueError(f"{address.name!r} is not a ROS 2 name such as /camera/image_raw")
+    wrong = type_mistake(address.type) if len(parts) > 1 else ""
+    if wrong:
+        raise ValueError(wrong)
+    known = tuple(part for parts in _PARTS.values() for part in parts)
+    if address.part and (address.kind != ACTION or address.part not in known):
+        text = f"only an action has parts, and they are {', '.join(known)}; got {address.part!r}"
+        raise ValueError(text)
+    return address
+
+
+def _fits(address: Address, role: Role) -> None:
+    wanted = (SERVICE, ACTION) if role is Role.SERVICE else (MESSAGE, ACTION)
+    if address.kind not in wanted and address.type:
+        kinds = " or ".join(f"package/{kind}/Name" for kind in wanted)
+        raise ValueError(f"an {role.value} takes a type {kinds}, got {address.type!r}")
+    if address.part and address.part not in _PARTS.get(role, ()):
+        raise ValueError(f"part {address.part!r} of an action is not an {role.value}")
+
+
+def _default_part(endpoint: Endpoint) -> str:
+    parts = _PARTS[endpoint.role]
+    if endpoint.port in parts:
+        return endpoint.port
+    return "result" if endpoint.role is Role.OUTPUT else "goal"
+
+
+def _settings(options: Options) -> Settings:
+    known = ("peer", "qos", "stale_after", "wait")
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
+    peer = options.get("peer", "required")
+    if peer not in {"required", "optional"}:
+        raise ValueError(f"peer must be required or optional, got {peer!r}")
+    return Settings(
+        wish_from(options.get("qos")),
+        peer == "required",
+        _seconds(options, "wait", zero=True),
+        _seconds(options, "stale_after", zero=False),
+    )
+
+
+def _seconds(options: Mapping[str, object], name: str, *, zero: bool) -> float | None:
+    value = options.get(name)
+    if value is None:
+        return None
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not (value >= 0 if zero else value > 0):  # type: ignore[operator]  # a number
+        raise ValueError(f"{name} must be seconds, got {value!r}")
+    return float(value)  # type: ignore[arg-type]  # a number

@@ -1,0 +1,50 @@
+"""Native types by name: message packages are found when they are needed, by import."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+from uoarm.errors import BridgeError, FailureReason
+
+__all__ = ["ACTION", "MESSAGE", "SERVICE", "import_type", "kind_of", "type_mistake"]
+
+MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
+_NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
+
+
+def type_mistake(name: str) -> str:
+    """Return what is wrong with the spelling of a type's name, or ""."""
+    if _NAME.fullmatch(name):
+        return ""
+    return f"type {name!r} is not spelt package/msg/Name, package/srv/Name or package/action/Name"
+
+
+def kind_of(name: str) -> str:
+    """Return `msg`, `srv` or `action` of a well spelt type."""
+    return name.split("/")[1]
+
+
+def import_type(name: str) -> type:
+    """Return the generated class of a type such as `sensor_msgs/msg/Image`.
+
+    Raises:
+        BridgeError: the package is not installed, or has no such type.
+    """
+    package, kind, type_name = name.split("/")
+    try:
+        module = importlib.import_module(f"{package}.{kind}")
+    except ImportError as error:
+        missing = f"{package}.{kind}" if error.name is None else error.name
+        text = (
+            f"type {name!r}: Python package {missing!r} cannot be imported ({error}); install "
+            f"ros-<distribution>-{package.replace('_', '-')} (as ros-jazzy-...), or source the "
+            f"workspace that provides {package!r}"
+        )
+        raise BridgeError(text, FailureReason.NOT_FOUND) from error
+    found = getattr(module, type_name, None)
+    if not isinstance(found, type):
+        known = sorted(each for each in vars(module) if each[:1].isupper())
+        text = f"type {name!r}: package {package!r} has no {kind} {type_name!r}, only {known}"
+        raise BridgeError(text, FailureReason.NOT_FOUND)
+    return found

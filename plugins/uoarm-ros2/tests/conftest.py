@@ -1,0 +1,72 @@
+# ruff: noqa: E402 - the path for the shared modules comes before their import
+"""Everything on loopback, in a domain of this test run, with peers that are processes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # for the modules that the tests share
+
+from peers import DOMAIN, Peer
+
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec
+
+settings.register_profile("ros2-short", max_examples=60, deadline=None, derandomize=True)
+settings.register_profile("ros2-long", max_examples=1000, deadline=None)
+settings.load_profile(f"ros2-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(HERE / "discovery.xml")
+os.environ.pop("ROS_LOCALHOST_ONLY", None)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line(
+        "filterwarnings",
+        "ignore:module 'sre_:DeprecationWarning",  # lark, inside ROS 2's own parser
+    )
+
+
+@pytest.fixture
+def make_bridge() -> Iterator[Callable[..., Bridge]]:
+    """Makes bridges and closes them all at the end."""
+    made: list[Bridge] = []
+    registry = Registry()
+
+    def make(name: str = "ros", **options: object) -> Bridge:
+        bridge = registry.create(BridgeSpec(name, "ros2", {"domain_id": DOMAIN, **options}))
+        made.append(bridge)
+        return bridge
+
+    yield make
+    for bridge in made:
+        bridge.close()
+
+
+@pytest.fixture
+def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+    return make_bridge()
+
+
+@pytest.fixture
+def peer() -> Iterator[Callable[..., Peer]]:
+    """Starts peer processes and ends them all, frozen ones too."""
+    started: list[Peer] = []
+
+    def start(name: str, *words: str, **environment: str) -> Peer:
+        process = Peer(name, {"ROS_DOMAIN_ID": str(DOMAIN), **environment}, *words)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.end()

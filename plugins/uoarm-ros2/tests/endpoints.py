@@ -1,0 +1,86 @@
+"""Endpoints and listeners that the tests share."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from uoarm.bridge import Bridge, Channel, HealthEvent
+from uoarm.model import Endpoint, Health, Role
+
+INT64 = "std_msgs/msg/Int64"
+
+
+def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -> Endpoint:
+    return Endpoint("ros", "thing", role, address, port=port, options=options)
+
+
+def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:
+    structure = bridge.describe(at).message
+    assert structure is not None
+    return bridge.open_source(at, structure, take)
+
+
+def sink(bridge: Bridge, at: Endpoint) -> Any:
+    structure = bridge.describe(at).message
+    assert structure is not None
+    return bridge.open_sink(at, structure)
+
+
+def known(bridge: Bridge, *nodes: str) -> None:
+    """Wait until the bridge sees these nodes with their endpoints."""
+    _until(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
+
+
+def matched(channel: Channel, count: int) -> None:
+    """Wait until a channel has so many peers."""
+    _until(lambda: channel.facts()["matched"] == count)
+
+
+def _until(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+class Inbox:
+    """Collects messages and waits for a number of them, or for one."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, message: Any) -> None:
+        with self._changed:
+            self.messages.append(message)
+            self._changed.notify_all()
+
+    def numbers(self) -> list[int]:
+        return [message["data"] for message in self.messages]
+
+    def wait_for(self, count: int, timeout: float = 20.0) -> list[Any]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
+                f"{len(self.messages)} of {count} messages"
+            )
+            return list(self.messages)
+
+    def wait_until(self, wanted: Any, timeout: float = 20.0) -> Any:
+        """Wait for a message of which `wanted` is true."""
+
+        def found() -> Any:
+            return next((message for message in self.messages if wanted(message)), None)
+
+        with self._changed:
+            assert self._changed.wait_for(lambda: found() is not None, timeout), self.messages
+            return found()
+
+    def event(self, health: Health, words: str) -> HealthEvent:
+        """Wait for a health event with these words in its cause."""
+        event: HealthEvent = self.wait_until(
+            lambda each: each.health is health and words in each.cause
+        )
+        return event

@@ -1,0 +1,201 @@
+"""The other end of the tests: plain rclpy, told what to do in lines of JSON, knowing no uoarm."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Int64, String
+from std_srvs.srv import SetBool
+from test_msgs.action import Fibonacci
+from test_msgs.srv import BasicTypes
+
+
+def profile(
+    reliability: str = "reliable",
+    durability: str = "volatile",
+    depth: int = 100,
+    deadline: float | None = None,
+    history: str = "keep_last",
+) -> Any:
+    made = QoSProfile(
+        reliability=ReliabilityPolicy[reliability.upper()],
+        durability=DurabilityPolicy[durability.upper()],
+        history=HistoryPolicy[history.upper()],
+        depth=depth,
+    )
+    if deadline is not None:
+        made.deadline = Duration(nanoseconds=round(deadline * 1e9))
+    return made
+
+
+def patiently(publisher: Any, message: Any) -> None:
+    """Publish as soon as a history that keeps all has room again."""
+    while True:
+        try:
+            publisher.publish(message)
+        except Exception as error:
+            if "cannot publish data" not in str(error):
+                raise
+        else:
+            return
+
+
+class Doer:
+    """One method per operation; what it returns is the answer."""
+
+    def __init__(self, node: Any) -> None:
+        self.node = node
+        self.publishers: dict[str, Any] = {}
+        self.seen: dict[str, list[Any]] = {}
+        self.group = ReentrantCallbackGroup()
+        self.ends: list[str] = []
+
+    def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
+        native = {"Int64": Int64, "Image": Image, "String": String}[kind]
+        self.publishers[topic] = self.node.create_publisher(native, topic, profile(**qos))
+        return {}
+
+    def unadvertise(self, topic: str) -> dict[str, Any]:
+        self.node.destroy_publisher(self.publishers.pop(topic))
+        return {}
+
+    def publish(
+        self, topic: str, count: int, first: int = 1, period: float = 0.0, size: int = 0
+    ) -> dict[str, Any]:
+        publisher = self.publishers[topic]
+        payload = bytes(size)
+        for number in range(first, first + count):
+            if publisher.msg_type is Image:
+                message = Image(height=number, width=1, step=size)
+                message.data = payload
+            elif publisher.msg_type is String:
+                message = String(data=str(number))
+            else:
+                message = Int64(data=number)
+            patiently(publisher, message)
+            if period:
+                time.sleep(period)
+        return {"published": count}
+
+    def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
+        native = {"Int64": Int64, "Image": Image, "String": String}[kind]
+        seen: list[Any] = []
+        self.seen[topic] = seen
+
+        def take(message: Any) -> None:
+            seen.append(message.height if native is Image else message.data)
+
+        self.node.create_subscription(native, topic, take, profile(**qos))
+        return {}
+
+    def report(self, topic: str, expected: int, timeout: float = 20.0) -> dict[str, Any]:
+        deadline = time.monotonic() + timeout
+        seen = self.seen[topic]
+        while len(seen) < expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return {"seen": list(seen)}
+
+    def subscriptions(self, topic: str, expected: int) -> dict[str, Any]:
+        deadline = time.monotonic() + 10.0
+        publisher = self.publishers[topic]
+        while publisher.get_subscription_count() != expected and time.monotonic() < deadline:
+            time.sleep(0.005)
+        return {"count": publisher.get_subscription_count()}
+
+    def serve(self, name: str, delay: float = 0.0) -> dict[str, Any]:
+        def answer(request: Any, response: Any) -> Any:
+            time.sleep(delay)
+            response.int64_value = request.int64_value + 1
+            response.string_value = request.string_value[::-1]
+            return response
+
+        self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def call(self, name: str, value: bool) -> dict[str, Any]:
+        client = self.node.create_client(SetBool, name, callback_group=self.group)
+        assert client.wait_for_service(10.0)
+        reply = client.call(SetBool.Request(data=value), 10.0)
+        self.node.destroy_client(client)
+        return {"success": reply.success, "message": reply.message}
+
+    def act(self, name: str, period: float = 0.05) -> dict[str, Any]:
+        def execute(goal: Any) -> Any:
+            sequence = [0, 1]
+            for _ in range(1, goal.request.order):
+                if goal.is_cancel_requested:
+                    goal.canceled()
+                    self.ends.append("canceled")
+                    return Fibonacci.Result(sequence=sequence)
+                sequence.append(sequence[-1] + sequence[-2])
+                goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
+                time.sleep(period)
+            self.ends.append("completed")
+            if goal.request.order == 13:
+                goal.abort()
+            else:
+                goal.succeed()
+            return Fibonacci.Result(sequence=sequence)
+
+        self.server = ActionServer(
+            self.node,
+            Fibonacci,
+            name,
+            execute,
+            callback_group=self.group,
+            goal_callback=lambda goal: (
+                GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+            ),
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        return {}
+
+    def goal_ends(self) -> dict[str, Any]:
+        deadline = time.monotonic() + 10.0
+        while not self.ends and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return {"ends": self.ends}
+
+
+def say(answer: dict[str, Any]) -> None:
+    print(json.dumps(answer), flush=True)  # noqa: T201 - the answer
+
+
+def obey(doer: Doer) -> None:
+    say({"ready": True})
+    for line in sys.stdin:
+        order = json.loads(line)
+        operation = getattr(doer, order.pop("op"))
+        try:
+            say(operation(**order))
+        except Exception as error:  # noqa: BLE001 - told to the test
+            say({"failed": repr(error)})
+    rclpy.try_shutdown()
+
+
+def main() -> None:
+    rclpy.init(args=[])
+    node = Node(sys.argv[1])
+    threads = "threads" in sys.argv
+    executor = MultiThreadedExecutor(num_threads=4) if threads else SingleThreadedExecutor()
+    executor.add_node(node)
+    threading.Thread(target=obey, args=(Doer(node),), daemon=True).start()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        executor.spin()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""A peer process, spoken to in lines of JSON; what it does is in peer_process.py."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+DOMAIN = 20 + os.getpid() % 80  # for this test run alone; DDS ports end at domain 101 on Linux
+
+
+class Peer:
+    """A ROS 2 node in a process of its own, whose loss others notice within a second or two."""
+
+    def __init__(self, name: str, environment: dict[str, str], *words: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("peer_process.py")), name, *words],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **environment},
+        )
+        self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
+        assert self._answer(20.0)["ready"]
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def start(self, op: str, **arguments: object) -> None:
+        """Tell the peer to do something, without waiting for its answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
+        self._process.stdin.flush()
+
+    def answer(self, timeout: float = 20.0) -> dict[str, Any]:
+        """Wait for the answer to something that was started."""
+        return self._answer(timeout)
+
+    def do(self, op: str, **arguments: object) -> dict[str, Any]:
+        """Tell the peer to do something and wait until it says that it has."""
+        self.start(op, **arguments)
+        return self._answer(20.0)
+
+    def kill(self) -> None:
+        """End it without any farewell."""
+        self._process.kill()
+        self._process.wait()
+
+    def freeze(self) -> None:
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        self._process.send_signal(signal.SIGCONT)
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            assert stream is not None
+            stream.close()
+
+    def _answer(self, timeout: float) -> dict[str, Any]:
+        answer = self._answers.get(timeout=timeout)
+        assert answer is not None, "the peer process ended"
+        assert "failed" not in answer, answer
+        return answer
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        try:
+            for line in self._process.stdout:
+                self._answers.put(json.loads(line))
+        except ValueError:
+            pass  # closed while reading, at the end of a test
+        self._answers.put(None)

@@ -1,0 +1,198 @@
+"""Several bridges beside an application's own rclpy, and nothing left behind."""
+
+from __future__ import annotations
+
+import faulthandler
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from endpoints import INT64, Inbox, endpoint, sink, source
+from peers import DOMAIN, Peer
+
+from uoarm.bridge import Bridge
+from uoarm.model import Role
+
+Make = Callable[..., Bridge]
+Start = Callable[..., Peer]
+
+
+def test_domains_do_not_meet(make_bridge: Make, peer: Start) -> None:
+    near, far = make_bridge("near"), make_bridge("far", domain_id=DOMAIN + 1)
+    talkers = peer("talker"), peer("talker", ROS_DOMAIN_ID=str(DOMAIN + 1))
+    inboxes = Inbox(), Inbox()
+    for bridge, talker, inbox in zip((near, far), talkers, inboxes, strict=True):
+        talker.do("advertise", topic="/numbers")
+        source(bridge, endpoint(Role.OUTPUT, "/numbers", INT64), inbox)
+    talkers[0].do("publish", topic="/numbers", count=3)
+    talkers[1].do("publish", topic="/numbers", count=2, first=100)
+    inboxes[0].wait_for(3)
+    inboxes[1].wait_for(2)
+    assert inboxes[0].numbers() == [1, 2, 3]
+    assert inboxes[1].numbers() == [100, 101]
+
+
+HOST = """
+import rclpy, signal
+from rclpy.node import Node
+from std_msgs.msg import Int64
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+
+rclpy.init(args=[])
+handler = signal.getsignal(signal.SIGINT)
+node = Node("application")
+seen = []
+node.create_subscription(Int64, "/numbers", lambda message: seen.append(message.data), 10)
+bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
+assert signal.getsignal(signal.SIGINT) is handler
+at = Endpoint("ros", "c", Role.INPUT, ("/numbers", "std_msgs/msg/Int64"))
+sink = bridge.open_sink(at, bridge.describe(at).message)
+sink.send({"data": 1})
+while not seen:
+    rclpy.spin_once(node, timeout_sec=0.1)
+bridge.close()
+assert rclpy.ok()
+publisher = node.create_publisher(Int64, "/numbers", 10)
+while len(seen) < 2:
+    publisher.publish(Int64(data=2))
+    rclpy.spin_once(node, timeout_sec=0.1)
+rclpy.shutdown()
+print(seen[:2])
+"""
+
+
+def test_an_application_keeps_its_own_rclpy(tmp_path: Path) -> None:
+    script = tmp_path / "application.py"
+    script.write_text(HOST)
+    done = subprocess.run(
+        [sys.executable, str(script)], capture_output=True, text=True, timeout=30, check=False
+    )
+    assert (done.stdout.strip(), done.returncode) == ("[1, 2]", 0), done.stderr
+
+
+def test_making_a_bridge_changes_nothing_global(make_bridge: Make) -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    was_enabled = faulthandler.is_enabled()
+    make_bridge()
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    assert faulthandler.is_enabled() == was_enabled
+
+
+def test_importing_the_plugin_imports_no_middleware() -> None:
+    code = "import sys, uoarm_ros2; uoarm_ros2.uoarm_bridge_types(); print('rclpy' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stdout.strip() == "False"
+
+
+def test_a_missing_rclpy_names_what_to_install() -> None:
+    code = (
+        "import sys; sys.modules['rclpy'] = None\n"
+        "from uoarm_ros2 import uoarm_bridge_types\n"
+        "kind = uoarm_bridge_types()[0]\n"
+        "print(kind.doctor()['rclpy'])\n"
+        "try: kind.create('ros', {})\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
+    )
+    missing, raised = done.stdout.strip().splitlines()
+    assert "pip install 'uoarm-ros2[jazzy]'" in missing
+    assert raised.startswith("PluginError bridge 'ros': rclpy cannot be imported")
+
+
+def test_the_doctor_says_what_is_used() -> None:
+    from uoarm_ros2 import uoarm_bridge_types
+
+    doctor = uoarm_bridge_types()[0].doctor
+    assert doctor is not None
+    found = doctor()
+    assert found["rmw"].startswith("rmw_")
+    assert found["domain"] == str(DOMAIN)
+    assert Path(found["rclpy"]).is_dir()
+    assert found["distribution"] != "unknown"
+
+
+def _resources() -> tuple[int, int]:
+    here = Path("/proc/self")
+    return len(list((here / "fd").iterdir())), len(list((here / "task").iterdir()))
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.parametrize("executor", ["standard", "events"])
+def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make, executor: str) -> None:
+    bridge = make_bridge(executor=executor, settle=0)
+    at = endpoint(Role.INPUT, "/again", INT64, peer="optional", wait=0.0)
+    from_there = endpoint(Role.OUTPUT, "/again", INT64, peer="optional", wait=0.0)
+
+    def cycle() -> None:
+        out = sink(bridge, at)
+        into = source(bridge, from_there, lambda _: None)
+        out.send({"data": 1})
+        into.close()
+        out.close()
+
+    for _ in range(50):
+        cycle()
+    gc.collect()
+    resources, memory = _resources(), _resident()
+    for _ in range(500):
+        cycle()
+    gc.collect()
+    assert bridge.open_channels == 0
+    assert _resources() == resources
+    assert _resident() - memory < 500 * 8_000
+
+
+def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
+    make_bridge("first").close()
+    threads = set(threading.enumerate())
+    descriptors = _resources()[0]
+    for number in range(10):
+        bridge = make_bridge(f"number_{number}")
+        sink(bridge, endpoint(Role.INPUT, "/x", INT64, peer="optional", wait=0.0))
+        bridge.close()
+    assert _resources()[0] == descriptors
+    assert {each for each in set(threading.enumerate()) - threads if "ros2" in each.name} == set()
+
+
+def test_a_bridge_closes_in_time_while_a_receiver_hangs(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/numbers")
+    inside, leave = threading.Event(), threading.Event()
+
+    def hang(_: object) -> None:
+        inside.set()
+        leave.wait(30.0)
+
+    source(bridge, endpoint(Role.OUTPUT, "/numbers", INT64), hang)
+    talker.do("publish", topic="/numbers", count=1)
+    assert inside.wait(10.0)
+    started = time.monotonic()
+    bridge.close()
+    assert time.monotonic() - started < 9.0
+    leave.set()
+
+
+@pytest.mark.parametrize("option", [{"domain_id": -1}, {"domain": 3}, {"executor": "fast"}])
+def test_the_options_schema_refuses(option: dict[str, object]) -> None:
+    from jsonschema import Draft202012Validator
+    from uoarm_ros2 import uoarm_bridge_types
+
+    schema = uoarm_bridge_types()[0].options_schema
+    assert not isinstance(schema, bool)
+    Draft202012Validator.check_schema(schema)
+    assert not Draft202012Validator(dict(schema)).is_valid(option)

@@ -1,0 +1,236 @@
+"""Services and actions with the other end in another process, dead ends included."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import pytest
+from endpoints import INT64, Inbox, endpoint, known, sink, source
+from peers import Peer
+from uoarm_ros2._read import reader
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._types import import_type
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health, Role
+
+Make = Callable[..., Bridge]
+Start = Callable[..., Peer]
+BASIC = "test_msgs/srv/BasicTypes"
+SET_BOOL = "std_srvs/srv/SetBool"
+FIBONACCI = "test_msgs/action/Fibonacci"
+
+
+def request(**fields: object) -> dict[str, Any]:
+    native: Any = import_type(BASIC)
+    shape = shape_of(native.Request, BASIC)
+    return {**reader(shape)(native.Request()), **fields}
+
+
+def service(*address: str, **options: Any) -> Any:
+    return endpoint(Role.SERVICE, *address, **options)
+
+
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_a_call_is_answered(make_bridge: Make, peer: Start, executor: str) -> None:
+    bridge, server = make_bridge(executor=executor), peer("server")
+    server.do("serve", name="/increment")
+    found = bridge.describe(service("/increment"))
+    assert found.request is not None
+    assert found.reply is not None
+    assert found.request.native_type == f"{BASIC}_Request"
+    for number in (0, 2**62, -(2**63)):
+        reply = bridge.call(service("/increment", BASIC), request(int64_value=number))
+        assert reply["int64_value"] == number + 1
+    asked = request(string_value="h\N{SNOWMAN}i")
+    assert bridge.call(service("/increment", BASIC), asked)["string_value"] == "i\N{SNOWMAN}h"
+
+
+def test_calls_overlap(bridge: Bridge, peer: Start) -> None:
+    server = peer("server", "threads")
+    server.do("serve", name="/slow", delay=0.2)
+    answers = Inbox()
+
+    def call(number: int) -> None:
+        answers(bridge.call(service("/slow", BASIC), request(int64_value=number))["int64_value"])
+
+    threads = [threading.Thread(target=call, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers.messages) == [1, 2, 3, 4]
+
+
+def test_a_late_answer_is_a_time_out_and_hurts_nobody(bridge: Bridge, peer: Start) -> None:
+    server = peer("server")
+    server.do("serve", name="/slow", delay=0.5)
+    with pytest.raises(BridgeTimeoutError):
+        bridge.call(service("/slow", BASIC), request(), timeout=0.3)
+    assert bridge.call(service("/slow", BASIC), request(int64_value=4))["int64_value"] == 5
+
+
+def test_a_server_that_is_killed_in_mid_call_ends_the_call(bridge: Bridge, peer: Start) -> None:
+    server = peer("server")
+    server.do("serve", name="/mortal", delay=30.0)
+    started = time.monotonic()
+    threading.Timer(0.5, server.kill).start()
+    with pytest.raises(BridgeError, match="went away in mid-call") as caught:
+        bridge.call(service("/mortal", BASIC), request(), timeout=20.0)
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+    assert time.monotonic() - started < 10.0
+
+
+def test_what_cannot_be_called_says_why(bridge: Bridge, peer: Start) -> None:
+    server = peer("server")
+    server.do("serve", name="/here")
+    with pytest.raises(BridgeError, match="no server of /nowhere") as caught:
+        bridge.describe(service("/nowhere", BASIC))
+    assert caught.value.reason is FailureReason.NOT_FOUND
+    with pytest.raises(BridgeError, match=f"has type {BASIC}, not {SET_BOOL}"):
+        bridge.describe(service("/here", SET_BOOL))
+    with pytest.raises(MessageError, match="field int64_value: expected an integer"):
+        bridge.call(service("/here", BASIC), request(int64_value="1"))
+    with pytest.raises(BridgeError, match="an output takes a type package/msg/Name"):
+        bridge.describe(endpoint(Role.OUTPUT, "/here", BASIC))
+
+
+def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
+    client = peer("client")
+
+    def handler(message: Any) -> Any:
+        if not message["data"]:
+            raise ValueError("off is not possible")
+        return {"success": True, "message": "on"}
+
+    events = Inbox()
+    bridge.watch(events)
+    channel = bridge.serve(service("/switch", SET_BOOL), handler)
+    answer = client.do("call", name="/switch", value=True)
+    assert answer == {"success": True, "message": "on"}
+    answer = client.do("call", name="/switch", value=False)
+    assert answer == {"success": False, "message": "off is not possible"}
+    assert events.event(Health.DEGRADED, "off is not possible").channel is channel
+    assert channel.facts() == {"requests": 2, "failures": 1}
+
+
+def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start) -> None:
+    server, client, talker = peer("server"), peer("client"), peer("talker")
+    server.do("serve", name="/increment")
+    talker.do("advertise", topic="/numbers")
+    inbox = Inbox()
+
+    def ask(number: int) -> int:
+        reply = bridge.call(service("/increment", BASIC), request(int64_value=number))
+        return int(reply["int64_value"])
+
+    source(
+        bridge,
+        endpoint(Role.OUTPUT, "/numbers", INT64),
+        lambda message: inbox(ask(message["data"])),
+    )
+    talker.do("publish", topic="/numbers", count=3)
+    assert inbox.wait_for(3) == [2, 3, 4]
+    bridge.serve(service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))})
+    answer = client.do("call", name="/switch", value=True)
+    assert answer["message"] == "41"
+
+
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_an_action_is_a_call(make_bridge: Make, peer: Start, executor: str) -> None:
+    bridge, server = make_bridge(executor=executor), peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.01)
+    found = bridge.describe(service("/fibonacci", FIBONACCI))
+    assert found.request is not None
+    assert isinstance(found.request.schema, Mapping)
+    assert found.request.schema["required"] == ["order"]
+    reply = bridge.call(service("/fibonacci", FIBONACCI), {"order": 6})
+    assert list(reply["sequence"]) == [0, 1, 1, 2, 3, 5, 8]
+    with pytest.raises(BridgeError, match="rejected the goal") as caught:
+        bridge.call(service("/fibonacci", FIBONACCI), {"order": -1})
+    assert caught.value.reason is FailureReason.REFUSED
+    with pytest.raises(BridgeError, match="ended aborted"):
+        bridge.call(service("/fibonacci", FIBONACCI), {"order": 13})
+
+
+def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) -> None:
+    server = peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.05)
+    with pytest.raises(BridgeTimeoutError):
+        bridge.call(service("/fibonacci", FIBONACCI), {"order": 80}, timeout=0.5)
+    assert server.do("goal_ends")["ends"] == ["canceled"]
+
+
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_an_action_is_four_streams(make_bridge: Make, peer: Start, executor: str) -> None:
+    bridge, server = make_bridge(executor=executor), peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.02)
+    feedback, results, statuses = Inbox(), Inbox(), Inbox()
+    for part, inbox in (("feedback", feedback), ("result", results), ("status", statuses)):
+        source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, port=part), inbox)
+    goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI, port="goal"))
+    cancel = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI, "cancel"))
+    goal.send({"order": 5})
+    ended = results.wait_for(1)[0]
+    assert ended["status"] == "succeeded"
+    assert list(ended["result"]["sequence"]) == [0, 1, 1, 2, 3, 5]
+    assert [len(each["feedback"]["sequence"]) for each in feedback.messages] == [3, 4, 5, 6]
+    assert {each["goal_id"] for each in feedback.messages} == {ended["goal_id"]}
+    goal.send({"order": 1000})
+    accepted = statuses.wait_until(
+        lambda each: each["status"] == "accepted" and each["goal_id"] != ended["goal_id"]
+    )
+    cancel.send({"goal_id": accepted["goal_id"]})
+    assert results.wait_for(2)[1]["status"] == "canceled"
+    goal.send({"order": -1})
+    assert statuses.wait_until(lambda each: each["status"] == "rejected")
+    with pytest.raises(MessageError, match="field order"):
+        goal.send({"order": "five"})
+
+
+def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
+    events, statuses = Inbox(), Inbox()
+    bridge.watch(events)
+    server = peer("server", "threads")
+    server.do("act", name="/fibonacci")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
+    goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
+    goal.send({"order": 1000})
+    statuses.wait_until(lambda each: each["status"] == "accepted")
+    server.kill()
+    assert statuses.wait_until(lambda each: each["status"] == "lost")
+    assert events.event(Health.LOST, "the server of /fibonacci is gone").channel is channel
+
+
+def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start) -> None:
+    robot = peer("robot", "threads")
+    robot.do("advertise", topic="/numbers")
+    robot.do("subscribe", topic="/speed")
+    robot.do("serve", name="/increment")
+    robot.do("act", name="/fibonacci")
+    known(bridge, "/robot")
+    (found,) = (each for each in bridge.discover() if each.name == "/robot")
+    seen = {at.address: (at.role, what) for at, what in found.endpoints}
+    assert seen["/numbers", INT64][0] is Role.OUTPUT
+    assert (
+        seen["/numbers", INT64][1].message
+        == bridge.describe(endpoint(Role.OUTPUT, "/numbers", INT64)).message
+    )
+    assert seen["/speed", INT64][0] is Role.INPUT
+    assert seen["/increment", BASIC][0] is Role.SERVICE
+    assert seen["/increment", BASIC][1].request is not None
+    assert seen["/fibonacci", FIBONACCI][1].reply is not None
+    assert not any("_action" in address[0] for address in seen)
+
+
+def test_nodes_that_come_and_go_are_events(bridge: Bridge, peer: Start) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    visitor = peer("visitor")
+    assert events.event(Health.OK, "node /visitor appeared").component == "/visitor"
+    visitor.kill()
+    assert events.event(Health.LOST, "node /visitor left").component == "/visitor"

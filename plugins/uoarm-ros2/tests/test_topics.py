@@ -1,0 +1,304 @@
+"""Topics with publishers and subscriptions in other processes: order, loss, QoS, death."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
+from peers import Peer
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Health, Role
+
+Make = Callable[..., Bridge]
+Start = Callable[..., Peer]
+
+
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_no_first_message_is_lost(make_bridge: Make, peer: Start, executor: str) -> None:
+    bridge, talker = make_bridge(executor=executor), peer("talker")
+    for attempt in range(5):
+        topic = f"/first_{attempt}"
+        talker.do("advertise", topic=topic)
+        inbox = Inbox()
+        channel = source(bridge, endpoint(Role.OUTPUT, topic, INT64), inbox)
+        talker.do("publish", topic=topic, count=20)
+        inbox.wait_for(20)
+        assert inbox.numbers() == list(range(1, 21))
+        channel.close()
+
+
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_ten_thousand_numbered_messages_pass_a_relay_whole(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    bridge = make_bridge(executor=executor)
+    talker, listener = peer("talker"), peer("listener")
+    talker.do("advertise", topic="/numbers", history="keep_all")
+    listener.do("subscribe", topic="/relayed", history="keep_all")
+    qos = {"history": "keep_all"}
+    out = sink(bridge, endpoint(Role.INPUT, "/relayed", INT64, qos=qos))
+    into = source(bridge, endpoint(Role.OUTPUT, "/numbers", INT64, qos=qos), out.send)
+    talker.do("publish", topic="/numbers", count=10_000)
+    seen = listener.do("report", topic="/relayed", expected=10_000)["seen"]
+    assert seen == list(range(1, 10_001))
+    assert into.facts()["messages"] == out.facts()["messages"] == 10_000
+    assert into.facts()["lost_by_middleware"] == 0
+
+
+def test_images_of_six_megabytes_flow(bridge: Bridge, peer: Start) -> None:
+    camera = peer("camera")
+    camera.do("advertise", topic="/image", kind="Image")
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "/image", "sensor_msgs/msg/Image"), inbox)
+    camera.do("publish", topic="/image", count=20, size=6_000_000, period=0.03)
+    images = inbox.wait_for(20)
+    assert [image["height"] for image in images] == list(range(1, 21))
+    assert all(len(image["data"]) == 6_000_000 for image in images)
+
+
+def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/latched", durability="transient_local", depth=1)
+    talker.do("publish", topic="/latched", count=3)
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "/latched", INT64), inbox)
+    assert inbox.wait_for(1)[0] == {"data": 3}
+
+
+def test_auto_takes_what_is_offered_and_offers_what_is_asked(bridge: Bridge, peer: Start) -> None:
+    other = peer("other")
+    other.do("advertise", topic="/loose", reliability="best_effort")
+    other.do("subscribe", topic="/strict", durability="transient_local", deadline=0.5)
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "/loose", INT64), inbox)
+    other.do("publish", topic="/loose", count=3)
+    assert inbox.wait_for(3)
+    out = sink(bridge, endpoint(Role.INPUT, "/strict", INT64))
+    out.send({"data": 7})
+    assert other.do("report", topic="/strict", expected=1)["seen"] == [7]
+    assert "deadline 0.5 s" in out.facts()["qos"]
+
+
+def test_auto_follows_a_publisher_that_comes_back_with_less(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/changing")
+    inbox = Inbox()
+    channel = source(bridge, endpoint(Role.OUTPUT, "/changing", INT64), inbox)
+    talker.do("unadvertise", topic="/changing")
+    talker.do("advertise", topic="/changing", reliability="best_effort")
+    assert talker.do("subscriptions", topic="/changing", expected=1)["count"] == 1
+    talker.do("publish", topic="/changing", count=200, period=0.01)
+    assert inbox.wait_for(1)
+    assert "best_effort" in str(channel.facts()["qos"])
+
+
+def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/loose", reliability="best_effort")
+    asked = endpoint(Role.OUTPUT, "/loose", INT64, qos={"reliability": "reliable"}, wait=1.0)
+    with pytest.raises(BridgeError) as caught:
+        source(bridge, asked, print)
+    text = str(caught.value)
+    assert "publisher /talker offers (best_effort" in text
+    assert "this subscription asks (reliable" in text
+    assert "clash on reliability" in text
+    assert bridge.open_channels == 0
+
+
+def test_a_clash_that_comes_later_is_an_event(bridge: Bridge, peer: Start) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    good, bad = peer("good"), peer("bad")
+    good.do("advertise", topic="/mixed")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/mixed", INT64), print)
+    bad.do("advertise", topic="/mixed", reliability="best_effort")
+    event = events.event(Health.DEGRADED, "incompatible QoS on topic /mixed")
+    assert event.channel is channel
+    assert "publisher /bad offers (best_effort" in event.cause
+    assert channel.facts()["qos_clashes"] == 1
+
+
+def test_a_subscription_that_asks_for_more_is_an_event(bridge: Bridge, peer: Start) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    listener = peer("listener")
+    listener.do("subscribe", topic="/out")
+    sink(bridge, endpoint(Role.INPUT, "/out", INT64, qos={"durability": "volatile"}))
+    listener.do("subscribe", topic="/out", durability="transient_local")
+    events.event(Health.DEGRADED, "clash on durability (offered volatile, asked tran")
+
+
+def test_a_killed_publisher_is_lost_and_its_successor_resumes(bridge: Bridge, peer: Start) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    talker = peer("talker")
+    talker.do("advertise", topic="/mortal")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/mortal", INT64), inbox)
+    talker.start("publish", topic="/mortal", count=100_000, period=0.001)
+    inbox.wait_for(100)
+    talker.kill()
+    assert events.event(Health.LOST, "the last publisher of /mortal is gone").channel is channel
+    before = inbox.numbers()
+    assert before == list(range(1, len(before) + 1))
+    successor = peer("successor")
+    successor.do("advertise", topic="/mortal")
+    assert events.event(Health.OK, "a publisher of /mortal is there").channel is channel
+    assert successor.do("subscriptions", topic="/mortal", expected=1)["count"] == 1
+    successor.do("publish", topic="/mortal", first=1_000_000, count=5)
+    inbox.wait_for(len(before) + 5)
+    assert inbox.numbers()[len(before) :] == list(range(1_000_000, 1_000_005))
+
+
+def test_a_frozen_publisher_goes_stale_and_recovers(bridge: Bridge, peer: Start) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    talker = peer("talker")
+    talker.do("advertise", topic="/sluggish")
+    source(bridge, endpoint(Role.OUTPUT, "/sluggish", INT64, stale_after=0.4), inbox)
+    talker.start("publish", topic="/sluggish", count=2_000, period=0.005)
+    inbox.wait_for(20)
+    talker.freeze()
+    events.event(Health.LOST, "no message for 0.4 s")
+    talker.thaw()
+    events.event(Health.OK, "")
+
+
+def test_a_missed_deadline_is_an_event(bridge: Bridge, peer: Start) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    talker = peer("talker")
+    talker.do("advertise", topic="/timely", deadline=0.1)
+    source(bridge, endpoint(Role.OUTPUT, "/timely", INT64, qos={"deadline": 0.1}), inbox)
+    talker.do("publish", topic="/timely", count=1)
+    events.event(Health.DEGRADED, "the deadline passed")
+
+
+def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    first, second = peer("first"), peer("second")
+    first.do("advertise", topic="/both")
+    second.do("advertise", topic="/both", kind="String")
+    known(bridge, "/first", "/second")
+    with pytest.raises(BridgeError, match=r"several types: std_msgs/msg/Int64 \(/first\); std_msg"):
+        bridge.describe(endpoint(Role.OUTPUT, "/both"))
+    assert bridge.describe(endpoint(Role.OUTPUT, "/both", INT64)).message is not None
+    events.event(Health.DEGRADED, "carries other types than std_msgs/msg/Int64")
+
+
+def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/there")
+    with pytest.raises(BridgeError, match="/nowhere is not on the graph") as caught:
+        bridge.describe(endpoint(Role.OUTPUT, "/nowhere", INT64))
+    assert caught.value.reason is FailureReason.NOT_FOUND
+    with pytest.raises(BridgeError, match="/there has no subscription; to publish without"):
+        bridge.describe(endpoint(Role.INPUT, "/there", INT64))
+    with pytest.raises(BridgeError, match=r"no publisher of type std_msgs/msg/String, but std_ms"):
+        bridge.describe(endpoint(Role.OUTPUT, "/there", "std_msgs/msg/String"))
+    found = bridge.describe(endpoint(Role.OUTPUT, "/there")).message
+    assert found is not None
+    assert found.native_type == INT64
+
+
+@pytest.mark.parametrize(
+    ("address", "options", "words"),
+    [
+        ((), {}, r"expected \[name, type\]"),
+        (("/a b", INT64), {}, "not a ROS 2 name"),
+        (("/a", "Int64"), {}, "is not spelt package/msg/Name"),
+        (("/a", INT64, "goal"), {}, "only an action has parts"),
+        (("/a", INT64), {"peers": "optional"}, "there is no option 'peers'"),
+        (("/a", INT64), {"peer": "maybe"}, "peer must be required or optional"),
+        (("/a", INT64), {"qos": {"reliability": "good"}}, "qos.reliability must be one of"),
+        (("/a", INT64), {"qos": {"depth": 0}}, "qos.depth must be 1 to"),
+        (("/a", INT64), {"qos": {"depht": 1}}, "qos has no policy 'depht'"),
+        (("/a", INT64), {"qos": {"deadline": -1}}, "qos.deadline must be seconds"),
+        (("/a", INT64), {"stale_after": 0}, "stale_after must be seconds"),
+    ],
+)
+def test_a_mistake_in_an_address_is_found_without_middleware(
+    bridge: Bridge, address: tuple[str, ...], options: dict[str, object], words: str
+) -> None:
+    from uoarm_ros2 import uoarm_bridge_types
+
+    check = uoarm_bridge_types()[0].check_endpoint
+    assert check is not None
+    with pytest.raises(ValueError, match=words):
+        raise ValueError(check(address, options))
+    with pytest.raises(BridgeError, match=words) as caught:
+        bridge.describe(endpoint(Role.OUTPUT, *address, **options))  # type: ignore[arg-type]  # wrong on purpose
+    assert caught.value.reason is FailureReason.BAD_ENDPOINT
+
+
+def test_a_message_that_does_not_fit_is_the_senders_mistake(bridge: Bridge) -> None:
+    out = sink(bridge, endpoint(Role.INPUT, "/outward", INT64, peer="optional"))
+    with pytest.raises(MessageError, match="field data: expected an integer"):
+        out.send({"data": "1"})
+    out.close()
+    with pytest.raises(BridgeError, match="is closed"):
+        out.send({"data": 1})
+
+
+def test_a_publisher_without_readers_appears_to_ros(bridge: Bridge, peer: Start) -> None:
+    out = sink(bridge, endpoint(Role.INPUT, "/outward", INT64, peer="optional"))
+    listener = peer("listener")
+    listener.do("subscribe", topic="/outward")
+    matched(out, 1)
+    out.send({"data": 5})
+    assert listener.do("report", topic="/outward", expected=1)["seen"] == [5]
+
+
+def test_close_ends_deliveries_also_from_within_one(bridge: Bridge, peer: Start) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/busy")
+    inbox = Inbox()
+
+    def take(message: object) -> None:
+        inbox(message)
+        if len(inbox.messages) == 3:
+            channel.close()
+
+    channel = source(bridge, endpoint(Role.OUTPUT, "/busy", INT64), take)
+    talker.do("publish", topic="/busy", count=100)
+    inbox.wait_for(3)
+    assert talker.do("subscriptions", topic="/busy", expected=0)["count"] == 0
+    assert len(inbox.messages) == 3
+    assert bridge.open_channels == 0
+
+
+def test_a_native_link_passes_bytes_between_topics(bridge: Bridge, peer: Start) -> None:
+    talker, listener = peer("talker"), peer("listener")
+    talker.do("advertise", topic="/from")
+    listener.do("subscribe", topic="/to")
+    link = bridge.link(endpoint(Role.OUTPUT, "/from", INT64), endpoint(Role.INPUT, "/to", INT64))
+    assert link is not None
+    talker.do("publish", topic="/from", count=50)
+    assert listener.do("report", topic="/to", expected=50)["seen"] == list(range(1, 51))
+    assert link.facts()["from messages"] == 50
+
+
+def test_a_link_of_one_topic_is_only_watched(bridge: Bridge, peer: Start) -> None:
+    talker, listener = peer("talker"), peer("listener")
+    talker.do("advertise", topic="/shared")
+    listener.do("subscribe", topic="/shared")
+    events = Inbox()
+    bridge.watch(events)
+    ends = endpoint(Role.OUTPUT, "/shared", INT64), endpoint(Role.INPUT, "/shared", INT64)
+    link = bridge.link(*ends)
+    assert link is not None
+    assert link.facts() == {"publishers": 1, "subscriptions": 1}
+    talker.kill()
+    assert events.event(Health.LOST, "topic /shared has no publisher").channel is link
+
+
+def test_topics_of_two_types_are_not_linked(bridge: Bridge, peer: Start) -> None:
+    talker, listener = peer("talker"), peer("listener")
+    talker.do("advertise", topic="/from")
+    listener.do("subscribe", topic="/to", kind="String")
+    string = "std_msgs/msg/String"
+    ends = endpoint(Role.OUTPUT, "/from", INT64), endpoint(Role.INPUT, "/to", string)
+    assert bridge.link(*ends) is None

@@ -1,0 +1,166 @@
+"""Adapters: what they emit is what their schema says, and losses are allowed by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from uoarm.adapt import MappingError, adapt, check_edge, parse
+from uoarm.errors import MessageError
+from uoarm.model import MessageStructure
+
+INT = {"type": "integer", "minimum": -100, "maximum": 100}
+SOURCE: dict[str, Any] = {
+    "type": "object",
+    "properties": {
+        "data": {"type": "array", "items": INT},
+        "range": {"type": "number", "minimum": 0, "maximum": 10},
+        "state": {"enum": ["IDLE", "RUN"]},
+        "pose": {
+            "type": "object",
+            "properties": {"x": INT, "y": INT},
+            "required": ["x"],
+            "additionalProperties": False,
+        },
+        "boxes": {
+            "type": "array",
+            "items": {"$ref": "#/$defs/box"},
+            "maxItems": 4,
+        },
+    },
+    "required": ["data", "range", "state", "pose", "boxes"],
+    "additionalProperties": False,
+    "$defs": {
+        "box": {
+            "type": "object",
+            "properties": {"left": INT, "score": {"type": "number"}},
+            "required": ["left", "score"],
+            "additionalProperties": False,
+        }
+    },
+}
+ANY: dict[str, Any] = {}
+small = st.integers(-100, 100)
+messages = st.fixed_dictionaries(
+    {
+        "data": st.lists(small, max_size=5),
+        "range": st.floats(0, 10),
+        "state": st.sampled_from(["IDLE", "RUN"]),
+        "pose": st.fixed_dictionaries({"x": small}, optional={"y": small}),
+        "boxes": st.lists(
+            st.fixed_dictionaries({"left": small, "score": st.floats(allow_nan=False)}), max_size=4
+        ),
+    }
+)
+numbers = st.one_of(st.integers(-50, 50), st.sampled_from([0.001, -2.5, 0.1]))
+entries = st.one_of(
+    st.sampled_from(["data", "range", "state", "pose", "pose.x", "pose.y", "boxes", "."]),
+    st.builds(lambda one: {"const": one}, st.sampled_from([1, "a", None, [1], {"b": 2}])),
+    st.builds(
+        lambda path, scale, offset: {"from": path, "scale": scale, "offset": offset},
+        st.sampled_from(["range", "pose.x", "data", "pose.y"]),
+        numbers,
+        numbers,
+    ),
+    st.just({"from": "state", "enum": {"IDLE": 0, "RUN": 1}}),
+    st.just({"from": "pose.y", "default": 7}),
+    st.just({"each": "boxes", "map": {"x": "left", "kind": {"const": "box"}}}),
+)
+mappings = st.dictionaries(
+    st.sampled_from(["a", "b", "c", "d.x", "d.y", "e.f.g"]), entries, min_size=1, max_size=4
+)
+
+
+@given(mappings, messages)
+def test_what_an_adapter_emits_is_what_its_schema_says(mapping: Any, message: Any) -> None:
+    adapted = adapt(parse(mapping), SOURCE, ANY)
+    Draft202012Validator(adapted.schema).validate(adapted.make(message))
+
+
+def structure(**fields: Any) -> MessageStructure:
+    return MessageStructure(
+        {
+            "type": "object",
+            "properties": fields,
+            "required": list(fields),
+            "additionalProperties": False,
+        }
+    )
+
+
+NUMBER = {"type": "number"}
+PRODUCER = structure(data=INT, header=NUMBER)
+
+
+def test_a_dropped_field_must_be_allowed_by_name() -> None:
+    consumer = structure(pixels=INT)
+    refused = check_edge(PRODUCER, consumer, {"pixels": "data"})
+    assert not refused.compatible
+    assert "header" in refused.reasons[0].sentence
+    assert refused.reasons[0].suggestion == "allow_loss: [header]"
+    allowed = check_edge(PRODUCER, consumer, {"pixels": "data"}, ("header",))
+    assert allowed.compatible
+    assert allowed.losses == ("header",)
+
+
+def test_a_loss_that_is_none_is_remarked() -> None:
+    verdict = check_edge(PRODUCER, PRODUCER, None, ("nothing",))
+    assert verdict.compatible
+    assert "nothing" in verdict.warnings[0]
+
+
+def test_a_suggestion_mends_the_edge_that_it_is_for() -> None:
+    consumer = structure(pixels=INT, format={"const": "rgb8"})
+    verdict = check_edge(structure(pixel=INT, header=NUMBER), consumer)
+    expected = "map: {pixels: pixel, format: {const: rgb8}}\nallow_loss: [header]"
+    assert verdict.reasons[0].suggestion == expected
+    mapping = {"pixels": "pixel", "format": {"const": "rgb8"}}
+    assert check_edge(
+        structure(pixel=INT, header=NUMBER), consumer, mapping, ("header",)
+    ).compatible
+
+
+def test_nothing_is_suggested_where_nothing_fits() -> None:
+    verdict = check_edge(structure(a={"type": "string"}), structure(b=INT))
+    assert verdict.reasons[0].suggestion == ""
+
+
+def test_an_optional_source_does_not_fill_a_required_field() -> None:
+    producer = MessageStructure({**SOURCE})
+    consumer = structure(y=INT)
+    losses = ("data", "range", "state", "boxes", "pose.x")
+    assert not check_edge(producer, consumer, {"y": "pose.y"}, losses).compatible
+    filled = check_edge(producer, consumer, {"y": {"from": "pose.y", "default": 0}}, losses)
+    assert filled.compatible, filled.reasons
+
+
+def test_an_enum_map_must_name_every_value() -> None:
+    verdict = check_edge(MessageStructure(SOURCE), MessageStructure({}),
+                         {"a": {"from": "state", "enum": {"IDLE": 0}}})  # fmt: skip
+    assert "'RUN'" in verdict.reasons[0].sentence
+
+
+def test_every_mistake_of_a_mapping_is_told() -> None:
+    with pytest.raises(MappingError) as caught:
+        parse({"a": {"form": "x"}, "b": {"const": 1, "scale": 2}, "c": 7, "d": "x", "d.e": "y"})
+    for part in ("'form'", "const stands alone", "map.c", "fill the same field"):
+        assert part in str(caught.value)
+
+
+def test_buffers_are_not_copied_and_scale_as_buffers() -> None:
+    make = adapt(parse({"a": "data", "b": {"from": "data", "scale": 2}}), SOURCE, ANY).make
+    data = np.arange(4)
+    made = make({"data": data})
+    assert made["a"] is data
+    assert made["b"].tolist() == [0, 2, 4, 6]
+
+
+def test_a_message_that_lacks_a_field_is_named() -> None:
+    make = adapt(parse({"a": "range"}), SOURCE, ANY).make
+    with pytest.raises(MessageError, match="'a'"):
+        make({})

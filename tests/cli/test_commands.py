@@ -1,0 +1,127 @@
+"""The command line: what it prints, as text and as JSON, and how it exits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from uoarm.cli import main
+
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  count:
+    components:
+      - {name: counter, bridge: python, output: {endpoint: ["cli_counting:count"]}}
+  doubled:
+    components:
+      - name: doubler
+        bridge: python
+        input: {from: count, endpoint: ["cli_counting:double"], queue: {policy: block, timeout: 30}}
+        output: {endpoint: ["cli_counting:double"]}
+  greeting:
+    components:
+      - {name: greeter, bridge: python, service: {endpoint: ["cli_counting:greet"]}}
+  misfit:
+    components:
+      - name: misfit
+        bridge: python
+        input: {from: count, endpoint: ["cli_counting:shout"]}
+"""
+COMPONENTS = """
+from collections.abc import Iterator
+from typing import TypedDict
+class Number(TypedDict):
+    n: int
+class Text(TypedDict):
+    text: str
+def count() -> Iterator[Number]:
+    for n in range(4):
+        yield {"n": n}
+def double(m: Number) -> Number:
+    return {"n": m["n"] * 2}
+def greet(m: Number) -> Text:
+    return {"text": f"hello {m['n']}"}
+def shout(m: Text) -> None:
+    pass
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> str:
+    (tmp_path / "cli_counting.py").write_text(COMPONENTS)
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT)
+    return str(file)
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, list(arguments))
+
+
+def test_check_counts_what_is_there(robot: str) -> None:
+    result = run("check", robot)
+    assert result.exit_code == 0
+    assert "4 functions, 1 bridges, no errors" in result.output
+
+
+def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("version: 1\nbridges: {}\nfunctions: {a: {components: []}}\n")
+    result = run("check", str(file), "--json")
+    assert result.exit_code == 3
+    (problem,) = json.loads(result.output)["problems"]
+    assert problem["path"] == "$.functions.a.components"
+
+
+def test_resolve_explains(robot: str) -> None:
+    assert run("resolve", "doubled", "-f", robot).output == "counter -> doubler\n"
+    assert (
+        "counter.default -> doubler.default"
+        in run("resolve", "doubled", "-f", robot, "--explain").output
+    )
+    plan = json.loads(run("resolve", "doubled", "-f", robot, "--json").output)
+    assert [step["component"]["name"] for step in plan["steps"]] == ["counter", "doubler"]
+
+
+def test_a_refusal_exits_with_one_and_shows_the_counterexample(robot: str) -> None:
+    result = run("resolve", "misfit", "-f", robot)
+    assert result.exit_code == 1
+    assert "required" in result.output
+    assert "'text'" in result.output
+
+
+def test_request_prints_a_message_a_line(robot: str) -> None:
+    result = run("request", "doubled", "-f", robot)
+    assert [json.loads(line)["n"] for line in result.output.splitlines()] == [0, 2, 4, 6]
+    assert result.exit_code == 0
+
+
+def test_request_ends_after_so_many(robot: str) -> None:
+    assert len(run("request", "doubled", "-f", robot, "-n", "2").output.splitlines()) == 2
+
+
+def test_call_prints_the_reply(robot: str) -> None:
+    assert json.loads(run("call", "greeting", '{"n": 3}', "-f", robot).output) == {
+        "text": "hello 3"
+    }
+    assert run("call", "greeting", '{"n": "x"}', "-f", robot).exit_code == 1
+    assert run("call", "greeting", "{", "-f", robot).exit_code == 2
+
+
+def test_doctor_and_bridges_know_the_built_in_bridge() -> None:
+    assert "python" in run("bridges").output
+    assert json.loads(run("doctor", "--json").output)["python"]["usable"] == "yes"
+
+
+@pytest.mark.parametrize(("consumer", "code"), [({"type": "integer"}, 0), ({"type": "string"}, 1)])
+def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, code: int) -> None:
+    (tmp_path / "a.json").write_text('{"type": "integer", "minimum": 0}')
+    (tmp_path / "b.json").write_text(json.dumps(consumer))
+    result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--json")
+    assert result.exit_code == code
+    assert json.loads(result.output)["compatible"] is (code == 0)

@@ -1,0 +1,109 @@
+"""Plain Python components: hints become structures, mistakes become one clear error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, TypedDict
+
+import pytest
+from typing_extensions import NotRequired
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.local import HintError, Octets, PythonBridge, Range, UInt8, schema_of
+from uoarm.model import Endpoint, Role
+
+HERE = "tests.local.test_python_bridge"
+
+
+class Inner(TypedDict):
+    x: UInt8
+    note: NotRequired[str]
+
+
+class Whole(TypedDict):
+    inner: Inner
+    data: Octets
+    kind: Literal["a", "b"]
+    many: list[Annotated[float, Range(0)]]
+    pair: tuple[int, bool]
+    maybe: int | None
+
+
+def source() -> Iterator[Inner]:
+    yield {"x": 1}
+
+
+def change(message: Inner, factor: int = 1) -> Inner | None:
+    return {"x": message["x"] * factor}
+
+
+def unhinted(message):  # type: ignore[no-untyped-def] # on purpose  # noqa: ANN001, ANN201
+    return message
+
+
+NOT_CALLABLE = 7
+
+
+def describe(name: str, role: Role, **parameters: Any) -> Any:
+    endpoint = Endpoint("p", "c", role, (name,), parameters=parameters)
+    bridge = PythonBridge("p", {})
+    try:
+        return bridge.describe(endpoint)
+    finally:
+        bridge.close()
+
+
+def test_hints_become_closed_objects_with_required_fields() -> None:
+    schema: Any = schema_of(Whole)
+    assert schema["additionalProperties"] is False
+    assert schema["required"] == ["inner", "data", "kind", "many", "pair", "maybe"]
+    fields = schema["properties"]
+    assert fields["inner"]["required"] == ["x"]
+    assert fields["inner"]["properties"]["x"] == {"type": "integer", "minimum": 0, "maximum": 255}
+    assert fields["data"]["x-octets"] is True
+    assert fields["kind"] == {"enum": ["a", "b"]}
+    assert fields["maybe"] == {"anyOf": [{"type": "integer"}, {"type": "null"}]}
+    assert fields["pair"]["minItems"] == 2
+
+
+def test_a_hint_without_a_structure_is_named() -> None:
+    with pytest.raises(HintError, match="complex"):
+        schema_of(complex)
+
+
+def test_a_function_is_described_from_both_ends() -> None:
+    taken = describe(f"{HERE}:change", Role.INPUT).message
+    given = describe(f"{HERE}:change", Role.OUTPUT).message
+    assert taken == given
+    assert describe(f"{HERE}:source", Role.OUTPUT).message == taken
+
+
+def test_what_has_no_hint_has_no_structure() -> None:
+    assert describe(f"{HERE}:unhinted", Role.OUTPUT).message is None
+
+
+@pytest.mark.parametrize(
+    ("address", "reason", "part"),
+    [
+        ("no_such_module_here:x", FailureReason.NOT_FOUND, "no module 'no_such_module_here'"),
+        (f"{HERE}:chang", FailureReason.NOT_FOUND, "did you mean 'change'"),
+        (f"{HERE}:NOT_CALLABLE", FailureReason.BAD_ENDPOINT, "expected a function or a class"),
+        ("nothing", FailureReason.BAD_ENDPOINT, "module:attribute"),
+    ],
+)
+def test_a_bad_address_is_one_clear_error(address: str, reason: FailureReason, part: str) -> None:
+    with pytest.raises(BridgeError, match=part) as caught:
+        describe(address, Role.OUTPUT)
+    assert caught.value.reason is reason
+
+
+def test_a_missing_package_makes_a_component_unavailable(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "needs_much.py").write_text("import a_package_nobody_has\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        BridgeError, match="'a_package_nobody_has', which is not installed"
+    ) as caught:
+        describe("needs_much:x", Role.OUTPUT)
+    assert caught.value.reason is FailureReason.UNAVAILABLE

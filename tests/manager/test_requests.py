@@ -1,0 +1,236 @@
+"""Requests: opened whole or not at all, shared by count, killed from anywhere."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+
+import pytest
+from tests.manager import stage
+
+from uoarm import (
+    AsyncRobotManager,
+    BridgeError,
+    BridgeTimeoutError,
+    ConnectionClosedError,
+    MessageError,
+    ResolutionError,
+    RobotManager,
+    StatusEvent,
+    UsageError,
+)
+from uoarm.model import ConnectionState, StatusMap
+
+Make = Callable[[str], RobotManager]
+HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
+
+
+def source(name: str = "narrow") -> str:
+    address = f'["tests.manager.stage:{name}"]'
+    return (
+        f"  {name}:\n    components:\n"
+        f"      - {{name: {name}, bridge: python, output: {{endpoint: {address}}}}}\n"
+    )
+
+
+def step(function: str, target: str, feed: str | None, queue: str = "") -> str:
+    address = f'["tests.manager.stage:{target}"]'
+    fed = "" if feed is None else f"from: {feed}, "
+    return (
+        f"  {function}:\n    components:\n"
+        f"      - name: {function}\n        bridge: python\n"
+        f"        input: {{{fed}endpoint: {address}{queue}}}\n"
+        f"        output: {{endpoint: {address}}}\n"
+    )
+
+
+def nothing_is_open(robot: RobotManager) -> bool:
+    status = robot.status()
+    channels = sum(bridge.open_channels for bridge in status.bridges)
+    return not (status.components or status.connections or status.routes or channels)
+
+
+def wait_for(robot: RobotManager, change: str) -> threading.Event:
+    seen = threading.Event()
+
+    def listen(event: StatusEvent) -> None:
+        if event.subject.startswith("connection") and event.change == change:
+            seen.set()
+
+    robot.listen(listen)
+    return seen
+
+
+def test_messages_flow_from_the_source_to_the_application(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    with robot.request("wanted", validate="always") as connection:
+        for value in range(3):
+            stage.script.put({"value": value})
+        assert [connection.get(10)["value"] for _ in range(3)] == [0, 1, 2]
+        routes = {(route.producer, route.consumer): route for route in robot.status().routes}
+        assert routes["narrow.default", "wanted.default"].delivered == 3
+        assert routes["wanted.default", connection.id].delivered == 3
+    assert nothing_is_open(robot)
+
+
+def test_an_orderly_end_delivers_what_is_under_way_and_ends_the_iteration(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    for value in range(5):
+        stage.script.put({"value": value})
+    stage.script.put(stage.END)
+    with robot.request("wanted") as connection:
+        assert [message["value"] for message in connection] == [0, 1, 2, 3, 4]
+    assert nothing_is_open(robot)
+
+
+def test_a_source_that_dies_fails_every_connection_that_needs_it(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    failed = wait_for(robot, "failed")
+    first, second = robot.request("wanted"), robot.request("narrow")
+    stage.script.put(RuntimeError("the cable is out"))
+    for connection in (first, second):
+        with pytest.raises(ConnectionClosedError, match=r"narrow.*the cable is out"):
+            connection.get(10)
+    assert failed.wait(10)
+    assert first.state is second.state is ConnectionState.FAILED
+    assert nothing_is_open(robot)
+
+
+def test_a_component_that_two_connections_need_is_opened_once(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "Counted", "narrow"))
+    first = robot.request("wanted")
+    second = robot.request("wanted")
+    assert stage.built == ["counted"]
+    stage.script.put({"value": 1})
+    assert first.get(10) == second.get(10) == {"value": 1}
+    first.kill()
+    assert stage.closed == []
+    stage.script.put({"value": 2})
+    assert second.get(10) == {"value": 2}
+    second.kill()
+    assert stage.closed == ["counted"]
+    assert nothing_is_open(robot)
+
+
+def test_killing_twice_and_from_a_callback_is_harmless(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    ended = wait_for(robot, "closed")
+    connection = robot.request("wanted")
+    connection.subscribe(lambda _: connection.kill())
+    stage.script.put({"value": 1})
+    assert ended.wait(10)
+    connection.kill()
+    assert nothing_is_open(robot)
+    with pytest.raises(ConnectionClosedError):
+        connection.send({"value": 1})
+
+
+def test_an_error_while_opening_rolls_everything_back(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "Unbuildable", "narrow"))
+    with pytest.raises(BridgeError, match="no such device"):
+        robot.request("wanted")
+    assert nothing_is_open(robot)
+
+
+def test_a_bridge_that_hangs_while_opening_is_given_up_and_named(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "Slow", "narrow"))
+    with pytest.raises(BridgeTimeoutError, match=r"opening .*wanted"):
+        robot.request("wanted", timeout=0.2)
+    assert not robot.status().connections
+    with robot.request("narrow") as other:
+        stage.script.put({"value": 5})
+        assert other.get(10) == {"value": 5}
+
+
+def test_a_component_that_hangs_in_send_stalls_nobody_else(make_robot: Make) -> None:
+    queue = ", queue: {policy: latest}"
+    robot = make_robot(HEAD + source() + step("wanted", "stuck", "narrow", queue))
+    with robot.request("narrow") as direct, robot.request("wanted"):
+        for value in range(50):
+            stage.script.put({"value": value})
+        assert [direct.get(10)["value"] for _ in range(50)] == list(range(50))
+
+
+def test_a_lie_is_counted_and_not_forwarded(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    with robot.request("wanted", validate="always") as connection:
+        for message in ({"value": 256}, {"valu": 1}, {"value": 1}):
+            stage.script.put(message)
+        assert connection.get(10) == {"value": 1}
+        (route,) = [r for r in robot.status().routes if r.producer == "narrow.default"]
+        assert route.invalid == 2
+        assert dict(route.dropped) == {"invalid": 2}
+
+
+def test_the_application_feeds_an_input_and_is_told_of_a_mismatch(make_robot: Make) -> None:
+    robot = make_robot(HEAD + step("wanted", "take_broad", None))
+    with robot.request("wanted", validate="sampled") as connection:
+        connection.send({"value": -5})
+        assert connection.get(10) == {"value": -5}
+        with pytest.raises(MessageError, match=r"wanted\.default: value"):
+            connection.send({"value": "five"})
+        with pytest.raises(UsageError, match="no input 'other'"):
+            connection.send({"value": 1}, port="other")
+
+
+def test_a_service_is_called_checked_and_timed(make_robot: Make) -> None:
+    text = (
+        HEAD + "  greet:\n    components:\n"
+        "      - {name: greet, bridge: python, "
+        'service: {endpoint: ["tests.manager.stage:greet"]}}\n'
+        "  hang:\n    components:\n"
+        "      - {name: hang, bridge: python, "
+        'service: {endpoint: ["tests.manager.stage:hang"]}}\n'
+    )
+    robot = make_robot(text)
+    assert robot.call("greet", {"value": 3}) == {"value": -3}
+    with pytest.raises(MessageError, match="value"):
+        robot.call("greet", {"value": 300})
+    with pytest.raises(BridgeTimeoutError, match="calling"):
+        robot.call("hang", {"value": 1}, timeout=0.1)
+
+
+def test_nothing_is_admitted_after_close(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source())
+    connection = robot.request("narrow")
+    robot.close()
+    robot.close()
+    assert connection.ended
+    with pytest.raises(ConnectionClosedError):
+        robot.request("narrow")
+
+
+def test_an_unknown_function_is_named_with_a_guess(make_robot: Make) -> None:
+    with pytest.raises(ResolutionError, match="did you mean 'narrow'"):
+        make_robot(HEAD + source()).request("narow")
+
+
+def test_events_come_numbered_and_in_order(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source())
+    events: list[StatusEvent] = []
+    closed = wait_for(robot, "closed")
+    robot.listen(events.append)
+    robot.request("narrow").kill()
+    assert closed.wait(10)
+    robot.close()
+    assert [event.number for event in events] == list(range(1, len(events) + 1))
+    changes = [event.change for event in events if event.subject == "connection c1"]
+    assert changes == ["opening", "running", "closed"]
+
+
+def test_asyncio_reads_waits_and_kills(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+
+    async def play() -> tuple[list[int], StatusMap]:
+        twin = AsyncRobotManager(robot)
+        async with await twin.request("wanted") as connection:
+            for value in range(10):
+                stage.script.put({"value": value})
+            stage.script.put(stage.END)
+            values = [message["value"] async for message in connection]
+        return values, twin.status()
+
+    values, status = asyncio.run(play())
+    assert values == list(range(10))
+    assert not status.connections
