@@ -49,6 +49,7 @@ UNDECIDED = {
     "300 ranges cover",
 }
 FEW_STEPS = Budget(steps=20_000)
+PATIENT = Budget(seconds=100)
 HOSTILE = [pytest.param(pair, id=pair.name) for pair in _hard_sizes.HOSTILE]
 
 
@@ -78,7 +79,7 @@ def test_the_checker_decides(pair: Hard) -> None:
     if pair.name in UNDECIDED:
         assert answer(check(pair.producer, pair.consumer, budget=FEW_STEPS)) == "undecided"
         return
-    verdict = check(pair.producer, pair.consumer)
+    verdict = check(pair.producer, pair.consumer, budget=PATIENT)
     assert answer(verdict) == ("yes" if pair.contained else "no"), verdict.undecided
 
 
@@ -87,7 +88,7 @@ REFUSED = [p for p in PAIRS if not p.values[0].contained and p.values[0].name no
 
 @pytest.mark.parametrize("pair", REFUSED)
 def test_its_counterexample_is_one(pair: Hard, deep_stack: None) -> None:
-    verdict = check(pair.producer, pair.consumer)
+    verdict = check(pair.producer, pair.consumer, budget=PATIENT)
     verify_counterexample(verdict, pair.producer, pair.consumer)
 
 

@@ -128,7 +128,7 @@ class AsyncRobotManager:
         *,
         validate: ValidationMode | str = ValidationMode.OFF,
         queue: QueuePolicy | None = None,
-        timeout: float = 30.0,
+        timeout: float = 60.0,
     ) -> AsyncConnection:
         """Open a function and return its connection; raises as `RobotManager.request`."""
         ask = functools.partial(

@@ -15,7 +15,8 @@ from uoarm.model import Component, ComponentStatus, Health, Message, Step
 __all__ = ["LiveComponent"]
 
 _log = logging.getLogger("uoarm")
-_BUSY_SECONDS = 30.0
+_BUSY_SECONDS = 60.0
+_OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
 
 
@@ -56,7 +57,10 @@ class LiveComponent:
                 output = self.component.output(name)
                 assert output is not None, "the resolver checked every output"
                 self._sources[name] = self.bridge.open_source(
-                    output.endpoint, self.structures[f"output.{name}"], self.outlets[name].deliver
+                    output.endpoint,
+                    self.structures[f"output.{name}"],
+                    self.outlets[name].deliver,
+                    timeout=_OPEN_SECONDS,
                 )
 
     def open_input(self, name: str) -> Sink:
@@ -69,7 +73,7 @@ class LiveComponent:
             if name not in self._sinks:
                 endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
                 self._sinks[name] = self.bridge.open_sink(
-                    endpoint, self.structures[f"input.{name}"]
+                    endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
                 )
             return self._sinks[name]
 

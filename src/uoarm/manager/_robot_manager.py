@@ -113,7 +113,7 @@ class RobotManager:
         validate: ValidationMode | str = ValidationMode.OFF,
         queue: QueuePolicy | None = None,
         on_message: Deliver | None = None,
-        timeout: float = 30.0,
+        timeout: float = 60.0,
     ) -> Connection:
         """Resolve a function, open its whole plan and return the connection.
 
