@@ -12,6 +12,8 @@ from uoarm.resolve._protocols import Structures, Unavailable
 
 __all__ = ["StructureCache"]
 
+_DESCRIBE_SECONDS = 60.0
+
 
 class StructureCache:
     """Asks bridges for structures and remembers what they said. Thread safe.
@@ -80,7 +82,7 @@ class StructureCache:
         return Structures(found, tuple(warnings))
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        return self._bridge(endpoint.bridge).describe(endpoint)
+        return self._bridge(endpoint.bridge).describe(endpoint, timeout=_DESCRIBE_SECONDS)
 
 
 class _UnknownError(Exception):
