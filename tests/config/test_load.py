@@ -1,192 +1,359 @@
-"""Configurations: every mistake at once, each with its place; hostile files end."""
+"""Good configurations become the robot that they describe."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
 
-from uoarm.config import inspect, load, loads
+from uoarm.config import inspect, load, loads, published_schema
+from uoarm.config._parts import _KEYS
 from uoarm.errors import ConfigurationError
-from uoarm.model import OverflowPolicy, PortRef
+from uoarm.model import (
+    BridgeSpec,
+    Component,
+    Endpoint,
+    Input,
+    MessageStructure,
+    Output,
+    OverflowPolicy,
+    PortRef,
+    QueuePolicy,
+    Role,
+    Service,
+)
 
-GOOD = """\
+FULL = """
 version: 1
 bridges:
-  python: {}
-  ros: {plugin: ros2, options: {domain_id: 7}}
+  python: {options: {path: [here]}}
+  ros: {plugin: ros2, options: {domain_id: 7}, host: {environment: jazzy}}
 functions:
   camera:
+    description: pictures
     components:
-      - {name: eye, bridge: ros, priority: 20, output: {endpoint: [/image, Image]}}
-      - {name: recorded, bridge: python, priority: 30, output: {endpoint: ["m:camera"]}}
-  faces:
+      - {name: low, bridge: python, priority: -1, output: {endpoint: ["m:camera"]}}
+      - name: high
+        bridge: ros
+        priority: 20
+        parameters: {path: clip.mp4}
+        outputs:
+          image: {endpoint: [/image, Image], options: {qos: best}}
+          default: {endpoint: [/default], structure: {type: object}}
+      - {name: also_low, bridge: python, priority: -1.0, output: {endpoint: ["m:other"]}}
+  face:
     components:
       - name: finder
         bridge: python
-        parameters: {size: 3}
-        input:
-          from: camera
-          endpoint: ["m:find"]
-          map: {pixels: data}
-          allow_loss: [header]
-          queue: {length: 1, policy: latest}
-        outputs: {faces: {endpoint: ["m:find"]}, debug: {endpoint: ["m:find"]}}
+        inputs:
+          image:
+            from: camera.image
+            endpoint: ["m:face"]
+            options: {fast: true}
+            map: {a: b, c: {const: 1}, d: {each: e, map: {f: {from: g, scale: 2}}}, "pose.x": .}
+            allow_loss: [header]
+            queue: {length: 3.0, policy: latest, timeout: 2}
+            structure: true
+          hint: {endpoint: ["m:hint"]}
+        output: {endpoint: ["m:face"]}
+  say:
+    components:
+      - name: voice
+        bridge: python
+        service: {endpoint: ["m:say"], request: {type: string}, reply: false}
 """
 
 
-def test_a_good_file_becomes_a_robot() -> None:
-    robot = loads(GOOD)
-    assert [one.name for one in robot.functions["camera"].components] == ["recorded", "eye"]
-    (finder,) = robot.functions["faces"].components
-    (port,) = finder.inputs
-    assert port.source == PortRef("camera")
-    assert port.mapping == {"pixels": "data"}
-    assert port.allow_loss == ("header",)
-    assert port.queue is not None
-    assert port.queue.policy is OverflowPolicy.LATEST
-    assert finder.output("debug") is not None
-    assert port.endpoint.parameters == {"size": 3}
+def test_everything_that_can_be_written_arrives_in_the_model() -> None:
+    robot = loads(FULL, "robot.yaml")
+    assert robot.origin == "robot.yaml"
+    assert robot.bridges == {
+        "python": BridgeSpec("python", "python", {"path": ["here"]}),
+        "ros": BridgeSpec("ros", "ros2", {"domain_id": 7}, {"environment": "jazzy"}),
+    }
+    parameters = {"path": "clip.mp4"}
+
+    def high(port: str, address: tuple[str, ...], **options: object) -> Endpoint:
+        return Endpoint("ros", "high", Role.OUTPUT, address, port, options, parameters)
+
+    camera = robot.functions["camera"]
+    assert camera.description == "pictures"
+    assert [one.name for one in camera.components] == ["high", "low", "also_low"]
+    assert camera.components[0] == Component(
+        "high",
+        "camera",
+        "ros",
+        20,
+        outputs=(
+            Output("image", high("image", ("/image", "Image"), qos="best")),
+            Output("default", high("default", ("/default",)), MessageStructure({"type": "object"})),
+        ),
+        parameters=parameters,
+    )
+
+    def finder(port: str, role: Role, target: str, **options: object) -> Endpoint:
+        return Endpoint("python", "finder", role, (target,), port, options)
+
+    assert robot.functions["face"].components == (
+        Component(
+            "finder",
+            "face",
+            "python",
+            inputs=(
+                Input(
+                    "image",
+                    finder("image", Role.INPUT, "m:face", fast=True),
+                    PortRef("camera", "image"),
+                    {
+                        "a": "b",
+                        "c": {"const": 1},
+                        "d": {"each": "e", "map": {"f": {"from": "g", "scale": 2}}},
+                        "pose.x": ".",
+                    },
+                    ("header",),
+                    MessageStructure(schema=True),
+                    QueuePolicy(3, OverflowPolicy.LATEST, 2.0),
+                ),
+                Input("hint", finder("hint", Role.INPUT, "m:hint")),
+            ),
+            outputs=(Output("default", finder("default", Role.OUTPUT, "m:face")),),
+        ),
+    )
+    assert robot.functions["say"].components[0].service == Service(
+        Endpoint("python", "voice", Role.SERVICE, ("m:say",)),
+        MessageStructure({"type": "string"}),
+        MessageStructure(schema=False),
+    )
 
 
-def change(old: str, new: str) -> str:
-    assert old in GOOD
-    return GOOD.replace(old, new)
+def test_whole_numbers_are_integers_however_they_are_written() -> None:
+    robot = loads(FULL)
+    priorities = [one.priority for one in robot.functions["camera"].components]
+    queue = robot.functions["face"].components[0].inputs[0].queue
+    assert queue is not None
+    assert {type(number) for number in [*priorities, queue.length]} == {int}
+    assert type(queue.timeout) is float
 
 
-BAD = {
-    "a tab": (change("  python: {}", "\tpython: {}"), 3, "tabs"),
-    "a key twice": (
-        change("  ros: {plugin", "  python: {plugin"),
-        4,
-        "given twice; first in line 3",
-    ),
-    "an unknown key": (change("priority: 20", "priorty: 20"), 8, "did you mean 'priority'?"),
-    "a wrong type": (change("priority: 20", "priority: high"), 8, 'a whole number, got "high"'),
-    "an unknown bridge": (change("bridge: ros", "bridge: rose"), 8, "did you mean 'ros'?"),
-    "an unknown function": (change("from: camera", "from: camara"), 16, "did you mean 'camera'?"),
-    "an unknown output": (change("from: camera", "from: camera.depth"), 16, "no output 'depth'"),
-    "a name twice": (change("name: recorded", "name: eye"), 9, "used twice, first in line 8"),
-    "another version": (change("version: 1", "version: 2"), 1, "expected 1, got 2"),
-    "a missing key": (change("name: finder", "priority: 1"), 12, "'name' is missing"),
-    "a bad policy": (change("policy: latest", "policy: newest"), 20, "latest, drop-oldest, block"),
-    "input twice": (
-        change("outputs:", "inputs: {a: {endpoint: [x]}}\n        outputs:"),
-        16,
-        "not both",
-    ),
-    "a tag": (change("python: {}", "python: !!python/none {}"), 3, "tag"),
-    "a number as key": (change("  python: {}", "  7: {}"), 3, "not a string"),
-    "no endpoint": (change('{endpoint: ["m:camera"]}', "{}"), 9, "'endpoint' is missing"),
-    "not YAML": ("version: [1", 2, "not YAML"),
-    "nothing": ("", 1, "empty"),
-    "two documents": (GOOD + "---\na: 1\n", 22, "more than one document"),
-}
+def test_python_components_are_found_beside_the_file(tmp_path: Path) -> None:
+    text = "version: 1\nbridges: {python: {}, mine: {plugin: python}, ros: {}}\nfunctions: {}\n"
+    (tmp_path / "robot.yaml").write_text(text)
+    bridges = load(tmp_path / "robot.yaml").bridges
+    assert bridges["python"].options == {"path": [str(tmp_path)]}
+    assert bridges["mine"].options == {"path": [str(tmp_path)]}
+    assert bridges["ros"].options == {}
+    assert loads(text).bridges["python"].options == {}
 
 
-@pytest.mark.parametrize(("text", "line", "part"), BAD.values(), ids=BAD.keys())
-def test_a_mistake_is_named_with_its_line(text: str, line: int, part: str, tmp_path: Path) -> None:
-    file = tmp_path / "robot.yaml"
-    file.write_text(text, encoding="utf-8")
-    report = inspect(file)
-    assert report.robot is None
-    (problem, *_) = [one for one in report.problems if part in str(one)] or list(report.problems)
-    assert part in str(problem)
-    assert problem.place.line == line
-    assert str(problem).startswith(f"{file}:{line}:")
+class TestWarnings:
+    def said(self, text: str, tmp_path: Path) -> list[tuple[int, str]]:
+        path = tmp_path / "robot.yaml"
+        path.write_text(text)
+        report = inspect(path)
+        assert report.robot is not None
+        assert report.robot.warnings == tuple(map(str, report.warnings))
+        return [(one.place.line, one.sentence) for one in report.warnings]
 
+    def test_unused_bridges(self, tmp_path: Path) -> None:
+        text = "version: 1\nbridges:\n  p: {}\n  q: {}\nfunctions: {}\n"
+        assert self.said(text, tmp_path) == [
+            (3, 'no component uses the bridge "p"'),
+            (4, 'no component uses the bridge "q"'),
+        ]
 
-def test_all_mistakes_come_at_once_in_the_order_of_the_file() -> None:
-    text = change("bridge: ros", "bridge: rose").replace("from: camera", "from: camara")
-    with pytest.raises(ConfigurationError) as caught:
-        loads(text)
-    lines = str(caught.value).splitlines()
-    assert len(lines) == 2
-    assert "rose" in lines[0]
-    assert "camara" in lines[1]
-
-
-def chain(*edges: tuple[str, str]) -> str:
-    text = "version: 1\nbridges: {python: {}}\nfunctions:\n"
-    for function in dict.fromkeys(one for one, _ in edges):
-        text += f"  {function}:\n    components:\n"
-        for n, (_, need) in enumerate(edge for edge in edges if edge[0] == function):
-            fed = f"input: {{from: {need}, endpoint: [x]}}, " if need else ""
-            text += (
-                f"      - {{name: {function}{n}, bridge: python, {fed}output: {{endpoint: [x]}}}}\n"
+    def test_equal_priorities_with_their_order(self, tmp_path: Path) -> None:
+        order = "they are tried in this order: low, also_low"
+        assert self.said(FULL, tmp_path) == [
+            (
+                18,
+                f"2 components of camera have priority -1; {order}",
             )
-    return text
+        ]
+
+    def test_a_cycle_that_another_component_avoids(self, tmp_path: Path) -> None:
+        text = """version: 1
+bridges: {p: {}}
+functions:
+  a:
+    components:
+      - {name: a1, bridge: p, priority: 1, input: {from: b, endpoint: [x]}, output: {endpoint: [x]}}
+      - {name: a2, bridge: p, output: {endpoint: [x]}}
+  b:
+    components:
+      - {name: b1, bridge: p, input: {from: a, endpoint: [x]}, output: {endpoint: [x]}}
+"""
+        expected = "some components close a cycle, others avoid it: a -> b -> a"
+        assert self.said(text, tmp_path) == [(4, expected)]
 
 
-def test_an_unavoidable_cycle_is_named_in_full() -> None:
-    with pytest.raises(ConfigurationError, match="a -> b -> c -> a"):
-        loads(chain(("a", "b"), ("b", "c"), ("c", "a")))
+def test_mistakes_of_yaml_shape_and_meaning_are_told_together_in_order() -> None:
+    text = """version: 1
+bridges: {p: {}, p: {}}
+functions:
+  a:
+    components:
+      - {name: a1, bridge: q, prioritty: 1, output: {endpoint: [x]}}
+      - {name: a1, bridge: p, priority: !!int 1, input: {from: b.c, endpoint: [x]}}
+      - {name: [], bridge: p, output: {endpoint: [x], structure: {type: nix}}}
+      - nothing
+"""
+    with pytest.raises(ConfigurationError) as caught:
+        loads(text, "robot.yaml")
+    places = [line.split(": ")[0:2] for line in str(caught.value).splitlines()]
+    component = "$.functions.a.components"
+    assert places == [
+        ["robot.yaml:2:18", "$.bridges.p"],
+        ["robot.yaml:6:28", f"{component}[0].bridge"],
+        ["robot.yaml:6:31", f"{component}[0].prioritty"],
+        ["robot.yaml:7:16", f"{component}[1].name"],
+        ["robot.yaml:7:41", f"{component}[1].priority"],
+        ["robot.yaml:7:64", f"{component}[1].input.from"],
+        ["robot.yaml:8:16", f"{component}[2].name"],
+        ["robot.yaml:8:73", f"{component}[2].output.structure.type"],
+        ["robot.yaml:9:9", f"{component}[3]"],
+    ]
 
 
-def test_an_avoidable_cycle_is_a_warning() -> None:
-    robot = loads(chain(("a", "b"), ("b", "a"), ("b", "")))
-    assert any("a -> b -> a" in warning for warning in robot.warnings)
+def test_a_component_may_have_inputs_only() -> None:
+    text = """version: 1
+bridges: {p: {}}
+functions: {f: {components: [{name: a, bridge: p, input: {endpoint: [x]}}]}}
+"""
+    assert loads(text).functions["f"].components[0].outputs == ()
 
 
-def test_equal_priorities_and_idle_bridges_are_warnings() -> None:
-    robot = loads(chain(("a", ""), ("a", "")).replace("{python: {}}", "{python: {}, idle: {}}"))
-    assert any("priority 0: tried in this order" in one for one in robot.warnings)
-    assert any("no component uses the bridge 'idle'" in one for one in robot.warnings)
+def test_a_chain_of_ten_thousand_functions_is_read() -> None:
+    functions = "".join(
+        f"  f{n}: {{components: [{{name: c{n}, bridge: p, "
+        f"input: {{from: f{n + 1}, endpoint: [x]}}, output: {{endpoint: [x]}}}}]}}\n"
+        for n in range(10_000)
+    )
+    last = "  f10000: {components: [{name: c, bridge: p, output: {endpoint: [x]}}]}\n"
+    robot = loads(f"version: 1\nbridges: {{p: {{}}}}\nfunctions:\n{functions}{last}")
+    assert len(robot.functions) == 10_001
+    assert robot.warnings == ()
 
 
-def test_a_declared_structure_must_be_a_schema() -> None:
-    text = change('{endpoint: ["m:camera"]}', '{endpoint: ["m:camera"], structure: {type: nought}}')
-    with pytest.raises(ConfigurationError, match="not a JSON Schema"):
-        loads(text)
+class TestPublishedSchema:
+    def test_it_is_a_json_schema(self) -> None:
+        Draft202012Validator.check_schema(published_schema())
+
+    def test_every_key_has_a_description_for_editors(self) -> None:
+        missing = []
+        definitions = published_schema()["$defs"]
+        for name, one in {"": published_schema(), **definitions}.items():
+            for key, value in one.get("properties", {}).items():
+                referred = definitions.get(value.get("$ref", "").rpartition("/")[2], {})
+                if "description" not in {**value, **referred}:
+                    missing.append(f"{name}.{key}")
+        assert missing == []
+
+    def test_the_keys_of_a_component_are_the_same_in_both_places(self) -> None:
+        assert set(published_schema()["$defs"]["component"]["properties"]) == _KEYS
+
+    def test_the_full_example_fits(self) -> None:
+        value = json.loads(json.dumps(_plain(FULL)))
+        assert list(Draft202012Validator(published_schema()).iter_errors(value)) == []
 
 
-def test_yes_and_on_are_words_and_numbers_are_of_yaml_1_2() -> None:
-    text = change("{size: 3}", "{a: yes, b: on, c: 0o17, d: 0x1F, e: 1e3, f: 1:30, g: ~, h: 017}")
-    (finder,) = loads(text).functions["faces"].components
-    expected = {"a": "yes", "b": "on", "c": 15, "d": 31, "e": 1e3, "f": "1:30", "g": None, "h": 17}
-    assert finder.parameters == expected
+def _plain(text: str) -> object:
+    from uoarm.config._yaml import read
+
+    return read(text).value
 
 
-def test_a_bomb_of_aliases_ends() -> None:
-    levels = "\n".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 30))
-    with pytest.raises(ConfigurationError, match="aliases unfolded"):
-        loads(f"a0: &a0 [1]\n{levels}\n")
+NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_-]{0,6}", fullmatch=True)
+TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), max_size=6)
+"""Beyond U+FFFF JSON writes pairs of escapes, which YAML does not join."""
+OPTIONS = st.dictionaries(TEXT, st.none() | st.integers() | TEXT)
+ENDPOINTS = st.lists(TEXT, min_size=1, max_size=3)
+STRUCTURES = st.sampled_from([True, {"type": "object"}, {"enum": [1, "a"]}, {"items": False}])
+OUTPUTS = st.fixed_dictionaries(
+    {"endpoint": ENDPOINTS}, optional={"options": OPTIONS, "structure": STRUCTURES}
+)
 
 
-def test_deep_nesting_and_great_size_end() -> None:
-    with pytest.raises(ConfigurationError, match="levels deep"):
-        loads("a: " + "[" * 5000)
-    with pytest.raises(ConfigurationError, match="are allowed"):
-        loads("#" * 10_000_001)
+@st.composite
+def configurations(draw: st.DrawFn) -> dict[str, object]:
+    """A valid configuration, in which a function needs only functions before it."""
+    bridges = draw(st.lists(NAMES, min_size=1, max_size=3, unique=True))
+    functions: dict[str, object] = {}
+    for number, name in enumerate(draw(st.lists(NAMES, max_size=6, unique=True))):
+        inputs = {
+            port: {
+                "endpoint": draw(ENDPOINTS),
+                **({"from": f"{draw(st.sampled_from(list(functions)))}.out"} if functions else {}),
+            }
+            for port in draw(st.lists(NAMES, max_size=2, unique=True))
+        }
+        component = {
+            "name": f"c{number}",
+            "bridge": draw(st.sampled_from(bridges)),
+            "priority": draw(st.integers(-1_000_000, 1_000_000)),
+            **({"inputs": inputs} if inputs else {}),
+            "outputs": {"out": draw(OUTPUTS), **draw(st.dictionaries(NAMES, OUTPUTS, max_size=2))},
+        }
+        functions[name] = {"components": [component]}
+    return {"version": 1, "bridges": {name: {} for name in bridges}, "functions": functions}
 
 
-@pytest.mark.parametrize("what", ["missing", "folder", "bytes"])
-def test_a_file_that_cannot_be_read_is_one_clear_error(what: str, tmp_path: Path) -> None:
-    path = tmp_path / "robot.yaml"
-    if what == "folder":
-        path.mkdir()
-    elif what == "bytes":
-        path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigurationError, match=r"cannot be read|not UTF-8"):
-        load(path)
+@given(configurations())
+def test_every_generated_configuration_is_read_whole(configuration: dict[str, object]) -> None:
+    robot = loads(json.dumps(configuration, ensure_ascii=True))
+    functions = configuration["functions"]
+    assert isinstance(functions, dict)
+    assert list(robot.functions) == list(functions)
+    for name, function in functions.items():
+        written = function["components"][0]
+        component = robot.functions[name].components[0]
+        assert component.priority == written["priority"]
+        assert {one.name: list(one.endpoint.address) for one in component.outputs} == {
+            port: one["endpoint"] for port, one in written["outputs"].items()
+        }
+        assert {one.name: str(one.source) for one in component.inputs if one.source} == {
+            port: one["from"] for port, one in written.get("inputs", {}).items() if "from" in one
+        }
 
 
-@given(st.text(alphabet="ab:{}[]-&*!|>'\"# \n\t0,~", max_size=60))
-def test_any_text_gives_a_robot_or_a_configuration_error(text: str) -> None:
-    try:
-        loads(text)
-    except ConfigurationError as error:
-        assert str(error)
+JUNK: st.SearchStrategy[object] = st.sampled_from(
+    [None, True, 0, -1, 1.5, "", "zzz", [], {}, [{}], {"x": 1}, [[]], "a.b.c"]
+)
+
+
+@given(configurations(), st.data())
+def test_a_damaged_configuration_is_read_or_refused(
+    configuration: dict[str, object], data: st.DataObject
+) -> None:
+    target: Any = configuration
+    while True:
+        keys = list(target) if isinstance(target, dict) else list(range(len(target)))
+        key = data.draw(st.sampled_from(keys))
+        inner = target[key]
+        if not isinstance(inner, dict | list) or not inner or data.draw(st.booleans()):
+            target[key] = data.draw(JUNK)
+            break
+        target = inner
+    text = json.dumps(configuration)
+    assert all(line.startswith(("<text>:1:", "... and ")) for line in problems_of(text))
 
 
 @given(st.data())
-def test_a_damaged_file_gives_a_robot_or_a_configuration_error(data: st.DataObject) -> None:
-    at = data.draw(st.integers(0, len(GOOD) - 1))
+def test_a_file_with_a_slip_of_the_keyboard_is_read_or_refused(data: st.DataObject) -> None:
+    at = data.draw(st.integers(0, len(FULL) - 1))
     length = data.draw(st.integers(0, 12))
-    extra = data.draw(st.sampled_from(["", "x", "[", "}", ": ", "\n", "- "]))
+    extra = data.draw(st.sampled_from(["", "x", "[", "}", ": ", "\n", "- ", "\t", "*a", "&a "]))
+    text = FULL[:at] + extra + FULL[at + length :]
+    assert all(line.startswith(("<text>:", "... and ")) for line in problems_of(text))
+
+
+def problems_of(text: str) -> list[str]:
     try:
-        loads(GOOD[:at] + extra + GOOD[at + length :])
+        loads(text)
     except ConfigurationError as error:
-        assert str(error)
+        return str(error).splitlines()
+    return []

@@ -22,7 +22,7 @@ from uoarm.model import (
     Service,
 )
 
-__all__ = ["build", "ports"]
+__all__ = ["build"]
 
 
 def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
@@ -32,7 +32,7 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     return Robot(bridges, functions, warnings, origin)
 
 
-def ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
+def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
     """Return the ports of a component by name, whichever of the two spellings it uses."""
     named = dict(component.get(several, {}))
     if one in component:
@@ -71,14 +71,14 @@ def _component(function: str, value: Mapping[str, Any]) -> Component:
         name=value["name"],
         function=function,
         bridge=value["bridge"],
-        priority=value.get("priority", 0),
+        priority=int(value.get("priority", 0)),
         inputs=tuple(
             _input(port, one, endpoint(port, one, Role.INPUT))
-            for port, one in ports(value, "input", "inputs").items()
+            for port, one in _ports(value, "input", "inputs").items()
         ),
         outputs=tuple(
             Output(port, endpoint(port, one, Role.OUTPUT), _structure(one, "structure"))
-            for port, one in ports(value, "output", "outputs").items()
+            for port, one in _ports(value, "output", "outputs").items()
         ),
         service=None
         if service is None
@@ -111,7 +111,7 @@ def _reference(text: str) -> PortRef:
 def _queue(value: Mapping[str, Any]) -> QueuePolicy:
     standard = QueuePolicy()
     return QueuePolicy(
-        length=value.get("length", standard.length),
+        length=int(value.get("length", standard.length)),
         policy=OverflowPolicy(value.get("policy", standard.policy.value)),
         timeout=float(value.get("timeout", standard.timeout)),
     )

@@ -2,20 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from typing import TypeAlias
 
-__all__ = ["find_cycle", "groundable"]
+__all__ = ["Needs", "avoidable_cycles", "unavoidable_cycles"]
 
-Needs = Mapping[str, Sequence[frozenset[str]]]
+Needs: TypeAlias = Mapping[str, Sequence[frozenset[str]]]
 """For every function, what each of its components depends on."""
 
+Cycle: TypeAlias = "tuple[str, ...]"
+"""Functions, each of which needs the next; the first again at the end."""
 
-def groundable(needs: Needs) -> frozenset[str]:
-    """Return the functions that have a component fed, in the end, by no cycle.
 
-    The least fixpoint: a function is groundable when one of its components needs groundable
-    functions only. Linear in the size of the configuration.
+def unavoidable_cycles(needs: Needs) -> list[Cycle]:
+    """Return one shortest cycle for every knot of functions that nothing can untie.
+
+    A function can be grounded when one of its components needs only functions that can be. A
+    knot is a set of functions that reach each other; one that could be untied as soon as another
+    is mended is not told.
     """
+    stuck = needs.keys() - _groundable(needs)
+    found: list[Cycle] = []
+    for knot in _knots(_graph(needs, stuck)):
+        inside = {one: [wanted & knot for wanted in needs[one]] for one in needs if one in knot}
+        lost = inside.keys() - _groundable(inside)
+        if lost:
+            graph = _graph(inside, lost)
+            found.append(_shortest_cycle(graph, next(_knots(graph))))
+    return found
+
+
+def avoidable_cycles(needs: Needs) -> list[Cycle]:
+    """Return one shortest cycle for every knot that other components can avoid."""
+    graph = _graph(needs, _groundable(needs))
+    return [_shortest_cycle(graph, knot) for knot in _knots(graph)]
+
+
+def _groundable(needs: Needs) -> set[str]:
+    """The least fixpoint, in time linear in the size of the configuration."""
     waiting: dict[str, list[tuple[str, int]]] = {}
     missing: dict[tuple[str, int], int] = {}
     ready: list[str] = []
@@ -36,33 +62,78 @@ def groundable(needs: Needs) -> frozenset[str]:
             missing[key] -= 1
             if missing[key] == 0:
                 ready.append(key[0])
-    return frozenset(found)
+    return found
 
 
-def find_cycle(edges: Mapping[str, Sequence[str]]) -> tuple[str, ...] | None:
-    """Return the first cycle of a graph, its first node again at the end, or None."""
-    done: set[str] = set()
-    for root in edges:
-        path: list[str] = []
-        on_path: set[str] = set()
-        stack = [(root, iter(edges.get(root, ())))]
-        while stack:
-            node, rest = stack[-1]
-            if node not in on_path:
-                if node in done:
-                    stack.pop()
-                    continue
-                path.append(node)
-                on_path.add(node)
+def _graph(needs: Needs, among: AbstractSet[str]) -> dict[str, list[str]]:
+    """What each function needs by any of its components, in the order of the file."""
+    order = {name: number for number, name in enumerate(needs)}
+    return {
+        one: sorted(set().union(*needs[one]) & among, key=order.__getitem__)
+        for one in needs
+        if one in among
+    }
+
+
+def _knots(graph: Mapping[str, Sequence[str]]) -> Iterator[frozenset[str]]:
+    """Yield the sets of functions that reach each other; before a knot those that it reaches.
+
+    Tarjan's algorithm with an explicit stack.
+    """
+    number: dict[str, int] = {}
+    low: dict[str, int] = {}
+    open_: dict[str, None] = {}
+    for root in graph:
+        if root in number:
+            continue
+        work = [(root, iter(graph[root]))]
+        number[root] = low[root] = len(number)
+        open_[root] = None
+        while work:
+            node, rest = work[-1]
             for other in rest:
-                if other in on_path:
-                    return (*path[path.index(other) :], other)
-                if other not in done and other in edges:
-                    stack.append((other, iter(edges[other])))
+                if other not in number:
+                    number[other] = low[other] = len(number)
+                    open_[other] = None
+                    work.append((other, iter(graph[other])))
                     break
+                if other in open_:
+                    low[node] = min(low[node], number[other])
             else:
-                done.add(node)
-                on_path.discard(node)
-                path.pop()
-                stack.pop()
-    return None
+                work.pop()
+                if work:
+                    low[work[-1][0]] = min(low[work[-1][0]], low[node])
+                if low[node] == number[node]:
+                    knot = _close(open_, node)
+                    if len(knot) > 1 or node in graph[node]:
+                        yield knot
+
+
+def _close(open_: dict[str, None], root: str) -> frozenset[str]:
+    members: set[str] = set()
+    while root not in members:
+        members.add(open_.popitem()[0])
+    return frozenset(members)
+
+
+def _shortest_cycle(graph: Mapping[str, Sequence[str]], knot: frozenset[str]) -> Cycle:
+    """Return a shortest cycle through the knot's first function."""
+    start = next(one for one in graph if one in knot)
+    came_from: dict[str, str] = {}
+    waiting = deque([start])
+    while waiting:
+        node = waiting.popleft()
+        if start in graph[node]:
+            return (*_way(came_from, start, node), start)
+        for other in graph[node]:
+            if other in knot and other not in came_from and other != start:
+                came_from[other] = node
+                waiting.append(other)
+    raise AssertionError("every function of a knot lies on a cycle")
+
+
+def _way(came_from: Mapping[str, str], start: str, end: str) -> Cycle:
+    steps = [end]
+    while steps[-1] != start:
+        steps.append(came_from[steps[-1]])
+    return tuple(reversed(steps))

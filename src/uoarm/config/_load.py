@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import stat
 from os import PathLike
 from pathlib import Path
 
 from attrs import frozen
 
 from uoarm.config._build import build
-from uoarm.config._meaning import Checker
+from uoarm.config._document import Document
+from uoarm.config._meaning import MeaningChecker
 from uoarm.config._problem import Place, Problem
-from uoarm.config._shape import shape_problems
-from uoarm.config._yaml import MAX_BYTES, Document, read
+from uoarm.config._shape import ShapeChecker
+from uoarm.config._spelling import Speller
+from uoarm.config._yaml import MAX_BYTES, read
 from uoarm.errors import ConfigurationError
 from uoarm.model import Robot
 
@@ -28,7 +31,7 @@ class Report:
     Attributes:
         robot: the configuration, None when there are problems.
         problems: mistakes, in the order of the file.
-        warnings: remarks that do not stop it from being used.
+        warnings: remarks that do not stop it from being used, in the order of the file.
     """
 
     robot: Robot | None
@@ -39,13 +42,13 @@ class Report:
         """Return the robot.
 
         Raises:
-            ConfigurationError: there are problems; the text lists them.
+            ConfigurationError: there are problems; the text lists the first 50 and counts the rest.
         """
         if self.robot is not None:
             return self.robot
         lines = [str(problem) for problem in self.problems[:_SHOWN]]
         if len(self.problems) > _SHOWN:
-            lines.append(f"... and {len(self.problems) - _SHOWN} more")
+            lines.append(f"... and {len(self.problems) - _SHOWN:,} more")
         raise ConfigurationError("\n".join(lines))
 
 
@@ -75,39 +78,67 @@ def inspect(path: str | PathLike[str]) -> Report:
     """Read a configuration file and report on it without raising."""
     file = str(path)
     try:
-        size = Path(path).stat().st_size
-        if size > MAX_BYTES:
-            return _unreadable(file, f"the file has {size:,} bytes; {MAX_BYTES:,} are allowed")
-        text = Path(path).read_bytes().decode("utf-8-sig")
+        raw = _read_bounded(Path(path))
+        return _inspect(raw.decode("utf-8"), file)
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
+        return _unreadable(file, sentence, Place(line, 1), "save it as UTF-8")
     except OSError as error:
         return _unreadable(file, f"the file cannot be read: {error.strerror or error}")
-    except UnicodeDecodeError as error:
-        return _unreadable(file, f"the file is not UTF-8: byte {error.start} is wrong")
-    return _inspect(text, file)
+    except ValueError as error:
+        return _unreadable(file, f"the file cannot be read: {error}")
+
+
+def _read_bounded(path: Path) -> bytes:
+    """Read a regular file; a pipe or device could go on for ever.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no regular file, too large, or the path cannot be one.
+    """
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise ValueError("it is a folder")
+    if not stat.S_ISREG(mode):
+        raise ValueError("it is not a regular file")
+    with path.open("rb") as stream:
+        raw = stream.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
+    return raw
 
 
 def _inspect(text: str, file: str) -> Report:
-    document = read(text)
-    if isinstance(document, Problem):
-        return _unreadable(file, document.sentence, document.place, document.hint)
-    if document.value is None:
-        return _unreadable(file, "the file is empty")
-    problems = sorted(shape_problems(document, file), key=lambda one: (one.place, one.path))
-    if problems:
-        return Report(None, tuple(problems))
+    document = read(text, file)
+    if not document.whole:
+        return Report(None, _sorted(document.problems))
+    if document.value is None and not document.problems:
+        return _unreadable(file, "the file is empty", hint="begin with: version: 1")
     return _judge(document, file)
 
 
 def _judge(document: Document, file: str) -> Report:
-    checker = Checker(document, file)
-    checker.run()
-    problems = tuple(sorted(checker.problems, key=lambda one: (one.place, one.path)))
-    warnings = tuple(sorted(checker.warnings, key=lambda one: (one.place, one.path)))
+    speller = Speller()
+    shape = ShapeChecker(document, file, speller)
+    meaning = MeaningChecker(document, file, speller)
+    meaning.run()
+    found = [*shape.problems(), *meaning.problems]
+    for path, structure in meaning.structures():
+        found.extend(shape.structure_problems(structure, path))
+    told = {problem.place for problem in document.problems}
+    problems = [*document.problems, *(one for one in found if one.place not in told)]
+    warnings = _sorted(meaning.warnings)
     if problems:
-        return Report(None, problems, warnings)
+        return Report(None, _sorted(problems), warnings)
     assert isinstance(document.value, dict), "the shape was checked"
-    robot = build(document.value, file, tuple(str(warning) for warning in warnings))
-    return Report(robot, (), warnings)
+    remarks = tuple(str(warning) for warning in warnings)
+    return Report(build(document.value, file, remarks), (), warnings)
+
+
+def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...]:
+    """Order problems by place; what several parts of a metaschema say alike is said once."""
+    return tuple(sorted(set(problems), key=lambda one: (one.place, one.path, one.sentence)))
 
 
 def _unreadable(file: str, sentence: str, place: Place = _START, hint: str = "") -> Report:

@@ -2,160 +2,216 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from uoarm.config._build import ports
-from uoarm.config._cycles import find_cycle, groundable
-from uoarm.config._problem import Problem, did_you_mean
-from uoarm.config._shape import write_path
-from uoarm.config._yaml import Document, Path
+from attrs import Factory, define
 
-__all__ = ["Checker"]
+from uoarm.config._cycles import avoidable_cycles, unavoidable_cycles
+from uoarm.config._document import Document, Path
+from uoarm.config._parts import (
+    ComponentPart,
+    PortPart,
+    bridge_names,
+    components,
+    function_names,
+)
+from uoarm.config._problem import Problem, clip, write_path
+from uoarm.config._spelling import Speller
+
+__all__ = ["MeaningChecker"]
+
+_CYCLE_SHOWN = 100
 
 
-class Checker:
-    """Reads a document of the right shape and collects problems and warnings."""
+@define
+class _Emitted:
+    """What the components of one function emit, taken together.
 
-    def __init__(self, document: Document, file: str) -> None:
+    Attributes:
+        names: outputs that at least one component has, in the order of the file.
+        has_main: some component has an only or a default output, which needs no name.
+        is_clear: the outputs of every component could be told.
+    """
+
+    names: dict[str, None] = Factory(dict)
+    has_main: bool = False
+    is_clear: bool = True
+
+    def add(self, component: ComponentPart) -> None:
+        names = [port.name for port in component.outputs()]
+        self.names.update(dict.fromkeys(names))
+        self.has_main = self.has_main or len(names) == 1 or "default" in names
+        self.is_clear = self.is_clear and component.is_clear
+
+
+class MeaningChecker:
+    """Collects problems and warnings; what has the wrong shape is passed over."""
+
+    def __init__(self, document: Document, file: str, speller: Speller) -> None:
         self._document = document
         self._file = file
-        self._value: Any = document.value
+        self._speller = speller
+        self._bridges: Mapping[str, Any] = bridge_names(document.value)
+        self._functions: Mapping[str, Any] = function_names(document.value)
+        self._components = list(components(document.value))
+        self._emitted: dict[str, _Emitted] = {}
+        for component in self._components:
+            self._emitted.setdefault(component.function, _Emitted()).add(component)
         self.problems: list[Problem] = []
         self.warnings: list[Problem] = []
 
     def run(self) -> None:
         """Check everything; the results stand in `problems` and `warnings`."""
-        seen: dict[str, Path] = {}
-        used: set[str] = set()
-        for path, _, component in self._components():
-            self._check_name(component, path, seen)
-            used.add(component["bridge"])
-            self._check_bridge(component, path)
-            self._check_ports(component, path)
-            self._check_sources(component, path)
-        for name in self._value["bridges"]:
-            if name not in used:
-                self._warn(("bridges", name), f"no component uses the bridge {name!r}")
+        self._check_names()
+        self._check_bridges()
+        for component in self._components:
+            self._check_ports(component)
+            for port in component.inputs():
+                self._check_source(port)
         self._check_priorities()
         self._check_cycles()
 
-    def _components(self) -> Iterator[tuple[Path, str, Any]]:
-        for function, value in self._value["functions"].items():
-            for number, component in enumerate(value["components"]):
-                yield ("functions", function, "components", number), function, component
-
-    def _check_name(self, component: Any, path: Path, seen: dict[str, Path]) -> None:
-        name = component["name"]
-        if name in seen:
-            first = self._document.place((*seen[name], "name")).line
-            self._refuse(
-                (*path, "name"), f"the component name {name!r} is used twice, first in line {first}"
+    def structures(self) -> list[tuple[Path, object]]:
+        """Return every declared structure with its path."""
+        return [
+            ((*port.path, key), port.value[key])
+            for component in self._components
+            for ports, keys in (
+                (component.inputs() + component.outputs(), ("structure",)),
+                (component.services(), ("request", "reply")),
             )
-        seen.setdefault(name, path)
+            for port in ports
+            for key in keys
+            if isinstance(port.value.get(key), dict)
+        ]
 
-    def _check_bridge(self, component: Any, path: Path) -> None:
-        bridge, known = component["bridge"], self._value["bridges"]
-        if bridge not in known:
-            hint = did_you_mean(bridge, known) or f"bridges: {', '.join(known) or 'none'}"
-            self._refuse((*path, "bridge"), f"there is no bridge {bridge!r}", hint)
+    def _check_names(self) -> None:
+        first: dict[str, Path] = {}
+        for component in self._components:
+            name = component.text("name")
+            if name is None:
+                continue
+            path = (*component.path, "name")
+            if name in first:
+                line = self._document.place(first[name]).line
+                sentence = f"the component name {clip(name)} is used twice, first in line {line}"
+                self._refuse(path, sentence, "component names are unique in the file")
+            first.setdefault(name, path)
 
-    def _check_ports(self, component: Any, path: Path) -> None:
+    def _check_bridges(self) -> None:
+        used: set[str] = set()
+        for component in self._components:
+            bridge = component.text("bridge")
+            if bridge is None:
+                continue
+            used.add(bridge)
+            if bridge not in self._bridges:
+                hint = self._speller.guess_or_list(bridge, self._bridges, "bridges")
+                self._refuse(
+                    (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
+                )
+        for name in self._bridges:
+            if name not in used:
+                self._warn(
+                    ("bridges", name), f"no component uses the bridge {clip(name)}", at_key=True
+                )
+
+    def _check_ports(self, component: ComponentPart) -> None:
+        streams = component.streams
         for one, several in (("input", "inputs"), ("output", "outputs")):
-            if one in component and several in component:
-                self._refuse((*path, one), f"give either {one} or {several}, not both")
-        streams = [key for key in ("input", "inputs", "output", "outputs") if key in component]
-        if "service" in component and streams:
-            sentence = f"a component has a service or streams, not service and {streams[0]}"
-            self._refuse((*path, "service"), sentence)
-        if "service" not in component and not streams:
-            self._refuse(path, "the component has no input, no output and no service")
-        for key in ("input", "output", "service"):
-            if key in component:
-                self._check_structures(component[key], (*path, key))
-        for key in ("inputs", "outputs"):
-            for name, port in component.get(key, {}).items():
-                self._check_structures(port, (*path, key, name))
+            if one in streams and several in streams:
+                self._refuse(
+                    (*component.path, one), f"give either {one} or {several}, not both", at_key=True
+                )
+        if "service" in component.value and streams:
+            sentence = f"a component has either a service or streams; here is also {streams[0]}"
+            self._refuse((*component.path, "service"), sentence, at_key=True)
+        if not streams and "service" not in component.value and component.is_clear:
+            self._refuse(
+                component.path,
+                "the component has no port",
+                "give it input or inputs, output or outputs, or a service",
+            )
 
-    def _check_structures(self, port: Any, path: Path) -> None:
-        from jsonschema import Draft202012Validator, SchemaError  # noqa: PLC0415 - slow import
-
-        for key in ("structure", "request", "reply"):
-            if key in port:
-                try:
-                    Draft202012Validator.check_schema(port[key])
-                except SchemaError as error:
-                    where = (*path, key, *error.absolute_path)
-                    self._refuse(where, f"not a JSON Schema: {error.message[:200]}")
-
-    def _check_sources(self, component: Any, path: Path) -> None:
-        for name, port in ports(component, "input", "inputs").items():
-            if "from" in port:
-                lone = name == "default" and "input" in component
-                where: Path = (*path, "input") if lone else (*path, "inputs", name)
-                self._check_source(port["from"], (*where, "from"))
-
-    def _check_source(self, source: str, where: Path) -> None:
-        functions = self._value["functions"]
-        function, _, output = source.partition(".")
-        if function not in functions:
-            hint = did_you_mean(function, functions)
-            self._refuse(where, f"there is no function {function!r}", hint)
+    def _check_source(self, port: PortPart) -> None:
+        if port.source is None:
             return
-        names = {
-            name
-            for provider in functions[function]["components"]
-            for name in ports(provider, "output", "outputs")
-        }
-        if not names:
-            self._refuse(where, f"no component of {function!r} has an output")
-        elif output and output not in names:
-            hint = did_you_mean(output, names) or f"outputs: {', '.join(sorted(names))}"
-            self._refuse(where, f"{function!r} has no output {output!r}", hint)
+        where = (*port.path, "from")
+        function, dot, output = port.source.partition(".")
+        if function not in self._functions:
+            hint = self._speller.guess_or_list(function, self._functions, "functions")
+            self._refuse(where, f"there is no function {clip(function)}", hint)
+            return
+        emitted = self._emitted.get(function)
+        if emitted is None or not (emitted.names or emitted.is_clear):
+            return
+        if not emitted.names:
+            self._refuse(where, f"no component of {function} has an output")
+        elif dot and output not in emitted.names:
+            hint = self._speller.guess_or_list(output, emitted.names, "outputs")
+            self._refuse(where, f"{function} has no output {clip(output)}", hint)
+        elif not dot and not emitted.has_main:
+            self._refuse(
+                where,
+                f"{function} has several outputs and none is named default",
+                f"say which: {_choices(function, emitted.names)}",
+            )
 
     def _check_priorities(self) -> None:
-        for function, value in self._value["functions"].items():
-            counts = Counter(one.get("priority", 0) for one in value["components"])
-            for priority, count in counts.items():
-                if count > 1:
-                    self._warn(
-                        ("functions", function, "components"),
-                        f"{count} components have priority {priority}: tried in this order",
-                    )
+        same: dict[tuple[str, int], list[ComponentPart]] = {}
+        for component in self._components:
+            if component.priority is not None:
+                same.setdefault((component.function, component.priority), []).append(component)
+        for (function, priority), equal in same.items():
+            if len(equal) > 1:
+                names = ", ".join(one.text("name") or "?" for one in equal[:_CYCLE_SHOWN])
+                self._warn(
+                    equal[1].path,
+                    f"{len(equal)} components of {function} have priority {priority}; "
+                    f"they are tried in this order: {names}",
+                )
 
     def _check_cycles(self) -> None:
         needs: dict[str, list[frozenset[str]]] = {}
-        for _, function, component in self._components():
-            wanted = (
-                port["from"].partition(".")[0]
-                for port in ports(component, "input", "inputs").values()
-                if "from" in port
+        for component in self._components:
+            sources = (port.source.partition(".")[0] for port in component.inputs() if port.source)
+            needs.setdefault(component.function, []).append(
+                frozenset(source for source in sources if source in self._emitted)
             )
-            needs.setdefault(function, []).append(
-                frozenset(name for name in wanted if name in self._value["functions"])
+        for cycle in unavoidable_cycles(needs):
+            self._refuse(
+                ("functions", cycle[0]),
+                f"these functions need each other and none can be first: {_arrows(cycle)}",
+                "one of them needs a component that does not depend on the others",
+                at_key=True,
             )
-        grounded = groundable(needs)
-        graph = {name: sorted(set().union(*sets)) for name, sets in needs.items()}
-        stuck = {name: others for name, others in graph.items() if name not in grounded}
-        cycle = find_cycle({n: [o for o in others if o in stuck] for n, others in stuck.items()})
-        if cycle is not None:
-            sentence = f"the functions depend on each other in a cycle: {' -> '.join(cycle)}"
-            self._refuse(("functions", cycle[0]), sentence, "one of them needs another provider")
-            return
-        avoidable = find_cycle(graph)
-        if avoidable is not None:
-            sentence = f"some components would close the cycle {' -> '.join(avoidable)}"
-            self._warn(("functions", avoidable[0]), f"{sentence}; others avoid it")
+        for cycle in avoidable_cycles(needs):
+            self._warn(
+                ("functions", cycle[0]),
+                f"some components close a cycle, others avoid it: {_arrows(cycle)}",
+                at_key=True,
+            )
 
-    def _refuse(self, path: Path, sentence: str, hint: str = "") -> None:
-        self.problems.append(self._problem(path, sentence, hint))
+    def _refuse(self, path: Path, sentence: str, hint: str = "", *, at_key: bool = False) -> None:
+        self.problems.append(self._problem(path, sentence, hint, at_key=at_key))
 
-    def _warn(self, path: Path, sentence: str) -> None:
-        self.warnings.append(self._problem(path, sentence, ""))
+    def _warn(self, path: Path, sentence: str, *, at_key: bool = False) -> None:
+        self.warnings.append(self._problem(path, sentence, "", at_key=at_key))
 
-    def _problem(self, path: Path, sentence: str, hint: str) -> Problem:
-        place = self._document.place(path)
+    def _problem(self, path: Path, sentence: str, hint: str, *, at_key: bool) -> Problem:
+        place = self._document.key_place(path) if at_key else self._document.place(path)
         return Problem(
             place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
         )
+
+
+def _choices(function: str, outputs: Collection[str]) -> str:
+    return " or ".join(f"{function}.{output}" for output in list(outputs)[:4])
+
+
+def _arrows(cycle: tuple[str, ...]) -> str:
+    if len(cycle) <= _CYCLE_SHOWN:
+        return " -> ".join(cycle)
+    shown = " -> ".join(cycle[: _CYCLE_SHOWN - 1])
+    return f"{shown} -> ... {len(cycle) - _CYCLE_SHOWN:,} more ... -> {cycle[-1]}"

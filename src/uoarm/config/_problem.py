@@ -1,13 +1,16 @@
-"""What is wrong with a configuration, where, and what to do about it."""
+"""What is wrong with a configuration, and where."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
+import json
+import re
 
-from attrs import field, frozen
+from attrs import frozen
 
-__all__ = ["Place", "Problem", "did_you_mean"]
+__all__ = ["Place", "Problem", "clip", "write_path"]
+
+_SHOWN = 60
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 @frozen(order=True)
@@ -34,7 +37,7 @@ class Problem:
     path: str
     sentence: str
     hint: str = ""
-    file: str = field(default="")
+    file: str = ""
 
     def __str__(self) -> str:
         where = f"{self.file or '<text>'}:{self.place.line}:{self.place.column}"
@@ -42,7 +45,22 @@ class Problem:
         return f"{where}: {self.path}: {self.sentence}{hint}"
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return `did you mean 'x'?` for the nearest known word, or nothing."""
-    close = difflib.get_close_matches(word, list(known), n=1)
-    return f"did you mean {close[0]!r}?" if close else ""
+def clip(value: object) -> str:
+    """Write a value as JSON on one line, cut where it is long."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, str) and len(value) > _SHOWN:
+        value = f"{value[:_SHOWN]}..."
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= _SHOWN + 5 else f"{text[:_SHOWN]}..."
+
+
+def write_path(path: tuple[str | int, ...]) -> str:
+    """Write a path as `$.functions.camera.components[0]`; odd keys as `["a b"]`."""
+    return "$" + "".join(_step(part) for part in path)
+
+
+def _step(part: str | int) -> str:
+    if isinstance(part, int):
+        return f"[{part}]"
+    return f".{part}" if _PLAIN.fullmatch(part) and len(part) <= _SHOWN else f"[{clip(part)}]"

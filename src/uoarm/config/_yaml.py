@@ -1,236 +1,276 @@
 """YAML 1.2 into plain values, with the line and column of every one of them.
 
-The parser is libyaml's through PyYAML (its pure Python twin where libyaml is absent): it is the
-only kept one that reads 60,000 lines in a second and still tells positions. Its events are built
-into values here, with the scalar rules of the YAML 1.2 core schema (`yes` and `on` are strings)
-and with limits on depth, size and what aliases unfold to. Tags are refused: configuration is data.
+The parser is libyaml's through PyYAML (its pure Python twin where libyaml is absent). Its events
+are built into values here, without recursion, by the scalar rules of the YAML 1.2 core schema and
+with limits on depth, size and what aliases unfold to. Tags are refused: configuration is data.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import yaml
-from attrs import frozen
 
-from uoarm.config._problem import Place, Problem
+from uoarm.config._document import Document, Path, Spot
+from uoarm.config._problem import Place, Problem, clip, write_path
+from uoarm.config._scalar import ScalarError, resolve
 
-__all__ = ["Document", "Path", "read"]
-
-Path: TypeAlias = tuple[str | int, ...]
+__all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_NODES", "read"]
 
 MAX_BYTES = 10_000_000
 MAX_DEPTH = 64
-MAX_NODES = 2_000_000
+MAX_NODES = 1_000_000
 
-_INTEGER = re.compile(r"[-+]?[0-9]+")
-_OCTAL = re.compile(r"0o[0-7]+")
-_HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]+")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_WORDS: Mapping[str, object] = {
-    "": None,
-    "~": None,
-    **dict.fromkeys(("null", "Null", "NULL")),
-    **dict.fromkeys(("true", "True", "TRUE"), True),
-    **dict.fromkeys(("false", "False", "FALSE"), False),
-}
-_MAX_DIGITS = 1000
+_FORBIDDEN = re.compile(r"[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
+_TAG_PREFIX = "tag:yaml.org,2002:"
+_START = Place(1, 1)
 
 
-@frozen
-class Document:
-    """A plain value and the places of its parts.
+class _StopError(Exception):
+    """Reading cannot go on."""
 
-    Attributes:
-        value: dicts, lists, strings, numbers, booleans, None.
-        places: line and column of every key's value and every list item, by path.
-    """
-
-    value: object
-    places: Mapping[Path, Place]
-
-    def place(self, path: Path) -> Place:
-        """Return the place of a path, or of the nearest part around it."""
-        while path and path not in self.places:
-            path = path[:-1]
-        return self.places.get(path, Place(1, 1))
-
-
-class _RefusedError(Exception):
-    def __init__(self, mark: Any, sentence: str, hint: str = "") -> None:
+    def __init__(self, place: Place, sentence: str, hint: str = "", path: Path = ()) -> None:
         super().__init__(sentence)
-        self.problem = Problem(
-            place=Place(mark.line + 1, mark.column + 1), path="$", sentence=sentence, hint=hint
-        )
+        self.place, self.sentence, self.hint, self.path = place, sentence, hint, path
 
 
 class _Frame:
     """One mapping or list that is being filled."""
 
-    def __init__(self, value: dict[str, object] | list[object], path: Path) -> None:
+    __slots__ = ("anchor", "before", "key", "key_place", "path", "spot", "value")
+
+    def __init__(self, value: Any, spot: Spot, path: Path, anchor: str, before: int) -> None:
         self.value = value
+        self.spot = spot
         self.path = path
+        self.anchor = anchor
+        self.before = before
         self.key: str | None = None
+        self.key_place: Place | None = None
 
 
-def read(text: str) -> Document | Problem:
-    """Read one document; the first thing that is not YAML, or over a limit, is the problem."""
-    if len(text) > MAX_BYTES:
-        return Problem(
-            place=Place(1, 1),
-            path="$",
-            sentence=f"the file has {len(text):,} characters; {MAX_BYTES:,} are allowed",
-        )
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+def read(text: str, file: str = "") -> Document:
+    """Read one document; what is wrong with it as YAML stands in its `problems`."""
+    text = text.removeprefix("\ufeff")
+    builder = _Builder(file)
     try:
-        return _Builder().build(yaml.parse(text, Loader=loader))
-    except _RefusedError as refused:
-        return refused.problem
+        _refuse_size_and_characters(text)
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        builder.build(yaml.parse(text, Loader=loader))
+    except _StopError as stop:
+        builder.complain(stop.place, stop.sentence, stop.hint, stop.path)
     except yaml.YAMLError as error:
-        return _syntax_problem(error, text)
+        builder.complain(*_syntax(error, text))
+    else:
+        return Document(builder.root, builder.spot, tuple(builder.problems))
+    return Document(None, Spot(_START), tuple(builder.problems), whole=False)
+
+
+def _refuse_size_and_characters(text: str) -> None:
+    if len(text) > MAX_BYTES:
+        raise _StopError(
+            _START, f"the file has {len(text):,} characters; {MAX_BYTES:,} are allowed"
+        )
+    bad = _FORBIDDEN.search(text)
+    if bad is not None:
+        before = text[: bad.start()]
+        place = Place(before.count("\n") + 1, bad.start() - before.rfind("\n"))
+        raise _StopError(place, f"the character U+{ord(bad.group()):04X} is not allowed in YAML")
 
 
 class _Builder:
     """Builds values from parser events, with an explicit stack."""
 
-    def __init__(self) -> None:
-        self._places: dict[Path, Place] = {}
+    def __init__(self, file: str) -> None:
+        self.root: object = None
+        self.spot = Spot(_START)
+        self.problems: list[Problem] = []
+        self._file = file
         self._stack: list[_Frame] = []
         self._anchors: dict[str, tuple[object, int]] = {}
-        self._open_anchors: list[tuple[str, int]] = []
         self._nodes = 0
-        self._root: object = None
         self._documents = 0
 
-    def build(self, events: Iterator[Any]) -> Document:
+    def build(self, events: Iterator[Any]) -> None:
+        """Take every event of one document.
+
+        Raises:
+            _StopError: a limit, or what cannot be a value.
+            yaml.YAMLError: the text is not YAML.
+        """
+        take: dict[type, Callable[[Any], None]] = {
+            yaml.DocumentStartEvent: self._document,
+            yaml.AliasEvent: self._alias,
+            yaml.ScalarEvent: self._scalar,
+            yaml.MappingStartEvent: self._begin,
+            yaml.SequenceStartEvent: self._begin,
+            yaml.MappingEndEvent: self._end,
+            yaml.SequenceEndEvent: self._end,
+        }
         for event in events:
-            if isinstance(event, yaml.DocumentStartEvent):
-                self._documents += 1
-                if self._documents > 1:
-                    raise _RefusedError(event.start_mark, "the file holds more than one document")
-            elif isinstance(event, yaml.AliasEvent):
-                self._alias(event)
-            elif isinstance(event, yaml.ScalarEvent):
-                self._scalar(event)
-            elif isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
-                self._begin(event)
-            elif isinstance(event, yaml.MappingEndEvent | yaml.SequenceEndEvent):
-                self._end()
-        return Document(self._root, self._places)
+            action = take.get(type(event))
+            if action is not None:
+                action(event)
+
+    def complain(self, place: Place, sentence: str, hint: str = "", path: Path = ()) -> None:
+        """Note a problem and go on."""
+        self.problems.append(
+            Problem(
+                place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+            )
+        )
+
+    def _document(self, event: Any) -> None:
+        self._documents += 1
+        if self._documents > 1:
+            raise _StopError(
+                _place(event), "a second document begins here", "one file holds one configuration"
+            )
 
     def _scalar(self, event: Any) -> None:
-        self._refuse_tag(event)
         frame = self._stack[-1] if self._stack else None
-        if frame is not None and isinstance(frame.value, dict) and frame.key is None:
+        if frame is not None and frame.key is None and isinstance(frame.value, dict):
             self._key(frame, event)
             return
-        value = _resolve(event) if event.implicit[0] else event.value
+        self._check_tag(event)
         self._count(event, 1)
+        value: object = event.value
+        if event.implicit[0] and event.tag is None:
+            try:
+                value = resolve(event.value)
+            except ScalarError as error:
+                self.complain(_place(event), str(error), "write text in quotes", self._here())
         if event.anchor:
             self._anchors[event.anchor] = (value, 1)
-        self._put(value, event)
+        self._put(value, Spot(_place(event)))
 
     def _key(self, frame: _Frame, event: Any) -> None:
-        key = event.value
-        if event.implicit[0] and not isinstance(_resolve(event), str):
-            raise _RefusedError(
-                event.start_mark, f"the key {key} is not a string", f'write "{key}" in quotes'
-            )
-        if key == "<<":
-            raise _RefusedError(event.start_mark, "merge keys (<<) are not part of YAML 1.2")
+        self._check_tag(event)
+        key: str = event.value
+        place = _place(event)
+        frame.key, frame.key_place = key, place
+        if event.anchor:
+            self._anchors[event.anchor] = (key, 1)
         if key in frame.value:
-            path: Path = (*frame.path, key)
-            first = self._places[path]
-            raise _RefusedError(
-                event.start_mark, f"the key {key!r} is given twice; first in line {first.line}"
+            assert isinstance(frame.spot.parts, dict), "a mapping has parts by key"
+            first = frame.spot.parts[key].key
+            line = first.line if first is not None else place.line
+            self.complain(
+                place,
+                f"the key {clip(key)} is given twice, first in line {line}",
+                path=(*frame.path, key),
             )
-        frame.key = key
+        elif event.implicit[0] and event.tag is None:
+            self._check_plain_key(key, place, frame.path)
+
+    def _check_plain_key(self, key: str, place: Place, path: Path) -> None:
+        if key == "<<":
+            self.complain(
+                place, "merge keys (<<) are not part of YAML 1.2", "write the keys out", path
+            )
+            return
+        try:
+            is_text = isinstance(resolve(key), str)
+        except ScalarError:
+            is_text = False
+        if not is_text:
+            shown = clip(key)
+            self.complain(place, f"the key {shown} is not text", "write it in quotes", (*path, key))
 
     def _alias(self, event: Any) -> None:
+        frame = self._stack[-1] if self._stack else None
+        if frame is not None and frame.key is None and isinstance(frame.value, dict):
+            raise _StopError(_place(event), "an alias cannot be a key", "write the key out")
         if event.anchor not in self._anchors:
-            raise _RefusedError(event.start_mark, f"the alias *{event.anchor} has no anchor")
+            raise _StopError(
+                _place(event),
+                f"the alias *{event.anchor} stands before the end of its anchor, or has none",
+                path=self._here(),
+            )
         value, size = self._anchors[event.anchor]
         self._count(event, size)
-        self._put(value, event)
+        self._put(value, Spot(_place(event)))
 
     def _begin(self, event: Any) -> None:
-        self._refuse_tag(event)
-        if len(self._stack) >= MAX_DEPTH:
-            raise _RefusedError(event.start_mark, f"nested more than {MAX_DEPTH} levels deep")
         frame = self._stack[-1] if self._stack else None
-        if frame is not None and isinstance(frame.value, dict) and frame.key is None:
-            raise _RefusedError(event.start_mark, "a key must be a string, not a mapping or list")
+        if frame is not None and frame.key is None and isinstance(frame.value, dict):
+            raise _StopError(_place(event), "a key must be text, not a mapping or a list")
+        self._check_tag(event, container=True)
+        if len(self._stack) >= MAX_DEPTH:
+            raise _StopError(_place(event), f"nested more than {MAX_DEPTH} levels deep")
         self._count(event, 1)
-        value: dict[str, object] | list[object] = (
-            {} if isinstance(event, yaml.MappingStartEvent) else []
-        )
-        path = self._put(value, event)
-        self._stack.append(_Frame(value, path))
-        self._open_anchors.append((event.anchor or "", self._nodes))
+        is_mapping = type(event) is yaml.MappingStartEvent
+        value: object = {} if is_mapping else []
+        spot = Spot(_place(event), parts={} if is_mapping else [])
+        path = self._here()
+        self._put(value, spot)
+        self._stack.append(_Frame(value, spot, path, event.anchor or "", self._nodes))
 
-    def _end(self) -> None:
+    def _end(self, _: Any) -> None:
         frame = self._stack.pop()
-        anchor, before = self._open_anchors.pop()
-        if anchor:
-            self._anchors[anchor] = (frame.value, self._nodes - before + 1)
+        if frame.anchor:
+            self._anchors[frame.anchor] = (frame.value, self._nodes - frame.before + 1)
 
-    def _put(self, value: object, event: Any) -> Path:
-        place = Place(event.start_mark.line + 1, event.start_mark.column + 1)
+    def _here(self) -> Path:
+        """The path of the value that comes next."""
         if not self._stack:
-            self._root = value
-            self._places[()] = place
             return ()
         frame = self._stack[-1]
-        if isinstance(frame.value, dict):
-            assert frame.key is not None, "a value follows its key"
-            path: Path = (*frame.path, frame.key)
-            frame.value[frame.key] = value
+        return (*frame.path, len(frame.value) if frame.key is None else frame.key)
+
+    def _put(self, value: object, spot: Spot) -> None:
+        if not self._stack:
+            self.root, self.spot = value, spot
+            return
+        frame = self._stack[-1]
+        parts = frame.spot.parts
+        if isinstance(parts, dict):
+            key = frame.key
+            assert key is not None, "a value follows its key"
+            if key not in parts and key != "<<":
+                spot.key = frame.key_place
+                frame.value[key] = value
+                parts[key] = spot
             frame.key = None
-        else:
-            path = (*frame.path, len(frame.value))
+        elif parts is not None:
             frame.value.append(value)
-        self._places[path] = place
-        return path
+            parts.append(spot)
 
     def _count(self, event: Any, size: int) -> None:
         self._nodes += size
         if self._nodes > MAX_NODES:
-            raise _RefusedError(
-                event.start_mark, f"more than {MAX_NODES:,} values, aliases unfolded"
+            raise _StopError(
+                _place(event), f"more than {MAX_NODES:,} values, aliases counted in full"
             )
 
-    def _refuse_tag(self, event: Any) -> None:
-        if event.tag is not None and event.tag not in {"!", "tag:yaml.org,2002:str"}:
-            raise _RefusedError(event.start_mark, f"the tag {event.tag} is not allowed")
+    def _check_tag(self, event: Any, *, container: bool = False) -> None:
+        if event.tag is not None and (container or event.tag not in _STRING_TAGS):
+            self.complain(
+                _place(event),
+                f"the tag {clip(event.tag.replace(_TAG_PREFIX, '!!'))} is not allowed",
+                "leave the tag out: a configuration is plain data",
+                self._here() if self._stack and self._stack[-1].key is not None else (),
+            )
 
 
-def _resolve(event: Any) -> object:
-    """Return what a plain scalar means by the core schema of YAML 1.2."""
-    text = event.value
-    if event.tag is not None:
-        return text
-    if text in _WORDS:
-        return _WORDS[text]
-    if len(text) > _MAX_DIGITS:
-        return text
-    if _INTEGER.fullmatch(text):
-        return int(text)
-    if _OCTAL.fullmatch(text):
-        return int(text, 0)
-    if _HEXADECIMAL.fullmatch(text):
-        return int(text, 0)
-    if _FLOAT.fullmatch(text):
-        return float(text)
-    return text
+def _place(event: Any) -> Place:
+    mark = event.start_mark
+    return Place(mark.line + 1, mark.column + 1)
 
 
-def _syntax_problem(error: yaml.YAMLError, text: str) -> Problem:
+def _syntax(error: yaml.YAMLError, text: str) -> tuple[Place, str, str]:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-    what = getattr(error, "problem", None) or str(error)
-    place = Place(mark.line + 1, mark.column + 1) if mark is not None else Place(1, 1)
+    place = Place(mark.line + 1, mark.column + 1) if mark is not None else _START
+    what = getattr(error, "problem", None) or "it cannot be parsed"
+    context = getattr(error, "context", None)
+    begun = getattr(error, "context_mark", None)
+    if context and begun is not None:
+        what = f"{what} ({context}, begun in line {begun.line + 1})"
     lines = text.splitlines()
     line = lines[place.line - 1] if place.line <= len(lines) else ""
-    hint = "YAML does not allow tabs for indentation: use spaces" if "\t" in line else ""
-    return Problem(place=place, path="$", sentence=f"this is not YAML: {what}", hint=hint)
+    tab = "\t" in line[: len(line) - len(line.lstrip())] or "\\t" in what or "tab" in what
+    hint = "YAML does not allow tabs for indentation: use spaces" if tab else ""
+    return place, f"this is not YAML: {what}", hint

@@ -11,6 +11,7 @@ from uoarm.model._component import (
     Service,
 )
 from uoarm.model._control import ControlMessage, Op
+from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, Robot
@@ -26,7 +27,7 @@ from uoarm.model._status import (
 )
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Deliver, Message, Options, Schema
-from uoarm.model._wire import from_json, read_control, to_json, write_control
+from uoarm.model._wire import from_json, to_json
 
 __all__ = [
     "BridgeSpec",

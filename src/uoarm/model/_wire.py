@@ -1,10 +1,7 @@
-"""Model values to and from JSON-ready data, and control messages to and from the wire."""
+"""Model values to JSON-ready data and back."""
 
 from __future__ import annotations
 
-import difflib
-import json
-import math
 from collections.abc import Mapping
 from enum import Enum
 from functools import cache
@@ -12,170 +9,148 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import attrs
 
-from uoarm.errors import ControlMessageError
-from uoarm.model._control import ControlMessage, Op
+from uoarm.model._plan import Reason, Rejection
 from uoarm.model._structure import MessageStructure
 
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["from_json", "read_control", "to_json", "write_control"]
+__all__ = ["from_json", "to_json"]
 
 T = TypeVar("T")
 
-_FIELDS = ("op", "type", "jsonMessage", "id")
-_MAX_BYTES = 1_048_576
-_MAX_DEPTH = 64
+_MAX_CAUSES = 50
+_MAX_DEPTH = 200
+_SHOWN = 5
+_CUT = Reason("its own causes lie too deep to be written down")
 
 
 def to_json(value: Any) -> Any:
-    """Return a model value as dicts, lists, strings, numbers, booleans and None."""
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, MessageStructure):
-        return {"schema": to_json(value.schema), "native_type": value.native_type}
-    if attrs.has(type(value)):
-        return {one.name: to_json(getattr(value, one.name)) for one in attrs.fields(type(value))}
-    if isinstance(value, Mapping):
-        return {str(key): to_json(one) for key, one in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [to_json(one) for one in value]
-    return value
+    """Return a model value as dicts, lists, strings, numbers, booleans and None.
+
+    Rejections nested more than 50 deep end in a reason that says so; what is no model value, such
+    as octets in a message, is left as it is.
+    """
+    return _plain(value, _MAX_CAUSES)
 
 
 def from_json(data: Any, kind: type[T]) -> T:
     """Return the model value that `to_json` made data of.
 
     Raises:
-        cattrs.BaseValidationError: the data is of another shape.
+        ValueError: the data is of another shape; the text names the first few fields.
     """
-    return _converter().structure(data, kind)
+    import cattrs  # noqa: PLC0415 - slow import
 
-
-def read_control(text: str | bytes, *, max_bytes: int = _MAX_BYTES) -> ControlMessage:
-    """Read a control message from JSON text.
-
-    Fields whose names begin with `x-` are kept in `extensions`; any other unknown field is
-    refused.
-
-    Args:
-        text: JSON, UTF-8 where it is bytes.
-        max_bytes: refused when longer.
-
-    Raises:
-        ControlMessageError: it cannot be read; the text names the field.
-    """
-    if len(text) > max_bytes:
-        raise ControlMessageError(f"{len(text):,} bytes; {max_bytes:,} are allowed")
-    data = _parse(text)
-    if not isinstance(data, dict):
-        raise ControlMessageError(f"expected an object, got {type(data).__name__}")
-    extensions = {name: one for name, one in data.items() if name.startswith("x-")}
-    for name in data:
-        if name not in _FIELDS and name not in extensions:
-            close = difflib.get_close_matches(name, _FIELDS, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
-            raise ControlMessageError(f"unknown field {name!r}{hint}")
-    identity = data.get("id")
-    if identity is not None and not isinstance(identity, str):
-        raise ControlMessageError(f"id: expected a string, got {identity!r}")
-    return ControlMessage(
-        op=_op(data), type=_type(data), jsonMessage=data.get("jsonMessage"), id=identity,
-        extensions=extensions,
-    )  # fmt: skip
-
-
-def write_control(message: ControlMessage) -> dict[str, Any]:
-    """Return a control message as it goes onto the wire; empty fields are left out."""
-    wire: dict[str, Any] = {"op": message.op.value}
-    if message.type:
-        wire["type"] = message.type if isinstance(message.type, str) else list(message.type)
-    if message.jsonMessage is not None:
-        wire["jsonMessage"] = message.jsonMessage
-    if message.id is not None:
-        wire["id"] = message.id
-    return {**wire, **message.extensions}
-
-
-def _op(data: dict[str, Any]) -> Op:
-    known = [op.value for op in Op]
-    name = data.get("op")
-    if name not in known:
-        close = difflib.get_close_matches(str(name), known, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise ControlMessageError(f"op: expected one of {', '.join(known)}, got {name!r}{hint}")
-    return Op(name)
-
-
-def _type(data: dict[str, Any]) -> str | tuple[str, ...]:
-    kind = data.get("type", "")
-    if isinstance(kind, list) and all(isinstance(one, str) for one in kind):
-        return tuple(kind)
-    if not isinstance(kind, str):
-        raise ControlMessageError(f"type: expected a string or a list of strings, got {kind!r}")
-    return kind
-
-
-def _parse(text: str | bytes) -> Any:
-    _refuse_depth(text.decode("utf-8", "replace") if isinstance(text, bytes) else text)
+    if _is_deeper(data, _MAX_DEPTH):
+        raise ValueError(f"{kind.__name__}: nested more than {_MAX_DEPTH} levels deep")
     try:
-        return json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
-    except ControlMessageError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise ControlMessageError(f"not JSON: {error}") from error
+        return _converter().structure(data, kind)
+    except cattrs.BaseValidationError as error:
+        told = cattrs.transform_error(error, format_exception=_say)
+        more = f"; and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
+        raise ValueError(f"{kind.__name__}: {'; '.join(told[:_SHOWN])}{more}") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{kind.__name__}: {_say(error, kind)}") from error
 
 
-def _refuse_depth(text: str) -> None:
-    if text.count("[") + text.count("{") <= _MAX_DEPTH:
-        return
-    depth, quoted, escaped = 0, False, False
-    for char in text:
-        if quoted:
-            quoted = escaped or char != '"'
-            escaped = char == "\\" and not escaped
-        elif char == '"':
-            quoted = True
-        elif char in "[{":
-            depth += 1
-            if depth > _MAX_DEPTH:
-                raise ControlMessageError(f"nested more than {_MAX_DEPTH} levels deep")
-        elif char in "]}":
-            depth -= 1
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in found:
-            raise ControlMessageError(f"the field {name!r} is given twice")
-        if isinstance(value, float) and math.isinf(value):
-            raise ControlMessageError(f"{name}: the number is too large")
-        found[name] = value
-    return found
-
-
-def _refuse_constant(name: str) -> Any:
-    raise ControlMessageError(f"{name} is not JSON")
+def _plain(value: Any, causes: int) -> Any:
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, MessageStructure):
+        return {"schema": _plain(value.schema, causes), "native_type": value.native_type}
+    if isinstance(value, Rejection):
+        causes -= 1
+        if causes <= 0 and value.because_of:
+            value = attrs.evolve(value, reasons=(*value.reasons, _CUT), because_of=())
+    if attrs.has(type(value)):
+        fields = attrs.fields(type(value))
+        return {one.name: _plain(getattr(value, one.name), causes) for one in fields}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one, causes) for key, one in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(one, causes) for one in value]
+    return value
 
 
 @cache
 def _converter() -> Converter:
+    """Take nothing for what it is not: no number for text, no text for a number."""
     import cattrs  # noqa: PLC0415 - slow import
 
     converter = cattrs.Converter(forbid_extra_keys=True)
+    for kind in (str, int, bool):
+        converter.register_structure_hook(kind, _exactly)
+    converter.register_structure_hook(float, lambda data, _: float(_number(data)))
     converter.register_structure_hook_func(
         lambda kind: kind is object or kind is Any, lambda data, _: data
     )
-    converter.register_structure_hook(
-        MessageStructure,
-        lambda data, _: MessageStructure(data["schema"], native_type=data["native_type"]),
+    converter.register_structure_hook_func(
+        lambda kind: kind == str | tuple[str, ...],
+        lambda data, _: data if isinstance(data, str) else tuple(_texts(data)),
     )
     converter.register_structure_hook_func(
-        lambda kind: (
-            getattr(kind, "__origin__", None) is not None
-            and getattr(kind, "__args__", ()) == (str, object)
-        ),
-        lambda data, _: dict(data),
+        lambda kind: getattr(kind, "__args__", ()) == (str, object),
+        lambda data, _: dict(_mapping(data)),
     )
+    converter.register_structure_hook(MessageStructure, lambda data, _: _structure(data))
     return converter
+
+
+def _exactly(data: Any, kind: type) -> Any:
+    if type(data) is not kind:
+        raise TypeError(f"expected {kind.__name__}, got {type(data).__name__}")
+    return data
+
+
+def _number(data: Any) -> int | float:
+    if isinstance(data, bool) or not isinstance(data, int | float):
+        raise TypeError(f"expected a number, got {type(data).__name__}")
+    return data
+
+
+def _texts(data: Any) -> list[str]:
+    if not isinstance(data, list) or not all(isinstance(one, str) for one in data):
+        raise TypeError("expected a string or a list of strings")
+    return data
+
+
+def _say(error: BaseException, kind: type | None) -> str:
+    """One error of the converter as a sentence."""
+    from cattrs import ForbiddenExtraKeysError  # noqa: PLC0415 - slow import
+
+    if isinstance(error, ForbiddenExtraKeysError):
+        return f"unknown fields {', '.join(sorted(error.extra_fields))}"
+    if isinstance(error, KeyError):
+        return f"the field {error} is missing"
+    if isinstance(error, AttributeError):
+        return f"expected the fields of {getattr(kind, '__name__', 'an object')}"
+    return str(error)
+
+
+def _is_deeper(data: Any, limit: int) -> bool:
+    waiting: list[tuple[Any, int]] = [(data, 1)]
+    while waiting:
+        value, depth = waiting.pop()
+        if isinstance(value, Mapping | list):
+            if depth > limit:
+                return True
+            inner = value.values() if isinstance(value, Mapping) else value
+            waiting.extend((one, depth + 1) for one in inner)
+    return False
+
+
+def _mapping(data: Any) -> Mapping[str, object]:
+    if not isinstance(data, Mapping):
+        raise TypeError(f"expected a mapping, got {type(data).__name__}")
+    return data
+
+
+def _structure(data: Any) -> MessageStructure:
+    parts = _mapping(data)
+    if parts.keys() != {"schema", "native_type"}:
+        raise ValueError(f"expected schema and native_type, got {', '.join(parts) or 'neither'}")
+    schema, native_type = parts["schema"], parts["native_type"]
+    if not isinstance(schema, Mapping | bool) or not isinstance(native_type, str):
+        raise TypeError("expected schema to be a mapping or a boolean and native_type a string")
+    return MessageStructure(schema, native_type=native_type)

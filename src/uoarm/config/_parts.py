@@ -1,0 +1,110 @@
+"""The parts of a document that have the right type, whatever else is wrong with it.
+
+Mistakes of meaning are looked for among these, so that a misspelt key in one corner of the file
+hides nothing in another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.config._document import Path
+
+__all__ = ["ComponentPart", "PortPart", "bridge_names", "components", "function_names"]
+
+_STREAMS = ("input", "inputs", "output", "outputs")
+_KEYS = {"name", "bridge", "priority", "parameters", "service", *_STREAMS}
+
+
+@frozen
+class PortPart:
+    """One port of a component: `name` is `default` where it was written without one."""
+
+    name: str
+    path: Path
+    value: Mapping[str, Any]
+
+    @property
+    def source(self) -> str | None:
+        """What `from` says, where it is text."""
+        source = self.value.get("from")
+        return source if isinstance(source, str) and source else None
+
+
+@frozen
+class ComponentPart:
+    """One component of one function."""
+
+    function: str
+    path: Path
+    value: Mapping[str, Any]
+
+    def text(self, key: str) -> str | None:
+        """Return the text under a key, None where there is none."""
+        value = self.value.get(key)
+        return value if isinstance(value, str) else None
+
+    @property
+    def priority(self) -> int | None:
+        """The priority, None where it is not a number."""
+        value = self.value.get("priority", 0)
+        return int(value) if isinstance(value, int | float) else None
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether its ports can be told: every key is known and every port a mapping."""
+        ports = [self.value[key] for key in (*_STREAMS, "service") if key in self.value]
+        return self.value.keys() <= _KEYS and all(isinstance(port, dict) for port in ports)
+
+    @property
+    def streams(self) -> list[str]:
+        """The keys under which it gives inputs and outputs."""
+        return [key for key in _STREAMS if key in self.value]
+
+    def inputs(self) -> list[PortPart]:
+        """Its inputs, whichever of the two spellings it uses."""
+        return list(self._ports("input", "inputs"))
+
+    def outputs(self) -> list[PortPart]:
+        """Its outputs, whichever of the two spellings it uses."""
+        return list(self._ports("output", "outputs"))
+
+    def services(self) -> list[PortPart]:
+        """Its service, where it has one."""
+        return list(self._ports("service", ""))
+
+    def _ports(self, one: str, several: str) -> Iterator[PortPart]:
+        lone = self.value.get(one)
+        if isinstance(lone, dict):
+            yield PortPart("default", (*self.path, one), lone)
+        for name, port in _mapping(self.value.get(several)).items():
+            if isinstance(port, dict):
+                yield PortPart(name, (*self.path, several, name), port)
+
+
+def bridge_names(value: object) -> dict[str, Any]:
+    """Return the bridges by name, where they can be told at all."""
+    return _mapping(_mapping(value).get("bridges"))
+
+
+def function_names(value: object) -> dict[str, Any]:
+    """Return the functions by name, where they can be told at all."""
+    return _mapping(_mapping(value).get("functions"))
+
+
+def components(value: object) -> Iterator[ComponentPart]:
+    """Yield every component, in the order of the file."""
+    for function, one in function_names(value).items():
+        listed = _mapping(one).get("components")
+        for number, component in enumerate(listed if isinstance(listed, list) else ()):
+            if isinstance(component, dict):
+                yield ComponentPart(
+                    function, ("functions", function, "components", number), component
+                )
+
+
+def _mapping(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

@@ -1,0 +1,45 @@
+"""The page on configuration: its example loads, and it names every key and every limit."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from uoarm.config import inspect, loads, published_schema
+from uoarm.config._yaml import MAX_BYTES, MAX_DEPTH, MAX_NODES
+
+PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
+(EXAMPLE,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_example_loads_without_a_warning() -> None:
+    robot = loads(EXAMPLE)
+    assert list(robot.functions) == ["camera", "faceDetection", "follow", "speechGeneration"]
+    assert robot.warnings == ()
+
+
+def keys() -> set[str]:
+    schema = published_schema()
+    parts = [schema, *schema["$defs"].values(), *schema["$defs"]["rule"]["anyOf"]]
+    return {key for part in parts for key in part.get("properties", {})}
+
+
+@pytest.mark.parametrize("key", sorted(keys()))
+def test_every_key_is_on_the_page(key: str) -> None:
+    assert re.search(rf"`{key}`|[{{ ]{key}:", PAGE)
+
+
+@pytest.mark.parametrize("limit", [MAX_BYTES, MAX_DEPTH, MAX_NODES])
+def test_every_limit_is_on_the_page(limit: int) -> None:
+    assert f"{limit:,}" in PAGE
+
+
+def test_the_mistakes_on_the_page_read_as_they_are_reported(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    wrong = EXAMPLE.replace("priority: 20", "prioritty: 20").replace("from: camera", "from: camra")
+    path.write_text(wrong, encoding="utf-8")
+    told = [str(one).replace(str(path), "robot.yaml") for one in inspect(path).problems]
+    assert len(told) == 2
+    assert all(line in PAGE for line in told), "\n".join(told)
