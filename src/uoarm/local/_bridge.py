@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
+from weakref import WeakSet
 
 from attrs import define, field
 
@@ -15,6 +17,7 @@ from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Op
 
 __all__ = ["PythonBridge", "uoarm_bridge_types"]
 
+_SOURCE_SECONDS = 0.25
 _OPTIONS = {
     "type": "object",
     "properties": {
@@ -51,6 +54,7 @@ class PythonBridge(Bridge):
         path: Any = options.get("path", ())
         self._path: Sequence[str] = tuple(path)
         self._slots: dict[str, _Slot] = {}
+        self._sources: WeakSet[threading.Thread] = WeakSet()
         self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -66,7 +70,7 @@ class PythonBridge(Bridge):
         channel = _SourceChannel(endpoint, lambda: self._leave_source(endpoint, instance))
         if not target.takes_messages(endpoint):
             try:
-                instance.start(lambda failure: self._ended(channel, failure))
+                self._sources.add(instance.start(lambda failure: self._ended(channel, failure)))
             except BaseException:
                 self._leave_source(endpoint, instance)
                 raise
@@ -86,7 +90,14 @@ class PythonBridge(Bridge):
             self._leave(endpoint)
 
     def _close(self) -> None:
-        """Nothing is left: every instance went with its last channel."""
+        """Wait a quarter of a second at most for sources that have a message under way.
+
+        Every instance went with its last channel. A thread that is still in foreign code when
+        the interpreter ends may take the whole process down with it.
+        """
+        deadline = time.monotonic() + _SOURCE_SECONDS
+        for thread in list(self._sources):
+            thread.join(max(0.0, deadline - time.monotonic()))
 
     def _target(self, endpoint: Endpoint) -> Target:
         return find(endpoint.address, self._path)

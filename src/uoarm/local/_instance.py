@@ -61,14 +61,16 @@ class Instance:
         """Call a service and return its reply."""
         return _plain(self._handler(endpoint)(message))
 
-    def start(self, finished: Callable[[Exception | None], None]) -> None:
+    def start(self, finished: Callable[[Exception | None], None]) -> threading.Thread:
         """Start the source's thread; `finished` hears of its end unless it was stopped."""
-        threading.Thread(
+        thread = threading.Thread(
             target=self._run,
             args=(self._iterator(), finished),
             name=f"uoarm-{self._target.name}",
             daemon=True,
-        ).start()
+        )
+        thread.start()
+        return thread
 
     def stop(self) -> None:
         """Tell the source to end; it does so after the message that it has under way."""
