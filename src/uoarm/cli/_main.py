@@ -36,7 +36,7 @@ def main() -> None:
 @json_option
 def check(file: str, *, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE."""
-    report = inspect(file)
+    report = inspect(file, Registry().types)
     if as_json:
         print_json({"problems": report.problems, "warnings": report.warnings})
     else:

@@ -93,7 +93,8 @@ class RobotManager:
         Raises:
             ConfigurationError: the file has mistakes; the text lists all of them.
         """
-        return cls(load(path), registry=registry, clock=clock)
+        registry = registry or Registry()
+        return cls(load(path, registry.types), registry=registry, clock=clock)
 
     def resolve(self, name: str) -> Plan:
         """Return the plan that `request` would open, without opening anything.
