@@ -3,45 +3,16 @@
 A literal is a node with a sign. Expanding it for a kind gives atoms (demands of one sort each,
 see below), further literals, and choices: lists of branches of which one must hold. Negation is
 pushed in here: not-all becomes one-fails, a lower bound becomes an upper one.
-
-Atoms, by their first item:
-
-any kind    ("in", node) one of the node's values; ("notin", node) none of them
-number      ("low", bound, strict), ("high", bound, strict), ("multiple", m), ("notmultiple", m)
-string      ("least", n), ("most", n), ("match", pattern), ("nomatch", pattern)
-array       ("least", n), ("most", n), ("at", i, literal) if there is an i-th,
-            ("tail", start, literal), ("someat", i, literal), ("some", start, literal),
-            ("contains", node, least, most), ("unique",), ("twice",)
-object      ("least", n), ("most", n), ("has", name), ("lacks", name),
-            ("member", name, literal) if present, ("somemember", name, literal),
-            ("pattern", pattern, literal), ("somepattern", pattern, literal),
-            ("rest", node, literal) names that the node does not name, ("somerest", node, literal),
-            ("names", literal), ("somename", literal)
+The sorts of atoms are listed in `_branch`.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
-from attrs import define, field
-
+from uoarm.schema._branch import Atom, Branch, Literal
 from uoarm.schema._node import Node
+from uoarm.schema._unevaluated import items_fail, items_hold, members_fail, members_hold
 
-__all__ = ["KINDS", "Atom", "Branch", "Literal", "expand"]
-
-KINDS = ("null", "boolean", "number", "string", "array", "object")
-
-Literal: TypeAlias = "tuple[Node, bool]"
-Atom: TypeAlias = "tuple[object, ...]"
-
-
-@define
-class Branch:
-    """Demands that hold together; `choices` holds lists of which one branch each must hold."""
-
-    atoms: list[Atom] = field(factory=list)
-    literals: list[Literal] = field(factory=list)
-    choices: list[list[Branch]] = field(factory=list)
+__all__ = ["expand"]
 
 
 def expand(literal: Literal, kind: str) -> Branch | None:
@@ -93,6 +64,10 @@ def _positive(node: Node, kind: str) -> Branch | None:
         )
     if kind == "object":
         whole.choices.extend(_dependencies(node))
+        if node.unevaluated_properties is not None:
+            whole.choices.append(members_hold(node, node.unevaluated_properties))
+    elif kind == "array" and node.unevaluated_items is not None:
+        whole.choices.append(items_hold(node, node.unevaluated_items))
     return whole
 
 
@@ -142,6 +117,10 @@ def _violations(node: Node, kind: str) -> list[Branch]:
             ways.extend(Branch([("has", name), ("lacks", one)]) for one in names)
         for name, rule in node.dependent_schemas:
             ways.append(Branch([("has", name)], [(rule, False)]))
+        if node.unevaluated_properties is not None:
+            ways.extend(members_fail(node, node.unevaluated_properties))
+    elif kind == "array" and node.unevaluated_items is not None:
+        ways.extend(items_fail(node, node.unevaluated_items))
     return ways
 
 

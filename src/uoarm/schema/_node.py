@@ -18,8 +18,7 @@ __all__ = ["Node"]
 class Node:
     """One schema. Equal content has the same `number`, so that comparing is comparing integers.
 
-    A node that holds something out of scope says so in `unsupported`, or in `gaps` by the kind of
-    value that it concerns. `never` is `false`.
+    A node that holds something out of scope says so in `unsupported`. `never` is `false`.
     """
 
     number: int
@@ -27,7 +26,6 @@ class Node:
     document: Document
     never: bool = False
     unsupported: str = ""
-    gaps: dict[str, str] = field(factory=dict)
     kinds: frozenset[str] | None = None
     integer_only: bool = False
     values: dict[Key, object] | None = None
@@ -47,9 +45,11 @@ class Node:
     min_contains: int = 1
     max_contains: int | None = None
     unique: bool = False
+    unevaluated_items: Node | None = None
     properties: dict[str, Node] = field(factory=dict)
     patterns: tuple[tuple[str, Node], ...] = ()
     additional: Node | None = None
+    unevaluated_properties: Node | None = None
     names: Node | None = None
     required: tuple[str, ...] = ()
     min_properties: int = 0

@@ -6,8 +6,9 @@ from collections.abc import Generator
 from typing import Any, TypeAlias
 
 from uoarm.schema._arrays import array_leaf
+from uoarm.schema._branch import Branch
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._expand import Branch, expand
+from uoarm.schema._expand import expand
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
 from uoarm.schema._regex import UnsupportedPatternError
@@ -103,7 +104,11 @@ def _branch(solver: Solver, state: State) -> Asking:
     for way in ways:
         solver.spend()
         trial = state.copy()
-        if not trial.add(way):
+        try:
+            if not trial.add(way):
+                continue
+        except OutOfScopeError as error:
+            unknown = Unknown(str(error))
             continue
         result = yield from _search(solver, trial)
         if isinstance(result, Found):
@@ -127,7 +132,7 @@ def _judge(state: State, view: ObjectView | None, choice: list[Branch], *, many:
             node, sign = branch.literals[0]
             if (node.number, sign) in state.seen:
                 return None
-            if node.unsupported or state.kind in node.gaps:
+            if node.unsupported:
                 alive.append(branch)
                 continue
             if (node.number, not sign) in state.seen or expand((node, sign), state.kind) is None:

@@ -14,10 +14,11 @@ from typing import Any, TypeAlias
 
 from attrs import define, field
 
+from uoarm.schema._branch import KINDS, Atom, Branch, Literal
 from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._evaluate import accepts
-from uoarm.schema._expand import KINDS, Atom, Branch, Literal, expand
+from uoarm.schema._expand import expand
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._values import kind_of
@@ -52,8 +53,13 @@ class State:
     seen: set[tuple[int, bool]] = field(factory=set)
 
     def add(self, branch: Branch) -> bool:
-        """Demand a branch as well; False when it contradicts what is demanded already."""
+        """Demand a branch as well; False when it contradicts what is demanded already.
+
+        Raises:
+            OutOfScopeError: it does not contradict, but holds something that is not decided.
+        """
         waiting = [branch]
+        cause = ""
         while waiting:
             one = waiting.pop()
             self.atoms.extend(one.atoms)
@@ -66,14 +72,14 @@ class State:
                     continue
                 self.seen.add(key)
                 if node.unsupported:
-                    raise OutOfScopeError(node.unsupported)
+                    cause = node.unsupported
+                    continue
                 more = expand((node, sign), self.kind)
-                gap = node.gaps.get(self.kind, "")
-                if more is None and (sign or not gap):
+                if more is None:
                     return False
-                if gap or more is None:
-                    raise OutOfScopeError(gap)
                 waiting.append(more)
+        if cause:
+            raise OutOfScopeError(cause)
         return True
 
     def copy(self) -> State:
