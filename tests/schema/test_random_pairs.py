@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from tests.schema._judge import judge
+from tests.schema._judge import answer, judge, shown
 from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import related_pair
 from tests.schema._universe import universe
+from tests.schema._watching import watching_pair
 
+from uoarm.schema import check
 from uoarm.testing._choices import chance
 
 EVERYTHING = tuple(universe())
@@ -20,3 +22,10 @@ def test_pairs_of_a_block_of_seeds(block: int) -> None:
         choices = RandomChoices(seed)
         pair = related_pair(choices)
         judge(*pair, choices, universe=EVERYTHING if chance(choices, 20) else SOME)
+
+
+@pytest.mark.parametrize("block", range(15))
+def test_pairs_whose_keywords_watch_others(block: int) -> None:
+    for seed in range(10 * block, 10 * block + 10):
+        producer, consumer, truth = watching_pair(RandomChoices(seed))
+        assert answer(check(producer, consumer)) == truth, (seed, shown(producer, consumer))
