@@ -22,17 +22,20 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
 from tests.schema._strategies import related_pair
+from tests.schema._unions import range_pair, tagged_pair
 from tests.schema._universe import universe
 from tests.schema._watching import watching_pair
 
 from uoarm.schema import check
 from uoarm.testing._choices import chance
 
+_EXACT = (watching_pair, watching_pair, range_pair, tagged_pair)
+
 
 def _question(choices: RandomChoices) -> tuple[Body, Body, str | None]:
     """A pair, and the true answer where the producer has few enough instances to try all."""
-    if chance(choices, 30):
-        return watching_pair(choices)
+    if chance(choices, 40):
+        return choices.item(_EXACT)(choices)
     if not chance(choices, 30):
         return (*related_pair(choices), None)
     producer, instances = finite_schema(choices)

@@ -23,7 +23,7 @@ from attrs import define, field
 
 from uoarm.schema._node import Node
 
-__all__ = ["KINDS", "Atom", "Branch", "Literal"]
+__all__ = ["KINDS", "Atom", "Branch", "Choice", "Literal"]
 
 KINDS = ("null", "boolean", "number", "string", "array", "object")
 
@@ -33,8 +33,16 @@ Atom: TypeAlias = "tuple[object, ...]"
 
 @define
 class Branch:
-    """Demands that hold together; `choices` holds lists of which one branch each must hold."""
+    """Demands that hold together."""
 
     atoms: list[Atom] = field(factory=list)
     literals: list[Literal] = field(factory=list)
-    choices: list[list[Branch]] = field(factory=list)
+    choices: list[Choice] = field(factory=list)
+
+
+@define
+class Choice:
+    """Ways of which one must hold; they are those to fail a schema where `refused` is given."""
+
+    ways: list[Branch]
+    refused: Node | None = None

@@ -279,16 +279,8 @@ def _refers_in_place(nodes: Iterable[Node]) -> bool:
             elif id(node) not in done:
                 path.add(id(node))
                 stack.append((node, True))
-                stack.extend((one, False) for one in _applied_in_place(node))
+                stack.extend((one, False) for one in node.applied())
     return False
-
-
-def _applied_in_place(node: Node) -> list[Node]:
-    single = [node.negated, node.condition, node.then, node.otherwise]
-    found = [one for one in single if one is not None]
-    found += [*node.all_of, *(node.any_of or ()), *(node.one_of or ())]
-    found += [one for _, one in node.dependent_schemas]
-    return found if node.reference is None else [*found, node.target()]
 
 
 _NUMBERS = {

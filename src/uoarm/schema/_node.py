@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,8 @@ __all__ = ["Node"]
 class Node:
     """One schema. Equal content has the same `number`, so that comparing is comparing integers.
 
-    A node that holds something out of scope says so in `unsupported`. `never` is `false`.
+    A node that holds something out of scope says so in `unsupported`. `never` is `false`. `tags`
+    are found when first asked for, by `_tags`.
     """
 
     number: int
@@ -64,8 +67,17 @@ class Node:
     then: Node | None = None
     otherwise: Node | None = None
     reference: str | None = None
+    tags: Mapping[str, AbstractSet[Key]] | None = None
 
     def target(self) -> Node:
         """Return the node that `$ref` points to."""
         assert self.reference is not None
         return self.document.resolve(self.reference)
+
+    def applied(self) -> list[Node]:
+        """Return the schemas that this one applies to the same value."""
+        single = [self.negated, self.condition, self.then, self.otherwise]
+        found = [one for one in single if one is not None]
+        found += [*self.all_of, *(self.any_of or ()), *(self.one_of or ())]
+        found += [one for _, one in self.dependent_schemas]
+        return found if self.reference is None else [*found, self.target()]

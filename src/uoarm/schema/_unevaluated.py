@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 
-from uoarm.schema._branch import Branch
+from uoarm.schema._branch import Branch, Choice
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._evaluate import named_rules
 from uoarm.schema._node import Node
@@ -35,7 +35,8 @@ def members_hold(node: Node, rule: Node) -> list[Branch]:
         for name in _names(narrow):
             if not named_rules(cover, name):
                 holders = [_held(one.guard) for one in narrow if name in one.node.properties]
-                way.choices.append([Branch([("member", name, (rule, True))]), *holders])
+                meets = Branch([("member", name, (rule, True))])
+                way.choices.append(Choice([meets, *holders]))
         way.atoms.append(("rest", _cover(node, [*sure, *narrow], sure), (rule, True)))
         ways.append(way)
     return ways
@@ -139,13 +140,14 @@ def _held(guard: Iterable[Condition]) -> Branch:
     return held
 
 
-def _failed(guard: Guard) -> list[Branch]:
-    return [
+def _failed(guard: Guard) -> Choice:
+    ways = [
         Branch([("lacks", one)])
         if isinstance(one, str)
         else Branch(literals=[(one[0], not one[1])])
         for one in guard
     ]
+    return Choice(ways)
 
 
 def _names(found: Iterable[Source]) -> list[str]:
