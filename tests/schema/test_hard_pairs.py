@@ -33,9 +33,6 @@ PAIRS = [
 # decided fails here until it is taken off the list.
 UNDECIDED = {
     "unique and contains a value at most once",
-    "200 tags",
-    "300 ranges but one",
-    "300 ranges cover",
 }
 FEW_STEPS = Budget(steps=20_000)
 PATIENT = Budget(seconds=100)
