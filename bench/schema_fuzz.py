@@ -22,14 +22,14 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
 from tests.schema._strategies import related_pair
-from tests.schema._unions import range_pair, tagged_pair
+from tests.schema._unions import range_pair, row_pair, tagged_pair
 from tests.schema._universe import universe
 from tests.schema._watching import watching_pair
 
 from uoarm.schema import check
 from uoarm.testing._choices import chance
 
-_EXACT = (watching_pair, watching_pair, range_pair, tagged_pair)
+_EXACT = (watching_pair, watching_pair, range_pair, row_pair, tagged_pair)
 
 
 def _question(choices: RandomChoices) -> tuple[Body, Body, str | None]:

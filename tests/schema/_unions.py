@@ -1,4 +1,4 @@
-"""Random unions of ranges and of tagged records, over worlds small enough to try whole."""
+"""Random logic over ranges, tagged records and rows, each in a world small enough to try whole."""
 
 from __future__ import annotations
 
@@ -30,6 +30,13 @@ _ROWS: list[object] = [
     {name: value for name, value in zip(_FIELDS, row, strict=True) if value is not _ABSENT}
     for row in product(*((_ABSENT, *values) for values in _FIELDS.values()))
 ]
+_ITEMS = (0, 1, 2, "s")
+_SHORT: Schema = {"type": "array", "items": {"enum": list(_ITEMS)}, "maxItems": 4}
+_ARRAYS: list[object] = [list(row) for n in range(5) for row in product(_ITEMS, repeat=n)]
+_RULES: tuple[Body, ...] = (
+    True, {"type": "integer"}, {"const": 0}, {"const": "s"}, {"not": {"const": 1}},
+    {"maximum": 1}, {"enum": [1, 2, "s"]},
+)  # fmt: skip
 
 
 def range_pair(choices: Choices) -> tuple[Body, Body, str]:
@@ -38,6 +45,10 @@ def range_pair(choices: Choices) -> tuple[Body, Body, str]:
 
 def tagged_pair(choices: Choices) -> tuple[Body, Body, str]:
     return _pair(choices, _RECORDS, _ROWS, _record)
+
+
+def row_pair(choices: Choices) -> tuple[Body, Body, str]:
+    return _pair(choices, _SHORT, _ARRAYS, _row)
 
 
 def _pair(
@@ -95,3 +106,24 @@ def _record(choices: Choices) -> Schema:
     if chance(choices, 50):
         schema["type"] = "object"
     return {"allOf": [schema]} if chance(choices, 10) else schema
+
+
+def _row(choices: Choices) -> Schema:
+    schema: Schema = {}
+    if chance(choices, 50):
+        schema["uniqueItems"] = True
+    if chance(choices, 50):
+        schema["contains"] = choices.item(_RULES)
+        if chance(choices, 50):
+            schema["minContains"] = choices.integer(0, 3)
+        if chance(choices, 40):
+            schema["maxContains"] = choices.integer(0, 3)
+    if chance(choices, 30):
+        schema["prefixItems"] = [choices.item(_RULES) for _ in range(choices.integer(1, 2))]
+    if chance(choices, 30):
+        schema["items"] = choices.item(_RULES)
+    if chance(choices, 30):
+        schema["minItems"] = choices.integer(1, 4)
+    if chance(choices, 20):
+        schema["maxItems"] = choices.integer(1, 3)
+    return schema or {"uniqueItems": True}

@@ -8,7 +8,7 @@ import pytest
 from tests.schema._judge import answer, judge, shown
 from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import related_pair
-from tests.schema._unions import range_pair, tagged_pair
+from tests.schema._unions import range_pair, row_pair, tagged_pair
 from tests.schema._universe import universe
 from tests.schema._watching import watching_pair
 
@@ -37,7 +37,7 @@ def test_pairs_of_a_block_of_seeds(block: int) -> None:
 
 
 @pytest.mark.parametrize("block", range(15))
-@pytest.mark.parametrize("draw", [watching_pair, range_pair, tagged_pair])
+@pytest.mark.parametrize("draw", [watching_pair, range_pair, row_pair, tagged_pair])
 def test_pairs_of_known_truth(draw: Callable[[Choices], Known], block: int) -> None:
     for seed in range(10 * block, 10 * block + 10):
         producer, consumer, truth = draw(RandomChoices(seed))

@@ -7,7 +7,7 @@ from itertools import product
 from typing import Any
 
 from uoarm.schema._branch import Literal
-from uoarm.schema._counting import build_counted, sign_vectors
+from uoarm.schema._counting import build_counted
 from uoarm.schema._distinct import distinct
 from uoarm.schema._layout import Layout
 from uoarm.schema._results import EMPTY, Found, Unknown
@@ -17,6 +17,7 @@ __all__ = ["array_leaf"]
 
 _MAX_ITEMS = 4_000_000
 _MAX_DISTINCT = 300
+_MAX_COUNTS = 8
 
 
 def array_leaf(solver: Solver, state: State) -> Asking:
@@ -24,6 +25,8 @@ def array_leaf(solver: Solver, state: State) -> Asking:
     layout = Layout(state.atoms)
     if layout.most is not None and layout.least > layout.most:
         return EMPTY
+    if len(layout.counts) > _MAX_COUNTS:
+        return Unknown(f"more than {_MAX_COUNTS} contains meet")
     return (yield from _place(solver, layout, layout.some))
 
 
@@ -64,11 +67,13 @@ def _repeat(solver: Solver, layout: Layout) -> Asking:
     for second in range(1, end):
         if layout.most is not None and second >= layout.most:
             break
-        for first, signs in product(range(second), sign_vectors(len(layout.counts))):
+        for first, signs in product(range(second), layout.sign_vectors()):
             solver.spend()
-            counted = zip(layout.counts, signs, strict=True)
-            class_of_item = [(node, sign) for (node, _, _), sign in counted]
-            result = yield (*layout.literals(first), *layout.literals(second), *class_of_item)
+            result = yield (
+                *layout.literals(first),
+                *layout.literals(second),
+                *layout.signed(signs),
+            )
             if isinstance(result, Found):
                 least = layout.least
                 layout.least = max(least, second + 1)

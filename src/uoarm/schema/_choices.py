@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import TypeAlias
 
+from uoarm.schema._array_view import ArrayView
 from uoarm.schema._branch import Branch, Choice
 from uoarm.schema._expand import expand
 from uoarm.schema._objects import ObjectView
@@ -12,6 +13,7 @@ from uoarm.schema._results import Result
 from uoarm.schema._solve import Goal, State
 from uoarm.schema._tags import contradicts, tags_of
 
+View: TypeAlias = "ObjectView | ArrayView"
 __all__ = ["judge", "rank"]
 
 Judged: TypeAlias = Generator[Goal, Result, "list[Branch] | None"]
@@ -24,7 +26,7 @@ def rank(choice: Choice) -> tuple[bool, int]:
     return not tagged, len(choice.ways)
 
 
-def judge(state: State, view: ObjectView | None, choice: Choice, *, many: bool) -> Judged:
+def judge(state: State, view: View | None, choice: Choice, *, many: bool) -> Judged:
     """Return the branches that may still hold, or None when the choice holds already."""
     if choice.refused is not None and contradicts(state.tags, choice.refused):
         return None

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from uoarm.schema._distinct import distinct
+from uoarm.schema._distinct_counting import build_distinct_counted
 from uoarm.schema._evaluate import accepts
 from uoarm.schema._layout import Layout
 from uoarm.schema._results import EMPTY, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver
 
-__all__ = ["build_counted", "sign_vectors"]
+__all__ = ["build_counted"]
 
 _MAX_COUNTED = 3_000
 
@@ -21,6 +21,8 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
     longest = max(layout.least, layout.generic) + needed
     if layout.most is not None:
         longest = min(longest, layout.most)
+    if layout.unique:
+        return (yield from build_distinct_counted(solver, layout, longest))
     if longest > _MAX_COUNTED:
         return Unknown(f"arrays of up to {longest:,} items would have to be counted through")
     unknown: Unknown | None = None
@@ -30,16 +32,12 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
     for length in range(longest + 1):
         if length >= layout.least and length > max(fixed, default=-1):
             for counts in reached:
-                if _enough(layout, counts):
-                    return (yield from _assemble(solver, layout, layers, counts, length, fixed))
+                if layout.enough(counts):
+                    return (yield from _assemble(layers, counts, length, fixed))
         if length == longest:
             break
         options: list[tuple[tuple[bool, ...], Goal]] = []
-        for signs in sign_vectors(len(layout.counts)):
-            goal = (
-                *layout.literals(length),
-                *((node, sign) for (node, _, _), sign in zip(layout.counts, signs, strict=True)),
-            )
+        for signs, goal in layout.classes(length):
             if length in fixed:
                 holds = all(accepts(node, fixed[length]) == sign for node, sign in goal)
                 result: Result = Found(None) if holds else EMPTY
@@ -52,7 +50,7 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
         for counts in reached:
             for signs, goal in options:
                 solver.spend()
-                after = _count_on(layout, counts, signs)
+                after = layout.count_on(counts, signs)
                 if after is not None:
                     following.setdefault(after, (counts, goal))
         layers.append(following)
@@ -60,33 +58,7 @@ def build_counted(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Aski
     return unknown or EMPTY
 
 
-def sign_vectors(count: int) -> list[tuple[bool, ...]]:
-    vectors: list[tuple[bool, ...]] = [()]
-    for _ in range(count):
-        vectors = [(*one, sign) for one in vectors for sign in (True, False)]
-    return vectors
-
-
-def _count_on(
-    layout: Layout, counts: tuple[int, ...], signs: tuple[bool, ...]
-) -> tuple[int, ...] | None:
-    """Return the counts after one more item; counts that no longer matter stay where they are."""
-    after = []
-    for (_, least, most), count, sign in zip(layout.counts, counts, signs, strict=True):
-        more = count + sign
-        if most is not None and more > most:
-            return None
-        after.append(min(more, least) if most is None else more)
-    return tuple(after)
-
-
-def _enough(layout: Layout, counts: tuple[int, ...]) -> bool:
-    return all(count >= least for (_, least, _), count in zip(layout.counts, counts, strict=True))
-
-
 def _assemble(
-    solver: Solver,
-    layout: Layout,
     layers: list[dict[tuple[int, ...], tuple[tuple[int, ...], Goal]]],
     counts: tuple[int, ...],
     length: int,
@@ -97,11 +69,6 @@ def _assemble(
         counts, goal = layers[position][counts]
         goals.append(goal)
     goals.reverse()
-    if layout.unique:
-        result = yield from distinct(solver, goals)
-        if isinstance(result, Found):
-            return result
-        return Unknown("distinct items together with contains")
     items = []
     for position, goal in enumerate(goals):
         if position in fixed:

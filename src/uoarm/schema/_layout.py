@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import product
 from typing import Any
 
 from uoarm.schema._branch import Atom, Literal
@@ -58,3 +59,33 @@ class Layout:
         """Return what the item at a position must meet."""
         tail = (literal for start, literal in self.tails if position >= start)
         return (*self.at.get(position, ()), *tail)
+
+    def sign_vectors(self) -> Iterator[tuple[bool, ...]]:
+        """Yield every way in which an item may meet or fail the counted schemas."""
+        return product((True, False), repeat=len(self.counts))
+
+    def signed(self, signs: tuple[bool, ...]) -> Goal:
+        """Return what an item meets that meets and fails the counted schemas as given."""
+        return tuple((node, sign) for (node, _, _), sign in zip(self.counts, signs, strict=True))
+
+    def classes(self, position: int) -> Iterator[tuple[tuple[bool, ...], Goal]]:
+        """Yield what an item at a position must meet, by what it counts for."""
+        for signs in self.sign_vectors():
+            yield signs, (*self.literals(position), *self.signed(signs))
+
+    def count_on(self, counts: tuple[int, ...], signs: tuple[bool, ...]) -> tuple[int, ...] | None:
+        """Return the counts after one more item, None when there are too many.
+
+        Counts that no longer matter stay where they are.
+        """
+        after = []
+        for (_, least, most), count, sign in zip(self.counts, counts, signs, strict=True):
+            more = count + sign
+            if most is not None and more > most:
+                return None
+            after.append(min(more, least) if most is None else more)
+        return tuple(after)
+
+    def enough(self, counts: tuple[int, ...]) -> bool:
+        """Say whether no counted schema lacks items."""
+        return all(n >= least for (_, least, _), n in zip(self.counts, counts, strict=True))

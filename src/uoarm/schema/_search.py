@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from typing import Any
 
+from uoarm.schema._array_view import ArrayView
 from uoarm.schema._arrays import array_leaf
 from uoarm.schema._branch import Branch, Choice
 from uoarm.schema._choices import judge, rank
@@ -12,12 +14,14 @@ from uoarm.schema._number_goals import find_number_whole
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
 from uoarm.schema._regex import UnsupportedPatternError
-from uoarm.schema._results import EMPTY, Found, Result, Unknown
+from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State, possible_kinds, try_values
 from uoarm.schema._values import exact, kind_of
 from uoarm.schema._words import TooLong, shortest_word
 
 __all__ = ["answer"]
+
+_MAX_TRIED = 100
 
 
 def answer(solver: Solver, goal: Goal) -> Asking:
@@ -64,7 +68,7 @@ def _search(solver: Solver, state: State) -> Asking:
         return EMPTY
     while state.choices:
         solver.spend()
-        view = ObjectView(state.atoms) if state.kind == "object" else None
+        view = _view(state)
         many = len(state.choices) > 1
         open_choices: list[Choice] = []
         forced: Branch | None = None
@@ -95,12 +99,21 @@ def _search(solver: Solver, state: State) -> Asking:
     return (yield from _leaf(solver, state))
 
 
+def _view(state: State) -> ObjectView | ArrayView | None:
+    if state.kind == "object":
+        return ObjectView(state.atoms)
+    return ArrayView(state.atoms) if state.kind == "array" else None
+
+
 def _is_finite(state: State) -> bool:
     return any(atom[0] == "in" for atom in state.atoms)
 
 
 def _branch(solver: Solver, state: State) -> Asking:
     """Try the ways of the choice that has fewest, one after another."""
+    settled = yield from _without_choices(solver, state)
+    if settled is not None:
+        return settled
     position = min(range(len(state.choices)), key=lambda n: rank(state.choices[n]))
     ways = state.choices.pop(position).ways
     unknown: Unknown | None = None
@@ -119,6 +132,19 @@ def _branch(solver: Solver, state: State) -> Asking:
         if isinstance(result, Unknown):
             unknown = result
     return unknown or EMPTY
+
+
+def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Result | None]:
+    """Leave the choices aside: there may be no value even so, or one that happens to do."""
+    if any(atom[0] == "least" and atom[1] > _MAX_TRIED for atom in state.atoms):  # type: ignore[operator] # a size
+        return None
+    try:
+        found = yield from _leaf(solver, state)
+    except (UnsupportedPatternError, TooLong):
+        return None
+    if isinstance(found, Found):
+        return found if isinstance(try_values([found.value], state), Found) else None
+    return found if isinstance(found, Empty) else None
 
 
 def _leaf(solver: Solver, state: State) -> Asking:
