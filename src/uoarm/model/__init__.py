@@ -17,6 +17,7 @@ from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, Robot
 from uoarm.model._status import (
     BridgeStatus,
+    ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
@@ -32,6 +33,7 @@ from uoarm.model._wire import from_json, to_json
 __all__ = [
     "BridgeSpec",
     "BridgeStatus",
+    "ChannelStatus",
     "Component",
     "ComponentStatus",
     "ConnectionState",
