@@ -278,6 +278,15 @@ class Station:
         """Whether a server of this full name is on the graph; clients do not count."""
         return bool(self.node.count_services(service))
 
+    def servers(self, service: str) -> tuple[Peer, ...]:
+        """Return the servers of a full name, as their reply topics show them.
+
+        Empty where the middleware names these topics otherwise than DDS does in ROS 2:
+        https://design.ros2.org/articles/topic_and_service_names.html
+        """
+        found = self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)
+        return tuple(map(_peer, found))
+
     def services(self) -> dict[str, list[str]]:
         """Return the services on the graph now, with their types."""
         return dict(self.node.get_service_names_and_types())
