@@ -17,6 +17,7 @@ from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, Robot
 from uoarm.model._status import (
     BridgeStatus,
+    ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
@@ -34,6 +35,7 @@ __all__ = [
     "Availability",
     "BridgeSpec",
     "BridgeStatus",
+    "ChannelStatus",
     "Component",
     "ComponentStatus",
     "ConnectionState",
