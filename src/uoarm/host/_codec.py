@@ -54,7 +54,7 @@ def pack(message: Message) -> bytes:
         )
 
     try:
-        tree = msgpack.packb(message, default=other, unicode_errors="surrogatepass")
+        tree: bytes = msgpack.packb(message, default=other, unicode_errors="surrogatepass")
     except (ValueError, OverflowError, TypeError) as error:
         if isinstance(error, MessageError):
             raise
