@@ -62,9 +62,10 @@ class Link:
         begun = time.monotonic()
         with _wrapped(f"asking {key}"):
             replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
-        if not replies:  # Zenoh says it so both when there is nobody and when time is up
-            if time.monotonic() - begun >= timeout:
-                raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
+        late = time.monotonic() - begun >= timeout
+        if late and (not replies or replies[0].ok is None):
+            raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
+        if not replies:
             raise BridgeError(f"nobody answers at {key}", FailureReason.UNAVAILABLE)
         reply = replies[0]
         if reply.err is not None:
