@@ -20,15 +20,25 @@ from uoarm.host._link import Link, Reply
 Ends = tuple[Link, Link]
 
 
+def _settle(near: Link, far: Link) -> None:
+    """Wait until what `far` declared before is known to `near`."""
+    seen = threading.Event()
+    near.watch_alive("test/settled", lambda alive: seen.set())
+    far.show_alive("test/settled")
+    assert seen.wait(5)
+
+
 def test_a_request_is_answered(ends: Ends) -> None:
     near, far = ends
     far.answer("test/ask", lambda request, reply: reply({"got": request}))
+    _settle(near, far)
     assert near.ask("test/ask", [1, b"two"], timeout=5) == {"got": [1, b"two"]}
 
 
 def test_both_ends_may_ask(ends: Ends) -> None:
     near, far = ends
     near.answer("test/ask", lambda request, reply: reply(request + 1))
+    _settle(far, near)
     assert far.ask("test/ask", 1, timeout=5) == 2
 
 
@@ -47,6 +57,7 @@ def test_an_error_keeps_kind_text_and_reason(ends: Ends, error: UoarmError) -> N
 
     near, far = ends
     far.answer("test/ask", take)
+    _settle(near, far)
     with pytest.raises(type(error), match=f"^{error}$") as caught:
         near.ask("test/ask", None, timeout=5)
     assert type(caught.value) is type(error)
@@ -56,6 +67,7 @@ def test_an_error_keeps_kind_text_and_reason(ends: Ends, error: UoarmError) -> N
 def test_a_foreign_error_is_answered_by_name(ends: Ends) -> None:
     near, far = ends
     far.answer("test/ask", lambda request, reply: reply(1 // request))
+    _settle(near, far)
     with pytest.raises(BridgeError, match="ZeroDivisionError"):
         near.ask("test/ask", 0, timeout=5)
 
@@ -63,6 +75,7 @@ def test_a_foreign_error_is_answered_by_name(ends: Ends) -> None:
 def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
     near, far = ends
     far.answer("test/ask", lambda request, reply: reply(object()))
+    _settle(near, far)
     with pytest.raises(MessageError, match="cannot carry a object"):
         near.ask("test/ask", 0, timeout=5)
 
@@ -77,6 +90,7 @@ def test_no_answer_in_time_is_a_timeout(ends: Ends) -> None:
     near, far = ends
     kept: list[Reply] = []
     far.answer("test/ask", lambda request, reply: kept.append(reply))
+    _settle(near, far)
     with pytest.raises(BridgeTimeoutError):
         near.ask("test/ask", None, timeout=0.3)
 
@@ -86,6 +100,7 @@ def test_an_answer_may_come_from_another_thread(ends: Ends) -> None:
     far.answer(
         "test/ask", lambda request, reply: threading.Thread(target=reply, args=(request,)).start()
     )
+    _settle(near, far)
     assert near.ask("test/ask", "later", timeout=5) == "later"
 
 
@@ -110,6 +125,7 @@ def test_a_token_comes_and_goes(ends: Ends) -> None:
 def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
     near, far = ends
     receive, end = near.subscribe("test/frames", 4)
+    _settle(far, near)
     got: list[object] = []
 
     def run() -> None:
