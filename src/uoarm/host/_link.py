@@ -31,6 +31,7 @@ _RETRY_MILLISECONDS = 200
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
 
+_BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
 
 
@@ -94,8 +95,12 @@ class Link:
         with _wrapped(f"answering at {key}"):
             return self._keep(self._session.declare_queryable(key, handle))
 
-    def publish(self, key: str, payload: bytes, header: bytes) -> None:
+    def publish(
+        self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
+    ) -> None:
         """Send one frame. When the link is full for 0.2 s, the frame is dropped.
+
+        With `must_arrive` it waits longer, and a link that stays full for 5 s is broken.
 
         Raises:
             BridgeError: the link is closed.
@@ -105,7 +110,7 @@ class Link:
                 key,
                 payload,
                 attachment=header,
-                congestion_control=zenoh.CongestionControl.DROP,
+                congestion_control=_BLOCK if must_arrive else _DROP,
             )
 
     def subscribe(self, key: str, length: int) -> tuple[Callable[[], Any], Callable[[], None]]:
