@@ -26,6 +26,7 @@ _WINDOW = 64
 _CONFIRM_EACH = _WINDOW // 4
 _CONFIRM_SECONDS = 0.2
 _TRY_SECONDS = 0.2
+_GLANCE_SECONDS = 0.005
 _ERROR_LENGTH = 1000
 _log = logging.getLogger("uoarm")
 
@@ -69,6 +70,11 @@ class Outgoing:
         self.failed = 0
         self.last_error = ""
         self._end = link.listen(f"{key}/handled", self._read_confirmation)
+
+    @property
+    def sent(self) -> int:
+        """How many messages were sent."""
+        return self._number
 
     @property
     def unconfirmed(self) -> int:
@@ -198,6 +204,13 @@ class Incoming:
         self._closed = True
         self._end()
 
+    def drain(self, number: int, timeout: float) -> None:
+        """Wait until the message of this number is handled, `timeout` seconds at most."""
+        deadline = time.monotonic() + timeout
+        pause = threading.Event()
+        while self._number < number and time.monotonic() < deadline:
+            pause.wait(_GLANCE_SECONDS)
+
     def join(self, timeout: float) -> None:
         """Wait until a `take` under way has finished, unless this is called from within it."""
         if self._thread is not threading.current_thread():
@@ -213,7 +226,7 @@ class Incoming:
     def _handle(self, frame: bytes, header: bytes) -> None:
         number, skipped, sent_at, ending = msgpack.unpackb(header)
         self.lost += number - self._number - 1 + skipped - self._skipped
-        self._number, self._skipped = number, skipped
+        self._skipped = skipped
         self.latency = max(0.0, (time.time_ns() - sent_at) / 1e9)
         if ending is not None:
             self._ended(Ending(*ending))
@@ -224,6 +237,7 @@ class Incoming:
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self.failed += 1
                 self.last_error = f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]
+        self._number = number
         self._confirm()
 
     def _confirm(self) -> None:
