@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from threading import BoundedSemaphore, Event
+from threading import Event
 from typing import Any
 
 from uoarm._version import __version__
@@ -15,11 +15,11 @@ from uoarm.host import _keys
 from uoarm.host._flow import Ending
 from uoarm.host._link import ANSWER_SECONDS, Link, Reply
 from uoarm.host._open_flows import OpenFlows
+from uoarm.host._workers import Workers
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
 __all__ = ["Serving"]
 
-_AT_ONCE = 64
 _log = logging.getLogger("uoarm")
 
 Request = Mapping[str, Any]
@@ -38,9 +38,8 @@ class Serving:
         self._bridge = bridge
         self._link = link
         self._flows = OpenFlows(link)
-        self._workers = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-ask")
+        self._workers = Workers("uoarm-ask")
         self._teller = ThreadPoolExecutor(1, thread_name_prefix="uoarm-tell")
-        self._room = BoundedSemaphore(_AT_ONCE)
         self._ended = ended
         self._operations: dict[str, Callable[[Request], Any]] = {
             "hello": self._hello,
@@ -68,20 +67,14 @@ class Serving:
         if operation is None:
             text = f"the bridge host knows no operation {request['op']!r}"
             raise BridgeError(text, FailureReason.CONTRACT)
-        if not self._room.acquire(blocking=False):
-            text = f"the bridge host is busy with {_AT_ONCE} requests"
-            raise BridgeError(text, FailureReason.UNAVAILABLE)
-        self._workers.submit(self._work, operation, request, reply)
+        last = request["op"] == "close"
 
-    def _work(self, operation: Callable[[Request], Any], request: Request, reply: Reply) -> None:
-        try:
-            reply(operation(request))
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the manager is told
-            reply(error)
-        finally:
-            self._room.release()
-            if operation == self._close:
+        def answer(value: Any) -> None:
+            reply(value)
+            if last:
                 self._ended.set()
+
+        self._workers.answer(answer, lambda: operation(request))
 
     def _hello(self, request: Request) -> Any:
         del request
