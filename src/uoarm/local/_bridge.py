@@ -10,7 +10,17 @@ from weakref import WeakSet
 
 from attrs import define, field
 
-from uoarm.bridge import Bridge, BridgeType, Capabilities, Channel, Description, Sink, hookimpl
+from uoarm.bridge import (
+    Bridge,
+    BridgeType,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Sink,
+    hookimpl,
+)
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._instance import Instance
 from uoarm.local._target import Target, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
@@ -66,14 +76,24 @@ class PythonBridge(Bridge):
         del structure
         target = self._target(endpoint)
         instance = self._enter(endpoint, target)
-        instance.emit_to(endpoint.port, deliver)
-        channel = _SourceChannel(endpoint, lambda: self._leave_source(endpoint, instance))
+        receiver = Delivery(deliver)
+
+        def leave() -> None:
+            instance.source.remove_listener(channel)
+            instance.remove_receiver(endpoint.port, receiver)
+            self._leave(endpoint)
+
+        channel = _SourceChannel(endpoint, leave)
+        instance.add_receiver(endpoint.port, receiver)
         if not target.takes_messages(endpoint):
             try:
-                self._sources.add(instance.start(lambda failure: self._ended(channel, failure)))
+                thread = instance.source.add_listener(
+                    channel, lambda failure: self._ended(channel, failure)
+                )
             except BaseException:
-                self._leave_source(endpoint, instance)
+                leave()
                 raise
+            self._sources.add(thread)
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -126,11 +146,6 @@ class PythonBridge(Bridge):
         if slot.instance is not None:
             slot.instance.close()
 
-    def _leave_source(self, endpoint: Endpoint, instance: Instance) -> None:
-        instance.emit_to(endpoint.port, None)
-        instance.stop()
-        self._leave(endpoint)
-
     def _ended(self, channel: Channel, failure: Exception | None) -> None:
         if failure is None:
             self.report(Health.FINISHED, "its source has no more messages", channel=channel)
@@ -159,7 +174,13 @@ class _InputSink(Sink):
         self._leave = leave
 
     def send(self, message: Message) -> None:
-        """Run the component's function on a message and emit what it returns."""
+        """Run the component's function on a message and emit what it returns.
+
+        Raises:
+            BridgeError: the channel is closed. What the function raises passes through.
+        """
+        if self.closed:
+            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
         self._take(message)
 
     def _close(self) -> None:

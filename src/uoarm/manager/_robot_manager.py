@@ -22,9 +22,11 @@ from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._opening import OpenPlan
 from uoarm.manager._pool import Pool
+from uoarm.manager._survey import survey
 from uoarm.model import (
     ConnectionState,
     Deliver,
+    FunctionStatus,
     Message,
     Plan,
     PortRef,
@@ -76,7 +78,8 @@ class RobotManager:
             self._pool,
             self._ledger,
             self._board,
-            forget=self._resolver.invalidate,
+            robot,
+            forget=self._forget,
             retire=self._bridges.retire,
         )
 
@@ -93,7 +96,8 @@ class RobotManager:
         Raises:
             ConfigurationError: the file has mistakes; the text lists all of them.
         """
-        return cls(load(path), registry=registry, clock=clock)
+        registry = registry or Registry()
+        return cls(load(path, registry.types), registry=registry, clock=clock)
 
     def resolve(self, name: str) -> Plan:
         """Return the plan that `request` would open, without opening anything.
@@ -143,7 +147,7 @@ class RobotManager:
             _bounded.run(f"request for {name!r}", timeout, connection.open)
         except BaseException as error:
             for step in plan.steps:
-                self._resolver.invalidate(step.component.name)
+                self._forget(step.component.name)
             connection.end(ConnectionState.FAILED, str(error))
             raise
         return connection
@@ -187,6 +191,16 @@ class RobotManager:
             routes=(*(route for route in shared if route is not None), *own),
         )
 
+    def survey(self) -> tuple[FunctionStatus, ...]:
+        """Return which functions and components can be had now; opens nothing.
+
+        Blocks while bridges are asked, several components at once, each within its limit.
+        """
+        self._ledger.require_open()
+        for component in self.robot.components():
+            self._forget(component.name)
+        return survey(self.robot, self._structures, self.resolve)
+
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
 
@@ -201,6 +215,10 @@ class RobotManager:
         for failure in self._bridges.close():
             _log.warning("%s", failure)
         self._board.close()
+
+    def _forget(self, component: str) -> None:
+        self._structures.forget(component)
+        self._resolver.invalidate(component)
 
     def _noticed(self, event: HealthEvent) -> None:
         self._health.noticed(event)

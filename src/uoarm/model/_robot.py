@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from attrs import field, frozen
 
-from uoarm.model._component import Function
+from uoarm.model._component import Component, Function
 from uoarm.model._values import Options
 
 __all__ = ["BridgeSpec", "Robot"]
@@ -42,3 +42,8 @@ class Robot:
     functions: Mapping[str, Function] = field(hash=False)
     warnings: tuple[str, ...] = ()
     origin: str = ""
+
+    def components(self) -> Iterator[Component]:
+        """Yield every component, in the order of the file."""
+        for function in self.functions.values():
+            yield from function.components

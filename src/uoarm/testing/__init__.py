@@ -11,6 +11,7 @@ from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._same import plain, same
 
 __all__ = [
     "Background",
@@ -27,5 +28,7 @@ __all__ = [
     "hanging",
     "instances",
     "lying",
+    "plain",
     "raising",
+    "same",
 ]

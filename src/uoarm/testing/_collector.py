@@ -76,6 +76,16 @@ class Collector:
                 raise AssertionError(f"{came} of {count} messages came within {timeout:g} s")
             return list(self._messages)
 
+    def wait_for(self, fits: Callable[[Message], bool], timeout: float = _PATIENCE_SECONDS) -> None:
+        """Wait until a message has come that fits.
+
+        Raises:
+            AssertionError: none came within `timeout` seconds.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: any(map(fits, self._messages)), timeout):
+                raise AssertionError(f"no such message within {timeout:g} s: {self._messages}")
+
     def wait_begun(self, count: int, timeout: float = _PATIENCE_SECONDS) -> None:
         """Wait until `count` deliveries have begun.
 
