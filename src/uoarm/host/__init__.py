@@ -1,1 +1,8 @@
-"""Bridge hosts: a bridge, unchanged, in a process and Python environment of its own."""
+"""Bridge hosts: a bridge, unchanged, in a process and Python environment of its own.
+
+Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
+"""
+
+from uoarm.host._remote import RemoteBridge
+
+__all__ = ["RemoteBridge"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from uoarm.bridge import Channel, Sink
+from uoarm.bridge import Channel, Delivery, Sink
 from uoarm.errors import UoarmError
 from uoarm.host._flow import Incoming, Outgoing
 from uoarm.model import Endpoint, Message
@@ -61,6 +61,7 @@ class RemoteSource(RemoteChannel):
     """An output in a host; its messages arrive in a thread of their own."""
 
     incoming: Incoming
+    delivery: Delivery
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what was lost on the link; latency in seconds."""
@@ -70,6 +71,7 @@ class RemoteSource(RemoteChannel):
 
     def _close(self) -> None:
         self.incoming.close()
+        self.delivery.end()
         super()._close()
 
 

@@ -8,7 +8,16 @@ import threading
 from collections.abc import Mapping
 from typing import Any, final
 
-from uoarm.bridge import Bridge, Capabilities, Channel, Description, Discovered, Handler, Sink
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    Handler,
+    Sink,
+)
 from uoarm.host import _keys
 from uoarm.host._channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm.host._connection import HostConnection
@@ -84,11 +93,12 @@ class RemoteBridge(Bridge):
         def ended(ending: Ending) -> None:
             self.report(Health(ending.health), ending.cause, channel=channel)
 
+        channel.delivery = Delivery(deliver)
         channel.incoming = Incoming(
             self._host.link,
             _keys.flow(number),
             name=f"{endpoint.component}.{endpoint.port}",
-            take=deliver,
+            take=channel.delivery.give,
             ended=ended,
         )
         self._channels[number] = channel
