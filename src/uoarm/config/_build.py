@@ -45,7 +45,10 @@ def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
     options = dict(value.get("options", {}))
     if plugin == "python" and "path" not in options and origin:
         options["path"] = [str(FilePath(origin).resolve().parent)]
-    return BridgeSpec(name, plugin, options, value.get("host"))
+    host = value.get("host", False)
+    if isinstance(host, bool):
+        return BridgeSpec(name, plugin, options, {} if host else None)
+    return BridgeSpec(name, plugin, options, host)
 
 
 def _function(name: str, value: Mapping[str, Any]) -> Function:

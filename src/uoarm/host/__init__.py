@@ -4,5 +4,6 @@ Needs the extra `uoarm[hosts]`, in the application and in the environment of eve
 """
 
 from uoarm.host._remote import RemoteBridge
+from uoarm.host._settings import HostSettings
 
-__all__ = ["RemoteBridge"]
+__all__ = ["HostSettings", "RemoteBridge"]

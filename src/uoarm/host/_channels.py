@@ -69,6 +69,14 @@ class RemoteSource(RemoteChannel):
         ours = {"lost_on_link": incoming.lost, "link_latency": incoming.latency}
         return {**super().facts(), **ours}
 
+    def drain(self, timeout: float) -> bool:
+        """Wait until every message that the host has sent by now is delivered."""
+        try:
+            sent = self._ask("sent", flow=self.number, timeout=timeout)
+        except UoarmError:
+            return False
+        return not isinstance(sent, int) or self.incoming.drain(sent, timeout)
+
     def _close(self) -> None:
         self.incoming.close()
         self.delivery.end()
@@ -98,6 +106,14 @@ class RemoteSink(RemoteChannel, Sink):
             "last_error_in_host": outgoing.last_error,
         }
         return {**super().facts(), **ours}
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until the component has taken every message that was sent by now."""
+        try:
+            sent = self.outgoing.sent
+            return bool(self._ask("drain", flow=self.number, sent=sent, timeout=timeout))
+        except UoarmError:
+            return False
 
     def _close(self) -> None:
         try:

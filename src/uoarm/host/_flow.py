@@ -204,12 +204,13 @@ class Incoming:
         self._closed = True
         self._end()
 
-    def drain(self, number: int, timeout: float) -> None:
-        """Wait until the message of this number is handled, `timeout` seconds at most."""
+    def drain(self, number: int, timeout: float) -> bool:
+        """Wait until the message of this number is handled; False when time ran out."""
         deadline = time.monotonic() + timeout
         pause = threading.Event()
         while self._number < number and time.monotonic() < deadline:
             pause.wait(_GLANCE_SECONDS)
+        return self._number >= number
 
     def join(self, timeout: float) -> None:
         """Wait until a `take` under way has finished, unless this is called from within it."""

@@ -35,6 +35,11 @@ class Leaving:
         self._outgoing = outgoing
         self._last_error = ""
 
+    @property
+    def sent(self) -> int:
+        """How many messages were sent."""
+        return self._outgoing.sent
+
     def deliver(self, message: Message) -> None:
         """Send one message. Never raises: what cannot be sent is counted as lost."""
         try:
@@ -117,6 +122,16 @@ class OpenFlows:
         if found is None:
             raise BridgeError(f"no channel {number} is open in the host", FailureReason.CLOSED)
         return found.channel
+
+    def sent(self, number: int) -> int:
+        """Return how many messages of a source were sent."""
+        found = self._open.get(number)
+        return 0 if found is None or found.leaving is None else found.leaving.sent
+
+    def drain(self, number: int, sent: int, timeout: float) -> bool:
+        """Wait until a sink has handled the messages up to the number `sent`."""
+        found = self._open.get(number)
+        return found is None or found.arriving is None or found.arriving.drain(sent, timeout)
 
     def number_of(self, channel: Channel) -> int | None:
         """Return the number of an open channel, None for one that is not listed."""

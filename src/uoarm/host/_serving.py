@@ -51,6 +51,10 @@ class Serving:
             "serve": self._serve,
             "link": self._native_link,
             "facts": lambda request: dict(self._flows.channel(request["flow"]).facts()),
+            "sent": lambda request: self._flows.sent(request["flow"]),
+            "drain": lambda request: self._flows.drain(
+                request["flow"], request["sent"], request["timeout"]
+            ),
             "close_channel": self._close_channel,
             "close": self._close,
         }

@@ -31,6 +31,7 @@ class HostSettings:
         variables: environment variables to set, or with None to take away.
         silence: seconds without an answer after which the host counts as dead.
         start: seconds within which it must be ready.
+        restarts: deaths in a row after which the manager gives it up.
     """
 
     environment: str | None = None
@@ -38,6 +39,7 @@ class HostSettings:
     variables: Mapping[str, str | None] = field(factory=dict, hash=False)
     silence: float = 3.0
     start: float = 30.0
+    restarts: int = 5
 
     @classmethod
     def read(cls, options: Options) -> HostSettings:

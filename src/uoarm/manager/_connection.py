@@ -198,6 +198,7 @@ class Connection:
         for joined in sorted(self._opened.edges, key=lambda one: order[one.edge.producer]):
             if joined.route is not None:
                 joined.route.drain(timeout)
+                self._opened.component(joined.edge.consumer).drain(timeout)
 
     def status(self) -> ConnectionStatus:
         """Return what the status map shows."""

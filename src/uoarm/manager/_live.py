@@ -85,6 +85,14 @@ class LiveComponent:
                 self._senders[name] = _one_at_a_time(sink)
             return self._senders[name]
 
+    def drain(self, timeout: float) -> None:
+        """Wait until what is under way in its channels has arrived; inputs first.
+
+        Waits `timeout` seconds for each channel at most.
+        """
+        for channel in (*self._sinks.values(), *self._sources.values()):
+            channel.drain(timeout)
+
     def close(self) -> None:
         """Close every channel, sources first; failures are logged. Bounded in time."""
         self._doomed = True

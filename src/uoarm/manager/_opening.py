@@ -50,6 +50,10 @@ class OpenPlan:
         """The components in use."""
         return tuple(self._lives.values())
 
+    def component(self, name: str) -> LiveComponent:
+        """Return an open component of the plan."""
+        return self._lives[name]
+
     def open(self, output: str | None, receive: Route | None) -> None:
         """Open everything; `receive` takes the messages of the provider's `output`.
 

@@ -70,7 +70,7 @@ class RobotManager:
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
-        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {})
+        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge)
         self._pool = Pool(self._bridges.get, clock)
