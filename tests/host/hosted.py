@@ -50,6 +50,13 @@ def hang(value: int) -> int:
 def process_id(value: int) -> int:
     return os.getpid()
 
+class takes_long:
+    def __init__(self) -> None:
+        open(os.path.join(os.path.dirname(__file__), "begun"), "w").close()
+        time.sleep(30)
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+
 def say(value: int) -> int:
     print("spoken", value)
     return value

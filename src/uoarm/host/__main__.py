@@ -34,7 +34,7 @@ def main() -> int:
     threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
-    link = Link(orders["place"], listen=False)
+    link = Link(orders["place"], listen=False, lease=orders["lease"])
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import logging
 import os
 import shutil
 import threading
@@ -21,10 +23,12 @@ from uoarm.model import BridgeSpec
 
 __all__ = ["HostConnection"]
 
+_log = logging.getLogger("uoarm")
 _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 0.3
 _POLITE_SECONDS = 0.7
 _JOIN_SECONDS = 2.0
+_LEASE_SECONDS = 10.0
 
 
 class HostConnection:
@@ -68,7 +72,8 @@ class HostConnection:
         folder = link_folder()
         try:
             place = f"unixsock-stream/{folder}/link"
-            self._link = Link(place, listen=True)
+            lease = max(_LEASE_SECONDS, 3 * settings.silence)
+            self._link = Link(place, listen=True, lease=lease)
             self._link.watch_alive(_keys.ALIVE, self._seen)
             self._started = HostProcess(spec.name, command, variables, self._exited)
             self._started.tell(
@@ -79,6 +84,7 @@ class HostConnection:
                     "place": place,
                     "folder": str(folder),
                     "parent": os.getpid(),
+                    "lease": lease,
                 }
             )
             self._await_token(deadline)
@@ -97,6 +103,7 @@ class HostConnection:
             given_up=self._give_up,
         )
         self._pulse.start()
+        atexit.register(self._end_with_python)
 
     @property
     def link(self) -> Link:
@@ -138,6 +145,7 @@ class HostConnection:
             UoarmError: the bridge in the host failed while closing; the host has ended anyway.
             BridgeError: its process does not end.
         """
+        atexit.unregister(self._end_with_python)
         with self._state:
             self._closing = True
         pulse: Pulse | None = getattr(self, "_pulse", None)
@@ -156,6 +164,13 @@ class HostConnection:
                     pulse.join(_JOIN_SECONDS)
                 if self._link is not None:
                     self._link.close()
+
+    def _end_with_python(self) -> None:
+        """End a host that nobody closed before the interpreter ends."""
+        try:
+            self.close(None)
+        except UoarmError as error:
+            _log.warning("%s", error)
 
     def _await_token(self, deadline: float) -> None:
         with self._state:

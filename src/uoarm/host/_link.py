@@ -24,7 +24,6 @@ __all__ = ["ANSWER_SECONDS", "Link", "Reply"]
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
 
-_LEASE_MILLISECONDS = 2500
 _FULL_MICROSECONDS = 200_000
 _RETRY_MILLISECONDS = 200
 
@@ -42,14 +41,20 @@ class Link:
         place: a Zenoh endpoint, `unixsock-stream/...`.
         listen: whether this end waits for the other one; it must be there first.
         timeout: seconds for the connection to stand, where this end connects.
+        lease: seconds without a sign of life after which the other end is taken for gone. The
+            pulse notices a host that hangs, so this may be long.
 
     Raises:
         BridgeError: the session could not be opened.
     """
 
-    def __init__(self, place: str, *, listen: bool, timeout: float = 10.0) -> None:
+    def __init__(
+        self, place: str, *, listen: bool, timeout: float = 10.0, lease: float = 10.0
+    ) -> None:
         with _wrapped(f"opening the link at {place}"):
-            self._session = zenoh.open(_configuration(place, listen=listen, timeout=timeout))
+            self._session = zenoh.open(
+                _configuration(place, listen=listen, timeout=timeout, lease=lease)
+            )
         self._kept: list[Any] = []
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
@@ -93,7 +98,7 @@ class Link:
                 reply(error)
 
         with _wrapped(f"answering at {key}"):
-            return self._keep(self._session.declare_queryable(key, handle))
+            return self._keep(self._session.declare_queryable(key, _directly(handle)))
 
     def publish(
         self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
@@ -142,7 +147,7 @@ class Link:
                 take(header.to_bytes())
 
         with _wrapped(f"listening at {key}"):
-            return self._keep(self._session.declare_subscriber(key, handle))
+            return self._keep(self._session.declare_subscriber(key, _directly(handle)))
 
     def show_alive(self, key: str) -> None:
         """Declare a token that goes when this end dies."""
@@ -156,7 +161,8 @@ class Link:
             seen(sample.kind == zenoh.SampleKind.PUT)
 
         with _wrapped("watching the token"):
-            subscriber = self._session.liveliness().declare_subscriber(key, handle, history=True)
+            tokens = self._session.liveliness()
+            subscriber = tokens.declare_subscriber(key, _directly(handle), history=True)
         self._keep(subscriber)
 
     def close(self) -> None:
@@ -175,6 +181,11 @@ class Link:
                     declared.undeclare()
 
         return end
+
+
+def _directly(handle: Callable[[Any], None]) -> Any:
+    """Have a handler called in Zenoh's thread; else each one gets a thread that no exit ends."""
+    return zenoh.handlers.Callback(handle, indirect=False)
 
 
 def _reply_to(query: zenoh.Query) -> Reply:
@@ -203,7 +214,7 @@ def _wrapped(step: str) -> Iterator[None]:
         raise BridgeError(f"{step} failed: {error}", FailureReason.UNAVAILABLE) from error
 
 
-def _configuration(place: str, *, listen: bool, timeout: float) -> zenoh.Config:
+def _configuration(place: str, *, listen: bool, timeout: float, lease: float) -> zenoh.Config:
     """Return settings under which nothing is found by itself and nothing listens elsewhere."""
     settings: dict[str, object] = {
         "mode": "router" if listen else "client",
@@ -218,7 +229,7 @@ def _configuration(place: str, *, listen: bool, timeout: float) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
-        "transport/link/tx/lease": _LEASE_MILLISECONDS,
+        "transport/link/tx/lease": int(lease * 1000),
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
             _FULL_MICROSECONDS
