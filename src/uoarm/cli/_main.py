@@ -9,6 +9,7 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._run import call, request
 from uoarm.cli._shared import (
     CONFIGURATION,
@@ -131,5 +132,6 @@ def doctor(*, as_json: bool) -> None:
 
 main.add_command(request)
 main.add_command(call)
+main.add_command(new_bridge)
 main.add_command(schema)
 main.add_command(status)

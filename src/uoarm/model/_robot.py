@@ -36,12 +36,15 @@ class Robot:
     Attributes:
         warnings: remarks about the file that do not stop it from being used.
         origin: the file it was read from, empty when it was built in memory.
+        applications: the functions that each application is said to ask for; for readers and
+            checks, nobody else is kept from asking.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
     functions: Mapping[str, Function] = field(hash=False)
     warnings: tuple[str, ...] = ()
     origin: str = ""
+    applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

@@ -1,6 +1,6 @@
 """The conformance kit: the suite that every bridge passes.
 
-A bridge author writes a `World` and gets the whole suite, under pytest with hypothesis:
+A bridge author writes a `World` and gets the whole suite, under pytest with hypothesis::
 
     class TestMyBridge(BridgeConformance):
         kinds = ("integers", "text", "image")
