@@ -105,7 +105,7 @@ class LiveComponent:
             function=self.component.function,
             bridge=self.component.bridge,
             health=self.health,
-            users=tuple(self.users),
+            users=tuple(dict.fromkeys(user.partition("#")[0] for user in self.users)),
             cause=self.cause,
         )
 

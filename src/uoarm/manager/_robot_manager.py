@@ -242,15 +242,13 @@ class RobotManager:
         opened = OpenPlan(plan, identity, self._pool, validate, self._clock)
         if output is None:
             return Connection(identity, opened, queue)
-        place = f"{plan.provider.component.name}.{output}"
-        check = make_check(plan.provider.structures[f"output.{output}"], validate, place)
-        return Connection(
-            identity,
-            opened,
-            queue,
-            output=output,
-            receive=lambda hand: Route(place, identity, hand, clock=self._clock, check=check),
-        )
+
+        def receive(of: Plan, hand: Deliver) -> Route:
+            place = f"{of.provider.component.name}.{output}"
+            check = make_check(of.provider.structures[f"output.{output}"], validate, place)
+            return Route(place, identity, hand, clock=self._clock, check=check)
+
+        return Connection(identity, opened, queue, output=output, receive=receive)
 
 
 def _reference(name: str) -> PortRef:
