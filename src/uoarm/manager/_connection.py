@@ -176,6 +176,12 @@ class Connection:
         self._open.set()
         self._changed()
 
+    def successor(self, plan: Plan) -> OpenPlan:
+        """Make what `succeed` takes: a plan to be opened as the application wished the first."""
+        first = self._opened
+        user = f"{self.id}#{len(self._gaps) + 2}"
+        return OpenPlan(plan, user, first.pool, first.validate, first.clock)
+
     def succeed(self, opened: OpenPlan, gap: Callable[[int], Gap], *, is_dead: bool) -> None:
         """Go on with another plan behind the same handle; the manager's own step.
 

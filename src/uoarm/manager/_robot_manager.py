@@ -18,6 +18,7 @@ from uoarm.flow import Clock, Route, make_check
 from uoarm.manager._board import Board
 from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
+from uoarm.manager._failover import Failover
 from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._opening import OpenPlan
@@ -74,6 +75,13 @@ class RobotManager:
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge)
         self._pool = Pool(self._bridges.get, clock)
+        self._failover = Failover(
+            robot.failover,
+            resolve=lambda name, excluded: self._resolver.resolve(name, excluded=excluded),
+            forget=self._forget,
+            board=self._board,
+            clock=clock,
+        )
         self._health = HealthDesk(
             self._pool,
             self._ledger,
@@ -81,6 +89,8 @@ class RobotManager:
             robot,
             forget=self._forget,
             retire=self._bridges.retire,
+            failover=self._failover,
+            clock=clock,
         )
 
     @classmethod
@@ -210,6 +220,7 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._failover.close()
         for connection in self._ledger.close():
             connection.end(ConnectionState.CLOSED, "the robot manager was closed")
         for failure in self._bridges.close():

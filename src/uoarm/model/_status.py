@@ -98,6 +98,7 @@ class Gap:
     """A change of providers behind a connection, where messages may be missing.
 
     Attributes:
+        time: seconds of the manager's clock, when the new plan was open.
         position: how many messages the application had been given before it.
         seconds: how long nothing could arrive.
         lost: messages that were under way into what died and are not known to have arrived;
@@ -107,6 +108,7 @@ class Gap:
         cause: why it was replaced.
     """
 
+    time: float
     position: int
     seconds: float
     lost: int
