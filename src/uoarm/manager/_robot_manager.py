@@ -19,6 +19,7 @@ from uoarm.manager._attempt import Attempt
 from uoarm.manager._board import Board
 from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
+from uoarm.manager._failover import Failover
 from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._pool import Pool
@@ -70,10 +71,17 @@ class RobotManager:
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
-        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {})
+        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge)
         self._pool = Pool(self._bridges.get, clock)
+        self._failover = Failover(
+            robot.failover,
+            resolve=lambda name, excluded: self._resolver.resolve(name, excluded=excluded),
+            forget=self._forget,
+            board=self._board,
+            clock=clock,
+        )
         self._health = HealthDesk(
             self._pool,
             self._ledger,
@@ -81,6 +89,8 @@ class RobotManager:
             robot,
             forget=self._forget,
             retire=self._bridges.retire,
+            failover=self._failover,
+            clock=clock,
         )
 
     @classmethod
@@ -222,6 +232,7 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._failover.close()
         for connection in self._ledger.close():
             connection.end(ConnectionState.CLOSED, "the robot manager was closed")
         for failure in self._bridges.close():
