@@ -1,0 +1,1 @@
+"""uoarm-rocos: devices and robots with an XML catalogue as components of uoarm."""

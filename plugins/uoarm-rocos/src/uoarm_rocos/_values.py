@@ -1,0 +1,192 @@
+"""Values to XML text and back: the tag of an element is the type of its value."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm_rocos._errors import WireError
+from uoarm_rocos._fields import NAME
+
+__all__ = ["attribute", "read_real", "read_values", "read_whole", "real", "text", "write_values"]
+
+_WHOLE = re.compile(r"-?[0-9]{1,20}", re.ASCII)
+_REAL = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+\-]?[0-9]{1,4})?", re.ASCII)
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_SPECIAL = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf}
+_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_ATTRIBUTE = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
+)
+_SHOWN = 40
+_DEPTH = 32
+_TWENTY_DIGITS = 10**20
+
+
+def text(value: str) -> str:
+    """Escape text for the inside of an element.
+
+    Raises:
+        WireError: XML cannot hold one of its characters.
+    """
+    _check(value)
+    return value.translate(_TEXT)
+
+
+def attribute(value: str) -> str:
+    """Escape text for an attribute in double quotes.
+
+    Raises:
+        WireError: XML cannot hold one of its characters.
+    """
+    _check(value)
+    return value.translate(_ATTRIBUTE)
+
+
+def real(value: float) -> str:
+    """Write a float so that it is read back exactly."""
+    if math.isfinite(value):
+        return repr(float(value))
+    return "NaN" if math.isnan(value) else ("INF" if value > 0 else "-INF")
+
+
+def read_real(written: str) -> float:
+    """Read what `real` writes.
+
+    Raises:
+        WireError: it is no number of the profile, or too large for a float.
+    """
+    if written in _SPECIAL:
+        return _SPECIAL[written]
+    if not _REAL.fullmatch(written):
+        raise WireError(f"expected a decimal number, got {written[:_SHOWN]!r}")
+    value = float(written)
+    if math.isinf(value):
+        raise WireError(f"{written[:_SHOWN]} is too large for a 64-bit float")
+    return value
+
+
+def read_whole(written: str) -> int:
+    """Read an integer of at most 20 digits.
+
+    Raises:
+        WireError: it is none.
+    """
+    if not _WHOLE.fullmatch(written):
+        raise WireError(f"expected a whole number of at most 20 digits, got {written[:_SHOWN]!r}")
+    return int(written)
+
+
+def write_values(values: Mapping[str, Any]) -> str:
+    """Write named values.
+
+    Raises:
+        WireError: a name or value is none of the profile; the text names its path.
+    """
+    return "".join([_named(name, value, "", 1) for name, value in values.items()])
+
+
+def read_values(parent: ET.Element) -> dict[str, Any]:
+    """Read the named values inside an element.
+
+    Raises:
+        WireError: one is missing its name, given twice, or not what its tag says.
+    """
+    _no_text(parent)
+    found: dict[str, Any] = {}
+    for element in parent:
+        name = element.get("name")
+        if name is None or len(element.attrib) != 1 or not NAME.fullmatch(name):
+            raise WireError(
+                f"<{element.tag[:_SHOWN]}> in <{parent.tag}>: expected a name as its only "
+                f"attribute, got {str(element.attrib)[:_SHOWN]}"
+            )
+        if name in found:
+            raise WireError(f"the value {name!r} is given twice in <{parent.tag}>")
+        found[name] = _read(element)
+    return found
+
+
+def _check(value: str) -> None:
+    wrong = _FORBIDDEN.search(value)
+    if wrong:
+        raise WireError(
+            f"XML cannot hold the character U+{ord(wrong[0]):04X}, number {wrong.start()} of the "
+            "text: leave it out, or use a field of octets"
+        )
+
+
+def _named(name: object, value: Any, path: str, depth: int) -> str:
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise WireError(f"{path or 'message'}: {str(name)[:_SHOWN]!r} is no name of the profile")
+    return _write(f' name="{name}"', value, f"{path}.{name}" if path else name, depth)
+
+
+def _write(name: str, value: Any, path: str, depth: int) -> str:
+    if depth >= _DEPTH:
+        raise WireError(f"{path[:_SHOWN]}...: values stand {_DEPTH} deep inside each other")
+    if isinstance(value, bool):
+        return f"<boolean{name}>{'true' if value else 'false'}</boolean>"
+    if isinstance(value, int):
+        if abs(value) >= _TWENTY_DIGITS:
+            raise WireError(f"{path}: an integer has more than 20 digits")
+        return f"<integer{name}>{value}</integer>"
+    if isinstance(value, float):
+        return f"<number{name}>{real(value)}</number>"
+    if isinstance(value, str):
+        try:
+            return f"<string{name}>{text(value)}</string>"
+        except WireError as error:
+            raise WireError(f"{path}: {error}") from error
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
+    if isinstance(value, Mapping):
+        inner = "".join([_named(key, one, path, depth + 1) for key, one in value.items()])
+        return f"<struct{name}>{inner}</struct>"
+    if isinstance(value, list | tuple):
+        inner = "".join([_write("", one, f"{path}[{n}]", depth + 1) for n, one in enumerate(value)])
+        return f"<list{name}>{inner}</list>"
+    raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
+
+
+def _read(element: ET.Element) -> Any:
+    tag = element.tag
+    if tag == "struct":
+        return read_values(element)
+    if tag == "list":
+        _no_text(element)
+        for item in element:
+            if item.attrib:
+                raise WireError(f"<{item.tag[:_SHOWN]}> in <list>: an item has no attributes")
+        return [_read(item) for item in element]
+    if len(element):
+        raise WireError(f"<{tag[:_SHOWN]}> holds elements, expected text only")
+    written = element.text or ""
+    if tag == "integer":
+        return read_whole(written)
+    if tag == "number":
+        return read_real(written)
+    if tag == "string":
+        return written
+    if tag == "boolean":
+        if written not in {"true", "false"}:
+            raise WireError(f"<boolean>: expected true or false, got {written[:_SHOWN]!r}")
+        return written == "true"
+    if tag == "octets":
+        try:
+            return base64.b64decode(written.encode("ascii"), validate=True)
+        except (binascii.Error, UnicodeEncodeError) as error:
+            raise WireError(f"<octets>: not base64: {error}") from error
+    raise WireError(f"<{tag[:_SHOWN]}> is no type of the profile")
+
+
+def _no_text(parent: ET.Element) -> None:
+    stray = [parent.text, *(element.tail for element in parent)]
+    for one in stray:
+        if one and one.strip(" \t\r\n"):
+            raise WireError(f"<{parent.tag[:_SHOWN]}>: text between elements: {one[:_SHOWN]!r}")

@@ -1,0 +1,127 @@
+"""Arbitrary messages, values and catalogues of the profile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hypothesis import strategies as st
+from uoarm_rocos._catalogue import Api, Catalogue, Kind
+from uoarm_rocos._fields import (
+    BooleanField,
+    Field,
+    IntegerField,
+    ListField,
+    Member,
+    NumberField,
+    OctetsField,
+    StringField,
+    StructField,
+)
+from uoarm_rocos._messages import (
+    Call,
+    CatalogueMessage,
+    Close,
+    Data,
+    Describe,
+    Direction,
+    ErrorCode,
+    ErrorMessage,
+    Heartbeat,
+    Open,
+    Result,
+    WireMessage,
+)
+
+names = st.from_regex(r"[A-Za-z_][A-Za-z0-9_.\-]{0,63}", fullmatch=True)
+texts = st.text(
+    st.characters(
+        exclude_categories=["Cs"],
+        exclude_characters=[
+            *map(chr, range(9)),
+            "\x0b",
+            "\x0c",
+            *map(chr, range(14, 32)),
+            "\ufffe",
+            "\uffff",
+        ],
+    ),
+    max_size=30,
+)
+numbers = st.floats(allow_nan=False)
+int64 = st.integers(-(2**63), 2**63 - 1)
+values: st.SearchStrategy[Any] = st.recursive(
+    st.booleans() | int64 | numbers | texts | st.binary(max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(names, inner, max_size=4),
+    max_leaves=12,
+)
+structs = st.dictionaries(names, values, max_size=5)
+ids = st.integers(1, 2**32 - 1)
+seqs = st.integers(0, 2**32 - 1)
+
+
+def _ordered(pair: tuple[Any, Any]) -> tuple[Any, Any]:
+    low, high = pair
+    return pair if None in pair or low <= high else (high, low)
+
+
+finite = st.none() | st.floats(allow_nan=False, allow_infinity=False)
+sizes = st.none() | st.integers(0, 2**32 - 1)
+simple: st.SearchStrategy[Field] = st.one_of(
+    st.just(BooleanField()),
+    st.tuples(int64, int64)
+    .map(_ordered)
+    .flatmap(lambda pair: st.builds(IntegerField, st.just(pair[0]), st.just(pair[1]), texts)),
+    st.tuples(finite, finite)
+    .map(_ordered)
+    .flatmap(
+        lambda pair: st.builds(
+            NumberField, st.just(pair[0]), st.just(pair[1]), texts, st.booleans()
+        )
+    ),
+    st.builds(StringField, st.lists(texts, max_size=3).map(tuple), sizes),
+    st.builds(OctetsField, sizes),
+)
+
+
+def fields_of(inner: st.SearchStrategy[Field]) -> st.SearchStrategy[dict[str, Member]]:
+    """Return dictionaries of named fields of these types."""
+    return st.dictionaries(names, st.builds(Member, inner, st.booleans()), max_size=3)
+
+
+fields: st.SearchStrategy[Field] = st.recursive(
+    simple,
+    lambda inner: (
+        st.builds(StructField, fields_of(inner))
+        | st.builds(ListField, inner, st.integers(0, 3), st.none() | st.integers(3, 9))
+    ),
+    max_leaves=4,
+)
+members = fields_of(fields)
+services = st.builds(Api, names, st.just(Kind.SERVICE), members, members, st.none(), texts)
+flows = st.builds(
+    Api,
+    names,
+    st.just(Kind.FLOW),
+    members,
+    members.filter(bool),
+    st.none() | st.floats(0.001, 1000),
+    texts,
+)
+catalogues = st.builds(
+    Catalogue,
+    texts,
+    st.lists(services | flows, max_size=3).map(lambda apis: {api.name: api for api in apis}),
+    texts,
+    st.floats(0.05, 60),
+)
+messages: st.SearchStrategy[WireMessage] = st.one_of(
+    st.builds(Describe, seqs, ids, st.integers(0, 99)),
+    st.builds(CatalogueMessage, seqs, ids, catalogues),
+    st.builds(Call, seqs, ids, names, structs),
+    st.builds(Result, seqs, ids, structs),
+    st.builds(Open, seqs, ids, names, st.sampled_from(Direction)),
+    st.builds(Data, seqs, ids, structs, st.none() | numbers),
+    st.builds(Close, seqs, ids),
+    st.builds(ErrorMessage, seqs, st.integers(0, 2**32 - 1), st.sampled_from(ErrorCode), texts),
+    st.builds(Heartbeat, seqs),
+)
