@@ -24,9 +24,11 @@ class Framer(Protocol):
 
     Attributes:
         discarded: frames that were thrown away as damaged.
+        resynchronises: whether a damaged frame harms only itself.
     """
 
     discarded: int
+    resynchronises: bool
 
     def frame(self, message: bytes) -> bytes:
         """Return the octets to send for a message; any thread."""
@@ -41,6 +43,8 @@ class Framer(Protocol):
 
 class LengthFramer:
     """Four octets of length, most significant first, then the message."""
+
+    resynchronises = False
 
     def __init__(self, limit: int = TCP_LIMITS.octets) -> None:
         self.discarded = 0
@@ -77,6 +81,8 @@ class LengthFramer:
 
 class StuffedFramer:
     """Flags, byte stuffing and a CRC-32; finds the next frame after any garbage."""
+
+    resynchronises = True
 
     def __init__(self, limit: int = SERIAL_LIMITS.octets) -> None:
         self.discarded = 0

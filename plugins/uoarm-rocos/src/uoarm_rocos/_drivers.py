@@ -1,0 +1,37 @@
+"""Which device stands behind each name of a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from uoarm_rocos._catalogue_xml import load_catalogue
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._device import Device
+from uoarm_rocos._framing import LengthFramer, StuffedFramer
+from uoarm_rocos._limits import SERIAL_LIMITS, TCP_LIMITS
+from uoarm_rocos._profile import Changed, ProfileDevice
+from uoarm_rocos._settings import DeviceSettings
+from uoarm_rocos._talk import Wire
+from uoarm_rocos._transport import transport_for
+
+__all__ = ["MakeWire", "make_device", "xml_wire"]
+
+MakeWire = Callable[[DeviceSettings], Wire]
+
+
+def xml_wire(settings: DeviceSettings) -> Wire:
+    """Return the profile's own parts: lengths over TCP, stuffing and CRC on every other line."""
+    transport = transport_for(settings.url, settings.line)
+    if settings.url.startswith("tcp://"):
+        return Wire(transport, LengthFramer, XmlCodec(TCP_LIMITS))
+    return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS))
+
+
+def make_device(settings: DeviceSettings, wire: MakeWire, changed: Changed) -> Device:
+    """Make a device and begin to connect it.
+
+    Raises:
+        UoarmError: its catalogue cannot be read, or its driver lacks a package.
+    """
+    catalogue = load_catalogue(settings.catalogue) if settings.catalogue else None
+    return ProfileDevice(settings.name, wire(settings), settings.timing, catalogue, changed)
