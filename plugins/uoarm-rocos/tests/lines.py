@@ -30,7 +30,8 @@ class PseudoTerminal:
         return self._device.fileno()
 
     def write(self, data: bytes) -> None:
-        self._device.write(data)
+        while data:
+            data = data[self._device.write(data) :]
 
     def read(self, count: int) -> bytes:
         """Read so many octets, or what came within the limit."""

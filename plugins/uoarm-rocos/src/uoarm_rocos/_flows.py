@@ -38,9 +38,10 @@ class ProfileFlow:
         self._health = Health.OK
         self._closed = False
 
-    def tell(self, health: Health, cause: str) -> None:
-        """Tell of a change; the same health twice is told once, and nothing after a loss."""
-        if health is not self._health and self._health is not Health.LOST and not self._closed:
+    def tell(self, health: Health, cause: str, *, anew: bool = False) -> None:
+        """Tell of a change; the same health is told again if `anew`, nothing after a loss."""
+        changed = anew or health is not self._health
+        if changed and self._health is not Health.LOST and not self._closed:
             self._health = health
             self._told(health, cause)
 

@@ -192,7 +192,7 @@ class ProfileDevice(Device):
         self._changed(health, text, {})
         for flow in flows:
             flow.id = 0
-            flow.tell(health, text)
+            flow.tell(health, text, anew=True)
 
     def on_tick(self, now: float) -> None:
         """Look at the clock; from the line's thread."""
