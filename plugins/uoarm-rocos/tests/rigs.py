@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from queue import Empty, Queue
@@ -38,9 +39,11 @@ class Events:
         return self.queue.get(timeout=LIMIT)
 
     def until(self, wanted: Callable[[Any], bool]) -> Any:
-        """Return the first that is wanted, or fail when nothing comes for the limit."""
-        seen = []
+        """Return the first that is wanted, or fail when it does not come."""
+        seen: list[Any] = []
+        end = time.monotonic() + 3 * LIMIT
         while True:
+            assert time.monotonic() < end, f"it never came; there were {seen[-5:]}"
             try:
                 seen.append(self.get())
             except Empty:

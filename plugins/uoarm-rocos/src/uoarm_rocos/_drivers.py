@@ -13,9 +13,19 @@ from uoarm_rocos._profile import Changed, ProfileDevice
 from uoarm_rocos._settings import DeviceSettings
 from uoarm_rocos._talk import Wire
 from uoarm_rocos._transport import transport_for
+from uoarm_rocos.devices._contec import PERIOD, ContecDecoder
+from uoarm_rocos.devices._monitor import Monitor
+from uoarm_rocos.devices._nonin import PERIOD_1, PERIOD_2, Nonin1Decoder, Nonin2Decoder
+from uoarm_rocos.devices._oximetry import Decoder, oximeter_catalogue
+from uoarm_rocos.devices._stream import StreamDevice
 
 __all__ = ["MakeWire", "make_device", "xml_wire"]
 
+_OXIMETERS: dict[str, tuple[str, float, Callable[[], Decoder]]] = {
+    "contec-cms50dplus": ("Contec CMS50D+", PERIOD, ContecDecoder),
+    "nonin-1": ("Nonin, serial format 1", PERIOD_1, Nonin1Decoder),
+    "nonin-2": ("Nonin, serial format 2", PERIOD_2, Nonin2Decoder),
+}
 MakeWire = Callable[[DeviceSettings], Wire]
 
 
@@ -33,5 +43,12 @@ def make_device(settings: DeviceSettings, wire: MakeWire, changed: Changed) -> D
     Raises:
         UoarmError: its catalogue cannot be read, or its driver lacks a package.
     """
-    catalogue = load_catalogue(settings.catalogue) if settings.catalogue else None
-    return ProfileDevice(settings.name, wire(settings), settings.timing, catalogue, changed)
+    if settings.driver == "profile":
+        catalogue = load_catalogue(settings.catalogue) if settings.catalogue else None
+        return ProfileDevice(settings.name, wire(settings), settings.timing, catalogue, changed)
+    transport = transport_for(settings.url, settings.line)
+    if settings.driver == "and-ua767pbt":
+        return Monitor(settings.name, transport, settings.timing, changed)
+    told, period, decoder = _OXIMETERS[settings.driver]
+    catalogue = oximeter_catalogue(told, period)
+    return StreamDevice(settings.name, catalogue, decoder, transport, settings.timing)

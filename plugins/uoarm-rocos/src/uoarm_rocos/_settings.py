@@ -17,10 +17,12 @@ from uoarm_rocos._transport import LineSettings, transport_for
 
 __all__ = ["BRIDGE_OPTIONS", "DRIVERS", "DeviceSettings", "address_of", "devices_of", "mistake"]
 
-# The lines that the devices' makers set; a profile device's is the usual one.
+# The lines that the devices' makers set; a profile device's is the usual one. The CMS50D+ is said
+# to use XON/XOFF, but its frames hold the octets 11 and 13 as numbers, which a tty that is told
+# so swallows; nothing is ever sent to it, so there is nothing to hold back either.
 DRIVERS: Mapping[str, LineSettings | None] = {
     "profile": LineSettings(),
-    "contec-cms50dplus": LineSettings(19_200, 8, "O", 1, xonxoff=True),
+    "contec-cms50dplus": LineSettings(19_200, 8, "O", 1),
     "nonin-1": LineSettings(9_600),
     "nonin-2": LineSettings(9_600),
     "and-ua767pbt": LineSettings(9_600),
