@@ -18,6 +18,10 @@ from uoarm_rocos.devices._monitor import Monitor
 from uoarm_rocos.devices._nonin import PERIOD_1, PERIOD_2, Nonin1Decoder, Nonin2Decoder
 from uoarm_rocos.devices._oximetry import Decoder, oximeter_catalogue
 from uoarm_rocos.devices._stream import StreamDevice
+from uoarm_rocos.speech._device import Speech
+from uoarm_rocos.speech._engine import Engine
+from uoarm_rocos.speech._espeak import EspeakEngine
+from uoarm_rocos.speech._festival import FestivalEngine
 
 __all__ = ["MakeWire", "make_device", "xml_wire"]
 
@@ -26,6 +30,7 @@ _OXIMETERS: dict[str, tuple[str, float, Callable[[], Decoder]]] = {
     "nonin-1": ("Nonin, serial format 1", PERIOD_1, Nonin1Decoder),
     "nonin-2": ("Nonin, serial format 2", PERIOD_2, Nonin2Decoder),
 }
+_ENGINES: dict[str, Callable[[], Engine]] = {"espeak": EspeakEngine, "festival": FestivalEngine}
 MakeWire = Callable[[DeviceSettings], Wire]
 
 
@@ -46,6 +51,8 @@ def make_device(settings: DeviceSettings, wire: MakeWire, changed: Changed) -> D
     if settings.driver == "profile":
         catalogue = load_catalogue(settings.catalogue) if settings.catalogue else None
         return ProfileDevice(settings.name, wire(settings), settings.timing, catalogue, changed)
+    if settings.driver in _ENGINES:
+        return Speech(settings.name, _ENGINES[settings.driver](), settings.options)
     transport = transport_for(settings.url, settings.line)
     if settings.driver == "and-ua767pbt":
         return Monitor(settings.name, transport, settings.timing, changed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Measurement, ua767_frame
@@ -28,13 +29,13 @@ class BloodPressureMonitor:
         self._on: float | None = None
         self._measured = 0
         self._kept: deque[bytes] = deque(maxlen=_MOST_KEPT)
-        self._sent = 0.0
+        self._sent = -math.inf
         self._heard = b""
 
     def begin(self, now: float) -> None:
         """Go on: readings that were not accepted are kept."""
         self._on = now if self._on is None else self._on
-        self._sent = 0.0
+        self._sent = -math.inf
 
     def receive(self, data: bytes, now: float) -> list[bytes]:
         """Take an answer to the reading that was sent."""
@@ -51,7 +52,7 @@ class BloodPressureMonitor:
             self.answers.append(word)
             if word == ACCEPTED and self._kept:
                 self._kept.popleft()
-                self._sent = 0.0
+                self._sent = -math.inf
 
     def step(self, now: float) -> list[bytes]:
         """Measure when it is time, and send what waits."""
