@@ -26,10 +26,12 @@ from uoarm.model._status import (
     StatusMap,
 )
 from uoarm.model._structure import MessageStructure
+from uoarm.model._survey import Availability, FunctionStatus
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
 
 __all__ = [
+    "Availability",
     "BridgeSpec",
     "BridgeStatus",
     "Component",
@@ -41,6 +43,7 @@ __all__ = [
     "Edge",
     "Endpoint",
     "Function",
+    "FunctionStatus",
     "Health",
     "Input",
     "Message",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from urllib.parse import unquote
 
@@ -17,7 +17,6 @@ _OUT_OF_SCOPE = {
     "$dynamicRef": "$dynamicRef is not followed",
     "$recursiveRef": "$recursiveRef is not followed",
 }
-_GAPS = {"unevaluatedProperties": "object", "unevaluatedItems": "array"}
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_POINTER = 20_000
 _KINDS = frozenset({"null", "boolean", "number", "string", "array", "object"})
@@ -65,6 +64,13 @@ class Document:
         if found is None:
             found = self._by_reference[reference] = self._find(reference)
         return found
+
+    def either(self, nodes: Sequence[Node]) -> Node:
+        """Return a node that holds where one of some nodes does."""
+        if len(nodes) == 1:
+            return nodes[0]
+        number = self._pool.number(("either", frozenset(one.number for one in nodes)))
+        return Node(number, {"anyOf": [one.raw for one in nodes]}, self, any_of=tuple(nodes))
 
     def _find(self, reference: str) -> Node:
         base, _, fragment = reference.partition("#")
@@ -188,9 +194,6 @@ class Document:
         for keyword, reason in _OUT_OF_SCOPE.items():
             if keyword in schema:
                 node.unsupported = reason
-        for keyword, kind in _GAPS.items():
-            if keyword in schema:
-                node.gaps[kind] = f"{keyword} is not decided here"
         named = schema.get("$schema", _DRAFT)
         if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
             node.unsupported = f"the schema is of another draft: {named}"
@@ -225,12 +228,14 @@ class Document:
         node.prefix = self._many(schema.get("prefixItems", ()))
         node.items = self._one(schema, "items")
         node.contains = self._one(schema, "contains")
+        node.unevaluated_items = self._one(schema, "unevaluatedItems")
         node.unique = schema.get("uniqueItems", False)
 
     def _fill_object(self, node: Node, schema: Mapping[str, Any]) -> None:
         node.properties = dict(self._named(schema.get("properties", {})))
         node.patterns = self._named(schema.get("patternProperties", {}))
         node.additional = self._one(schema, "additionalProperties")
+        node.unevaluated_properties = self._one(schema, "unevaluatedProperties")
         node.names = self._one(schema, "propertyNames")
         node.required = tuple(dict.fromkeys(schema.get("required", ())))
         node.dependent_required = tuple(
@@ -274,16 +279,8 @@ def _refers_in_place(nodes: Iterable[Node]) -> bool:
             elif id(node) not in done:
                 path.add(id(node))
                 stack.append((node, True))
-                stack.extend((one, False) for one in _applied_in_place(node))
+                stack.extend((one, False) for one in node.applied())
     return False
-
-
-def _applied_in_place(node: Node) -> list[Node]:
-    single = [node.negated, node.condition, node.then, node.otherwise]
-    found = [one for one in single if one is not None]
-    found += [*node.all_of, *(node.any_of or ()), *(node.one_of or ())]
-    found += [one for _, one in node.dependent_schemas]
-    return found if node.reference is None else [*found, node.target()]
 
 
 _NUMBERS = {
