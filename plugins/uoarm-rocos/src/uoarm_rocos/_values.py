@@ -101,11 +101,13 @@ def read_values(parent: ET.Element) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for element in parent:
         name = element.get("name")
-        if name is None or len(element.attrib) != 1 or not NAME.fullmatch(name):
+        if name is None or not NAME.fullmatch(name):
             raise WireError(
-                f"<{element.tag[:_SHOWN]}> in <{parent.tag}>: expected a name as its only "
-                f"attribute, got {str(element.attrib)[:_SHOWN]}"
+                f"<{element.tag[:_SHOWN]}> in <{parent.tag}>: expected a name, got "
+                f"{str(name)[:_SHOWN]!r}"
             )
+        if len(element.attrib) > 1:
+            _attributes(element, {"name"})
         if name in found:
             raise WireError(f"the value {name!r} is given twice in <{parent.tag}>")
         found[name] = _read(element)
@@ -139,10 +141,7 @@ def _write(name: str, value: Any, path: str, depth: int) -> str:
     if isinstance(value, float):
         return f"<number{name}>{real(value)}</number>"
     if isinstance(value, str):
-        try:
-            return f"<string{name}>{text(value)}</string>"
-        except WireError as error:
-            raise WireError(f"{path}: {error}") from error
+        return _string(name, value, path)
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
     if isinstance(value, Mapping):
@@ -154,6 +153,18 @@ def _write(name: str, value: Any, path: str, depth: int) -> str:
     raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
 
 
+def _string(name: str, value: str, path: str) -> str:
+    """Write text as it is, or as base64 of its UTF-8 where XML cannot hold it."""
+    if not _FORBIDDEN.search(value):
+        return f"<string{name}>{value.translate(_TEXT)}</string>"
+    try:
+        octets = value.encode("utf-8")
+    except UnicodeEncodeError as error:
+        where = f"character {error.start} of the text"
+        raise WireError(f"{path}: {where} is half of a surrogate pair") from error
+    return f'<string{name} base64="true">{base64.b64encode(octets).decode()}</string>'
+
+
 def _read(element: ET.Element) -> Any:
     tag = element.tag
     if tag == "struct":
@@ -162,7 +173,7 @@ def _read(element: ET.Element) -> Any:
         _no_text(element)
         for item in element:
             if item.attrib:
-                raise WireError(f"<{item.tag[:_SHOWN]}> in <list>: an item has no attributes")
+                _attributes(item, set())
         return [_read(item) for item in element]
     if len(element):
         raise WireError(f"<{tag[:_SHOWN]}> holds elements, expected text only")
@@ -172,17 +183,36 @@ def _read(element: ET.Element) -> Any:
     if tag == "number":
         return read_real(written)
     if tag == "string":
-        return written
+        return _unwrapped(written) if "base64" in element.attrib else written
     if tag == "boolean":
         if written not in {"true", "false"}:
             raise WireError(f"<boolean>: expected true or false, got {written[:_SHOWN]!r}")
         return written == "true"
     if tag == "octets":
-        try:
-            return base64.b64decode(written.encode("ascii"), validate=True)
-        except (binascii.Error, UnicodeEncodeError) as error:
-            raise WireError(f"<octets>: not base64: {error}") from error
+        return _octets(written)
     raise WireError(f"<{tag[:_SHOWN]}> is no type of the profile")
+
+
+def _octets(written: str) -> bytes:
+    try:
+        return base64.b64decode(written.encode("ascii"), validate=True)
+    except (binascii.Error, UnicodeEncodeError) as error:
+        raise WireError(f"not base64: {error}") from error
+
+
+def _unwrapped(written: str) -> str:
+    try:
+        return _octets(written).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise WireError(f"<string base64>: not UTF-8: {error}") from error
+
+
+def _attributes(element: ET.Element, names: set[str]) -> None:
+    for name, value in element.attrib.items():
+        wrapped = name == "base64" and value == "true" and element.tag == "string"
+        if name not in names and not wrapped:
+            shown = f"{name}={value[:_SHOWN]!r}"
+            raise WireError(f"<{element.tag[:_SHOWN]}>: unexpected attribute {shown[:_SHOWN]}")
 
 
 def _no_text(parent: ET.Element) -> None:

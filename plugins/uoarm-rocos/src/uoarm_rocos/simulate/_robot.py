@@ -50,6 +50,11 @@ class Robot:
         self._move(now)
         return {"x": self._x, "y": self._y, "heading": self._heading}
 
+    def events(self, now: float) -> list[tuple[str, dict[str, Any]]]:
+        """Return nothing: every flow from this robot has a period."""
+        del now
+        return []
+
     def take(self, api: str, values: dict[str, Any], now: float) -> None:
         """Take a velocity for half a second."""
         del api

@@ -51,7 +51,10 @@ class Model(Protocol):
         """
 
     def sample(self, api: str, now: float) -> Values | None:
-        """Return a flow's next message, or None when the flow has ended."""
+        """Return the next message of a flow with a period, or None when the flow has ended."""
+
+    def events(self, now: float) -> list[tuple[str, Values]]:
+        """Return messages of flows without a period, each with its API."""
 
     def take(self, api: str, values: Values, now: float) -> None:
         """Take a message of a flow from the host."""
@@ -111,14 +114,21 @@ class ProfileServer:
                 del self._jobs[identity]
                 frames.append(self._frame(_result(identity, api, values), now))
         for identity, flow in list(self._flows.items()):
-            while flow.direction is Direction.OUTPUT and flow.due <= now:
-                flow.due += flow.api.period or 1.0
+            period = flow.api.period
+            while period and flow.direction is Direction.OUTPUT and flow.due <= now:
+                flow.due += period
                 sample = self._model.sample(flow.api.name, now)
                 if sample is None:
                     del self._flows[identity]
                     frames.append(self._frame(_closing(identity), now))
                     break
                 frames.append(self._frame(_data(identity, flow.api, sample, now), now))
+        for name, values in self._model.events(now):
+            frames += [
+                self._frame(_data(identity, flow.api, values, now), now)
+                for identity, flow in self._flows.items()
+                if flow.api.name == name and flow.direction is Direction.OUTPUT
+            ]
         if now - self._sent >= self._model.catalogue.heartbeat:
             frames.append(self._frame(Heartbeat, now))
         return frames
