@@ -9,6 +9,7 @@ from uoarm_rocos._catalogue import Api, Catalogue, Kind
 from uoarm_rocos._fields import (
     BooleanField,
     Field,
+    Fields,
     IntegerField,
     ListField,
     Member,
@@ -126,3 +127,34 @@ messages: st.SearchStrategy[WireMessage] = st.one_of(
     st.builds(ErrorMessage, seqs, st.integers(0, 2**32 - 1), st.sampled_from(ErrorCode), texts),
     st.builds(Heartbeat, seqs),
 )
+
+
+def fitting(fields: Fields) -> st.SearchStrategy[dict[str, Any]]:
+    """Return messages that fit these fields."""
+    required = {name: _value(one.type) for name, one in fields.items() if one.required}
+    optional = {name: _value(one.type) for name, one in fields.items() if not one.required}
+    return st.fixed_dictionaries(required, optional=optional)
+
+
+def _value(kind: Field) -> st.SearchStrategy[Any]:
+    if isinstance(kind, BooleanField):
+        return st.booleans()
+    if isinstance(kind, IntegerField):
+        return st.integers(kind.minimum, kind.maximum)
+    if isinstance(kind, NumberField):
+        return st.floats(kind.minimum, kind.maximum, allow_nan=False, allow_infinity=False)
+    if isinstance(kind, OctetsField):
+        return st.binary(max_size=min(20, _most(kind.max_length)))
+    if isinstance(kind, ListField):
+        most = min(kind.min_items + 2, _most(kind.max_items))
+        return st.lists(_value(kind.items), min_size=kind.min_items, max_size=most)
+    if isinstance(kind, StructField):
+        return fitting(kind.members)
+    choices = [one for one in kind.choices if len(one) <= _most(kind.max_length)]
+    if kind.choices:
+        return st.sampled_from(choices) if choices else st.nothing()
+    return st.text(max_size=min(9, _most(kind.max_length)))
+
+
+def _most(limit: int | None) -> int:
+    return 2**32 if limit is None else limit

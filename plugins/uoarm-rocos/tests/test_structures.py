@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
-from strategies import catalogues, members, values
+from strategies import catalogues, fitting, members, values
 from uoarm_rocos._catalogue import Api, Catalogue, Kind, differences
 from uoarm_rocos._classes import api_classes
 from uoarm_rocos._errors import WireError
@@ -28,8 +28,6 @@ from uoarm_rocos._fields import (
 from uoarm_rocos._fit import fit
 from uoarm_rocos._messages import Direction
 from uoarm_rocos._structure import describe, structure_of
-
-from uoarm.testing import instances
 
 POINT: Fields = {"x": Member(NumberField(unit="m")), "y": Member(NumberField(unit="m"))}
 FIELDS: Fields = {
@@ -78,7 +76,7 @@ def test_fit_and_structure_agree_on_what_the_structure_allows(
     fields: Fields, data: st.DataObject
 ) -> None:
     schema = structure_of(fields).schema
-    message = data.draw(st.one_of(values, _messages_of(schema)))
+    message = data.draw(values | fitting(fields))
     valid = Draft202012Validator(schema).is_valid(plain(message))
     try:
         fitted = fit(fields, message, "m")
@@ -87,10 +85,6 @@ def test_fit_and_structure_agree_on_what_the_structure_allows(
         return
     assert valid
     assert Draft202012Validator(schema).is_valid(plain(fitted))
-
-
-def _messages_of(schema: Any) -> st.SearchStrategy[Any]:
-    return instances(schema)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +153,7 @@ def test_one_class_for_each_api() -> None:
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
 def test_classes_carry_every_message(catalogue: Catalogue, data: st.DataObject) -> None:
     for api in catalogue.apis.values():
-        schema = structure_of(api.output).schema
-        message = data.draw(_messages_of(schema))
+        message = data.draw(fitting(api.output))
         output: Any = api_classes(catalogue)[api.name].Output
         assert output.of(message).message() == fit(api.output, message, "m")
 
