@@ -40,6 +40,10 @@ class PseudoTerminal:
             found += self._device.read(count - len(found)) or b""
         return found
 
+    def read_some(self) -> bytes:
+        """Read what is there."""
+        return self._device.read(10_000) or b""
+
     def cut(self) -> None:
         self._device.close()
         self._line.close()
