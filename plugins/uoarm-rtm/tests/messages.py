@@ -1,15 +1,14 @@
-"""Hypothesis strategies for messages of any IDL shape, and messages as plain JSON."""
+"""Hypothesis strategies for messages of any IDL shape."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from hypothesis import strategies as st
 from uoarm_rtm._schema import SWITCH
 from uoarm_rtm._shape import INTEGERS, Choice, Enumeration, Listing, Record, Scalar, Shape, Text
 
-__all__ = ["messages", "plain"]
+__all__ = ["messages"]
 
 
 def messages(shape: Shape) -> st.SearchStrategy[Any]:
@@ -56,16 +55,3 @@ def _variant(choice: Choice, index: int) -> st.SearchStrategy[Any]:
         named = {label for each in choice.variants for label in each.labels}
         labels = messages(choice.by).filter(lambda label: label not in named)
     return st.fixed_dictionaries({SWITCH: labels, variant.name: messages(variant.shape)})
-
-
-def plain(value: Any) -> Any:
-    """Return a message with lists for buffers and texts for NaN, so that == compares it."""
-    if isinstance(value, dict):
-        return {name: plain(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, bytes | list):
-        return [plain(each) for each in value]
-    if isinstance(value, float):
-        return repr(value)
-    return value

@@ -16,7 +16,8 @@ import omniORB
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from messages import messages, plain
+from messages import messages
+from plain import plain
 from uoarm_rtm._codec import BIG, LITTLE, Codec
 from uoarm_rtm._explain import Cursor, read_slowly
 from uoarm_rtm._orb import Orb

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from hypothesis import given
 from jsonschema import Draft202012Validator
-from messages import messages, plain
+from messages import messages
+from plain import plain
 from uoarm_rtm._types import Types
 from uoarm_rtm._user_idl import load_idl
 

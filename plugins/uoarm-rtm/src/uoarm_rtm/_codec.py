@@ -36,7 +36,7 @@ class Codec:
     def __init__(self, shape: Shape, encoding: str, name: str) -> None:
         self.shape = shape
         self._encoding = encoding
-        self._name = name
+        self.name = name
         self._writers: dict[Order, Callable[[Message], bytearray]] = {}
         self._readers: dict[Order, Callable[[bytes], Message]] = {}
 
@@ -74,12 +74,12 @@ class Codec:
         try:
             fit(self.shape, message, self._encoding)
         except Misfit as misfit:
-            return MessageError(f"message of type {self._name}: {misfit}")
-        return MessageError(f"message of type {self._name} does not fit: {error!r}")
+            return MessageError(f"message of type {self.name}: {misfit}")
+        return MessageError(f"message of type {self.name} does not fit: {error!r}")
 
     def _unreadable(self, data: bytes, order: Order, error: Exception) -> MessageError:
         kind = "little" if order == LITTLE else "big"
-        what = f"{len(data)} bytes received as {self._name} ({kind}-endian) are something else"
+        what = f"{len(data)} bytes received as {self.name} ({kind}-endian) are something else"
         cursor = Cursor(data, order, self._encoding)
         try:
             read_slowly(self.shape, cursor)
