@@ -82,8 +82,8 @@ class Process:
         from uoarm_rtm._wishes import Refusal
 
         self._refusal = Refusal("half-way", RTC.OUT_OF_RESOURCES)
-        self._in._subscribe = fail
-        self._out._subscribe = fail
+        for port in (self._in, self._out):
+            vars(port)["_subscribe"] = fail
 
     def cut(self) -> None:
         for port in (self._in, self._out):

@@ -143,7 +143,7 @@ def test_a_refusal_half_way_leaves_nothing_behind(
     component.refuse()
     at = endpoint(role, "Stubborn.rtc", port)
     with pytest.raises(BridgeError, match="refuses to connect: OUT_OF_RESOURCES") as caught:
-        (sink if role is Role.INPUT else lambda *words: source(*words, Inbox()))(bridge, at)
+        _ = sink(bridge, at) if role is Role.INPUT else source(bridge, at, Inbox())
     assert caught.value.reason is FailureReason.REFUSED
     assert component.connectors() == [0, 0]
     assert bridge.open_channels == 0
