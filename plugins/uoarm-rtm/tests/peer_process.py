@@ -8,14 +8,73 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Mapping
 from typing import Any
 
 from plain import plain
 from uoarm_rtm._naming import NamingService
-from uoarm_rtm._orb import Orb
+from uoarm_rtm._operations import Interface
+from uoarm_rtm._orb import Orb, narrowed
+from uoarm_rtm._peer import pairs, peer_at, properties_of
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._stubs import RTC
 from uoarm_rtm._types import Types
+from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet
+from uoarm_rtm.errors import IdlError
+
+
+class Wanted(PortServant):
+    """A CorbaPort that requires one interface."""
+
+    def __init__(self, orb: Orb, name: str, interface: Interface) -> None:
+        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
+        self._interface = interface
+        kind = interface.name.split("/")[-1]
+        self._key = f"port.{kind}.{kind.lower()}"
+        self.interfaces = [RTC.PortInterfaceProfile(kind.lower(), kind, RTC.REQUIRED)]
+        self._object: Any = None
+
+    def ask(self, operation: str, arguments: Any) -> Any:
+        chosen = self._interface.operation(operation)
+        return chosen.reply(getattr(self._object, operation)(*chosen.arguments(arguments)))
+
+    def _publish(self, profile: Any) -> None:
+        pass
+
+    def _subscribe(self, profile: Any) -> None:
+        ior = properties_of(profile.properties)[self._key]
+        self._object = narrowed(self.orb.reference(ior), self._interface.stub, 2.0, self.name)
+
+    def _release(self, connector_id: str) -> None:
+        self._object = None
+
+
+class _Service:
+    """What the operations of tests/service.idl do."""
+
+    def __init__(self, component: RtComponent) -> None:
+        self._component = component
+
+    def answer(self, message: Any) -> Any:
+        operation, arguments = message["operation"], message["arguments"]
+        if operation == "move":
+            if arguments["target"]["x"] > 1.0:
+                members = {"limit": 1.0, "why": "too far"}
+                raise IdlError("too far", "IDL:Arm/OutOfReach:1.0", members)
+            return {
+                "return": arguments["target"]["x"],
+                "steps": arguments["steps"] + 1,
+                "path": [1.0],
+            }
+        if operation == "sleep":
+            time.sleep(arguments["seconds"])
+            return {}
+        if operation == "echo":
+            return {"return": arguments["words"]}
+        raise RuntimeError(operation)
 
 
 class Process:
@@ -78,12 +137,35 @@ class Process:
         def fail(profile: Any) -> None:
             raise self._refusal
 
-        from uoarm_rtm._stubs import RTC
-        from uoarm_rtm._wishes import Refusal
-
         self._refusal = Refusal("half-way", RTC.OUT_OF_RESOURCES)
         for port in (self._in, self._out):
-            vars(port)["_subscribe"] = fail
+            setattr(port, "_subscribe", fail)  # noqa: B010 - of this instance alone
+
+    def provide(self, idl: str, interface: str) -> None:
+        """Add a CorbaPort `served` whose operations are those of `_Service`."""
+        types = Types([idl])
+        found, _ = types.interface(interface)
+        name = f"{self._component.sheet.name}.served"
+        servant = servant_of(found, "", _Service(self._component).answer)
+        self._component.add_port(ServicePort(self._orb, name, found, servant))
+
+    def require(self, idl: str, interface: str) -> None:
+        """Add a CorbaPort `wanted` that calls whatever is connected to it."""
+        types = Types([idl])
+        found, _ = types.interface(interface)
+        self._wanted = Wanted(self._orb, f"{self._component.sheet.name}.wanted", found)
+        self._component.add_port(self._wanted)
+
+    def ask(self, operation: str, arguments: Any) -> Any:
+        return self._wanted.ask(operation, arguments)
+
+    def connect(self, nameserver: str, path: str, port: str, properties: dict[str, str]) -> str:
+        """Connect our OutPort to an InPort of another component, as a tool would."""
+        found = peer_at(path, NamingService(self._orb, nameserver, 2.0).resolve(path), 2.0)
+        ports = [self._out.reference, found.port(port).reference]
+        profile = RTC.ConnectorProfile("tool", "", ports, pairs(properties))
+        code, _ = self._out.connect(profile)
+        return str(code)
 
     def cut(self) -> None:
         for port in (self._in, self._out):

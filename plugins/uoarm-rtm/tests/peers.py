@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
 import signal
@@ -42,6 +43,12 @@ class Peer:
     def kill(self) -> None:
         self.process.kill()
         self.process.wait(10)
+        self._hush()
+
+    def _hush(self) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
 
     def freeze(self) -> None:
         self.process.send_signal(signal.SIGSTOP)
@@ -53,13 +60,11 @@ class Peer:
         """End it in good order, and by force where that does not work."""
         if self.process.poll() is None:
             self.thaw()
-            assert self.process.stdin is not None
-            self.process.stdin.close()
+            self._hush()
             try:
                 self.process.wait(10)
             except subprocess.TimeoutExpired:
                 self.kill()
-        assert self.process.stdout is not None
 
     def _read(self) -> None:
         assert self.process.stdout is not None

@@ -31,7 +31,7 @@ def omniorb_programs() -> Path | None:
 
 
 def compile_idl(
-    files: Sequence[str], into: Path, *, package: str, directory: Path, inline: bool = False
+    files: Sequence[str], into: Path, *, package: str, directory: Path, names: Path | None = None
 ) -> None:
     """Compile IDL files to Python stubs; takes about 0.1 s.
 
@@ -40,7 +40,8 @@ def compile_idl(
         into: existing folder that takes the package.
         package: dotted name of the package that the stubs live in.
         directory: where the files are; `#include` finds files there and ours.
-        inline: put what is included into the same stubs, instead of referring to it.
+        names: file that takes the parameter names of operations, as `_idl_names` writes them;
+            with it, what is included goes into the same stubs.
 
     Raises:
         BridgeError: BAD_ENDPOINT when the IDL is wrong, with the compiler's lines;
@@ -51,7 +52,7 @@ def compile_idl(
     program = str(programs / "omniidl") if programs is not None else "omniidl"
     command = [
         *(sys.executable, "-c", _RUN, program, "-bpython", f"-Wbpackage={package}"),
-        *(("-Wbinline",) if inline else ()),
+        *(("-Wbinline", "-buoarm_rtm._idl_names", f"-Wbfile={names}") if names else ()),
         *(f"-I{directory}", f"-I{OUR_IDL}", f"-C{into}", *files),
     ]
     try:

@@ -128,24 +128,38 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
     with corba_errors(what):
         reference = peer.reference.get_configuration()
     target = narrowed(reference, SDOPackage.Configuration, seconds, what)
-    name = message.get("set")
     with corba_errors(what):
         try:
-            if message.get("values"):
-                if name is None:
-                    name = target.get_active_configuration_set().id
-                values = pairs({key: str(each) for key, each in message["values"].items()})
-                target.set_configuration_set_values(SDOPackage.ConfigurationSet(name, "", values))
-            if message.get("activate"):
-                target.activate_configuration_set(name or "default")
+            _write(target, message)
             sets = {
                 each.id: properties_of(each.configuration_data)
                 for each in target.get_configuration_sets()
             }
-            return {"active": str(target.get_active_configuration_set().id), "sets": sets}
+            return {"active": _active(target), "sets": sets}
         except (SDOPackage.InvalidParameter, SDOPackage.NotAvailable) as error:
             text = f"{what}: {type(error).__name__}: {error.description}"
             raise BridgeError(text, FailureReason.REFUSED) from error
         except SDOPackage.InternalError as error:
             text = f"{what}: {error.description}"
             raise BridgeError(text, FailureReason.REFUSED) from error
+
+
+def _write(target: Any, message: Mapping[str, Any]) -> None:
+    """Write values, and put the set in force where asked, or where it is in force already.
+
+    Components of OpenRTM have no active set after a write, until one is activated (observed).
+    """
+    values, before = message.get("values"), _active(target)
+    name = message.get("set") or before or "default"
+    if values:
+        listing = pairs({key: str(each) for key, each in values.items()})
+        target.set_configuration_set_values(SDOPackage.ConfigurationSet(name, "", listing))
+    if message.get("activate") or (values and name == before):
+        target.activate_configuration_set(name)
+
+
+def _active(target: Any) -> str:
+    try:
+        return str(target.get_active_configuration_set().id)
+    except SDOPackage.NotAvailable:
+        return ""

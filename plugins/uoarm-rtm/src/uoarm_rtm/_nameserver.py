@@ -44,7 +44,16 @@ class NameServer:
         programs = omniorb_programs()
         program = str(programs / "omniNames") if programs is not None else "omniNames"
         command = [
-            *(program, "-start", str(self.port), "-logdir", str(folder), "-errlog", "/dev/null"),
+            *(
+                program,
+                "-start",
+                str(self.port),
+                "-always",
+                "-datadir",
+                str(folder),
+                "-errlog",
+                "/dev/null",
+            ),
             *("-ORBendPoint", f"giop:tcp:{address}:{self.port}"),
         ]
         try:

@@ -19,7 +19,10 @@ __all__ = ["Place", "Pulse"]
 
 @frozen
 class Place:
-    """One data port of a component, described and checked."""
+    """One data port of a component, described and checked.
+
+    `ended` is called when a channel to the port has let go of it.
+    """
 
     orb: Orb
     endpoint: Endpoint
@@ -29,6 +32,7 @@ class Place:
     settings: Settings = field(hash=False)
     seconds: float
     report: Callable[[Channel, Health, str], None]
+    ended: Callable[[], None]
 
     @property
     def where(self) -> str:

@@ -50,13 +50,13 @@ def schema_of(shape: Shape) -> dict[str, Any]:
 
 
 def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
-    return {
+    schema: dict[str, Any] = {
         "type": "object",
         "properties": properties,
         "required": list(properties),
         "additionalProperties": False,
-        "x-native-type": name,
     }
+    return {**schema, "x-native-type": name} if name else schema
 
 
 def _array(listing: Listing) -> dict[str, Any]:

@@ -121,7 +121,10 @@ class InPortSink(Sink):
 
     def _close(self) -> None:
         self._withdraw()
-        self._connector.disconnect()
+        try:
+            self._connector.disconnect()
+        finally:
+            self._place.ended()
 
     def _withdraw(self) -> None:
         if self._outlet is not None:

@@ -102,7 +102,10 @@ class Source(Channel):
     def _close(self) -> None:
         self._ended.set()
         self._withdraw()
-        self._connector.disconnect()
+        try:
+            self._connector.disconnect()
+        finally:
+            self._place.ended()
 
     def _withdraw(self) -> None:
         if self._inlet is not None:

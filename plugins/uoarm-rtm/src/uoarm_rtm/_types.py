@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 import re
 from collections.abc import Iterable
 from functools import cached_property
@@ -13,6 +12,7 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm_rtm._codec import Codec, codec_of
 from uoarm_rtm._descriptor import descriptors, shape_of
+from uoarm_rtm._operations import Interface, interfaces
 from uoarm_rtm._schema import structure_of
 from uoarm_rtm._stubs import RTC, OpenRTM, SDOPackage
 from uoarm_rtm._user_idl import load_idl
@@ -47,7 +47,7 @@ class Types:
 
     def __init__(self, sources: Iterable[str] = (), encoding: str = "utf-8") -> None:
         self._encoding = encoding
-        self._modules = [load_idl(source) for source in sources]
+        self._stubs = [load_idl(source) for source in sources]
         self._codecs: dict[str, Codec] = {}
 
     def codec(self, type_id: str) -> Codec:
@@ -84,6 +84,28 @@ class Types:
         text = f"data type {type_id!r} is not known: {hint} its IDL in the bridge's option `idl`"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
+    def interface(self, name: str) -> tuple[Interface, str]:
+        """Return the interface that a text names, and the operation, empty for all of them.
+
+        Args:
+            name: `Module::Interface` or `Module::Interface::operation`, module optional.
+
+        Raises:
+            BridgeError: UNSUPPORTED, when no IDL of the configuration declares it.
+        """
+        plain = plain_name(name)
+        known = self._interfaces
+        for wanted, operation in ((plain, ""), tuple(plain.rpartition("/")[::2])):
+            ends = [each for each in known if f"/{each}".endswith(f"/{wanted}")]
+            if wanted and len(ends) == 1:
+                return known[ends[0]], operation
+        there = ", ".join(known) or "none"
+        text = (
+            f"interface {name!r} is not known (the option `idl` of the bridge declares {there}): "
+            "give its IDL there"
+        )
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+
     def same(self, first: str, second: str) -> bool:
         """Whether two ways of writing a type name the same one."""
         one, other = plain_name(first), plain_name(second)
@@ -92,12 +114,18 @@ class Types:
         )
 
     @cached_property
+    def _interfaces(self) -> dict[str, Interface]:
+        found: dict[str, Interface] = {}
+        for stubs in self._stubs:
+            found.update(interfaces(stubs, self._encoding))
+        return found
+
+    @cached_property
     def _known(self) -> dict[str, Any]:
         known: dict[str, Any] = {}
         for module in (RTC, OpenRTM, SDOPackage):
             known.update((plain_name(name), each) for name, each in descriptors(module))
-        for stubs in self._modules:
-            for scope in stubs._exported_modules:  # noqa: SLF001 - how omniidl lists them
-                found = descriptors(importlib.import_module(scope))
-                known.update((plain_name(name), each) for name, each in found)
+        for stubs in self._stubs:
+            for scope in stubs.scopes:
+                known.update((plain_name(name), each) for name, each in descriptors(scope))
         return known

@@ -10,29 +10,47 @@ import contextlib
 import hashlib
 import importlib
 import importlib.metadata
+import json
 import os
 import re
 import shutil
 import sys
 import tempfile
 import threading
+from collections.abc import Mapping
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
+from attrs import field, frozen
+
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rtm._compiler import OUR_IDL, compile_idl
 
-__all__ = ["load_idl"]
+__all__ = ["Stubs", "load_idl"]
 
-_MAIN = "main.idl"
+_MAIN, _NAMES = "main.idl", "names.json"
 _INCLUDE = re.compile(rb'^\s*#\s*include\s*["<]([^">]+)[">]', re.MULTILINE)
 _MOST_BYTES = 4 << 20
 _loading = threading.Lock()
+_loaded: dict[str, Stubs] = {}
 
 
-def load_idl(source: str) -> ModuleType:
-    """Return the stubs of IDL: the module that holds all that the text and its includes declare.
+@frozen
+class Stubs:
+    """Compiled IDL.
+
+    Attributes:
+        scopes: a module for each IDL module at the outermost level.
+        names: parameters of operations, as `_idl_names` writes them.
+    """
+
+    scopes: tuple[ModuleType, ...]
+    names: Mapping[str, Mapping[str, list[tuple[str, str]]]] = field(hash=False)
+
+
+def load_idl(source: str) -> Stubs:
+    """Return the stubs of IDL: all that the text and its includes declare.
 
     Args:
         source: IDL text, or the path of a file, relative to the working directory.
@@ -49,13 +67,13 @@ def load_idl(source: str) -> ModuleType:
     key = _key(text, directory)
     package = f"uoarm_rtm_idl_{key}"
     with _loading:
-        loaded = sys.modules.get(f"{package}.main_idl")
-        if loaded is not None:
-            return loaded
-        folder = _cache() / key
-        if not folder.is_dir():
-            _compile(text, directory, package, folder, shown)
-        return _import(package, folder)
+        stubs = _loaded.get(package)
+        if stubs is None:
+            folder = _cache() / key
+            if not folder.is_dir():
+                _compile(text, directory, package, folder, shown)
+            stubs = _loaded[package] = _import(package, folder)
+        return stubs
 
 
 def _read(path: Path) -> bytes:
@@ -72,7 +90,7 @@ def _read(path: Path) -> bytes:
 
 def _key(text: bytes, directory: Path) -> str:
     """Return a name of the content, includes and compiler included."""
-    digest = hashlib.sha256(importlib.metadata.version("jeteve-omniorb").encode())
+    digest = hashlib.sha256(f"2 {importlib.metadata.version('jeteve-omniorb')}".encode())
     seen: set[Path] = set()
     waiting = [(text, directory)]
     while waiting:
@@ -102,7 +120,14 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
         raise BridgeError(text_, FailureReason.UNAVAILABLE) from error
     try:
         (work / _MAIN).write_bytes(text)
-        compile_idl([str(work / _MAIN)], work, package=package, directory=directory, inline=True)
+        (work / package).mkdir()
+        compile_idl(
+            [str(work / _MAIN)],
+            work,
+            package=package,
+            directory=directory,
+            names=work / package / _NAMES,
+        )
         with contextlib.suppress(OSError):  # somebody else was faster
             (work / package).rename(folder)
     except BridgeError as error:
@@ -111,7 +136,7 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
         shutil.rmtree(work, ignore_errors=True)
 
 
-def _import(package: str, folder: Path) -> ModuleType:
+def _import(package: str, folder: Path) -> Stubs:
     spec = spec_from_file_location(
         package, folder / "__init__.py", submodule_search_locations=[str(folder)]
     )
@@ -121,7 +146,10 @@ def _import(package: str, folder: Path) -> ModuleType:
     sys.modules[package] = module
     try:
         spec.loader.exec_module(module)
-        return importlib.import_module(f"{package}.main_idl")
+        main = importlib.import_module(f"{package}.main_idl")
+        scopes = map(importlib.import_module, main._exported_modules)  # noqa: SLF001 - as it has it
+        names = json.loads((folder / _NAMES).read_text(encoding="utf-8"))
+        return Stubs(tuple(scopes), names)
     except Exception as error:
         sys.modules.pop(package, None)
         text = f"compiled IDL in {str(folder)!r} cannot be imported: {error}; remove the folder"

@@ -86,6 +86,12 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
         """The name under which it is bound when no other is given."""
         return f"{self.sheet.name}.rtc"
 
+    @property
+    def ports(self) -> tuple[PortServant, ...]:
+        """The ports there are now."""
+        with self._lock:
+            return tuple(self._ports)
+
     def add_in_port(
         self, name: str, type_id: str, types: Types, take: Callable[[Message], None]
     ) -> InPort:
