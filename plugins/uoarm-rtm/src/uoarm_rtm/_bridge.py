@@ -137,9 +137,8 @@ class RtmBridge(Bridge):
         caller = self._callers.get(key)
         if caller is None:
             caller = self._callers.setdefault(key, self._caller(address))
-        _, operation = self._types.interface(caller.type)
         try:
-            return caller.call(operation, message, timeout)
+            return caller.call(message, timeout)
         except (IdlError, BridgeTimeoutError):
             raise
         except BridgeError:
@@ -151,10 +150,10 @@ class RtmBridge(Bridge):
         peer = self._directory.peer(address.component)
         port = peer.port(address.port)
         wanted = address.type or _only_type(peer, port)
-        interface, _ = self._types.interface(wanted)
+        interface, operation = self._types.interface(wanted)
         offer = offered(peer, port, interface.name, provided=True)
         seconds = self._settings.call_seconds
-        return Caller(self._orb, peer, port, interface, offer, wanted, seconds)
+        return Caller(self._orb, peer, port, interface, offer, operation, seconds)
 
     def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
         address = address_of(endpoint)

@@ -6,6 +6,7 @@ An ORB that the application itself has begun is used as it is and left alone.
 
 from __future__ import annotations
 
+import atexit
 import threading
 from typing import Any
 
@@ -101,11 +102,7 @@ class Orb:
             last = _shared.users == 0
             running, ending = _shared.running, None
             if last and running is not None and not running.foreign:
-                ending = threading.Thread(
-                    target=_destroy, args=(running.orb,), name="uoarm-rtm-end", daemon=True
-                )
-                ending.start()
-                _shared.running, _shared.destroying = None, ending
+                ending = _end(running)
         if ending is not None:
             ending.join(_DESTROY_SECONDS)
         else:
@@ -160,6 +157,34 @@ def _begin(address: str, call_seconds: float) -> Any:
         )
         raise BridgeError(text, FailureReason.REFUSED)
     return _shared.running.orb
+
+
+def _end(running: _Running) -> threading.Thread:
+    """Begin to destroy the ORB; it waits for calls under way, which have their limits."""
+    ending = threading.Thread(
+        target=_destroy, args=(running.orb,), name="uoarm-rtm-end", daemon=True
+    )
+    ending.start()
+    _shared.running, _shared.destroying = None, ending
+    return ending
+
+
+def _end_at_exit() -> None:
+    """End an ORB that is left when the process exits.
+
+    Its C++ threads must not be on their way into Python when the interpreter ends: that aborts
+    the process ("terminate called without an active exception").
+    """
+    with _shared.lock:
+        running = _shared.running
+        if running is not None and not running.foreign:
+            _end(running)
+        ending = _shared.destroying
+    if ending is not None:
+        ending.join(_DESTROY_SECONDS)
+
+
+atexit.register(_end_at_exit)
 
 
 def _destroy(orb: Any) -> None:

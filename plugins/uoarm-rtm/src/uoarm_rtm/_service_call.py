@@ -96,7 +96,7 @@ class Caller:
         port: its CorbaPort.
         interface: as our IDL has it.
         offer: as the port has it.
-        type: what the endpoint asked for, `Interface` or `Interface::operation`.
+        operation: the one to call; empty for that which each request names.
         seconds: limit of connecting.
     """
 
@@ -107,10 +107,10 @@ class Caller:
         port: Port,
         interface: Interface,
         offer: PortInterface,
-        type: str,  # noqa: A002 - the word that addresses use
+        operation: str,
         seconds: float,
     ) -> None:
-        self.type = type
+        self._operation = operation
         self._orb = orb
         self._port = port
         self._interface = interface
@@ -122,8 +122,8 @@ class Caller:
         self._connector: Connector | None = None
         self._object: Any = None
 
-    def call(self, operation: str, message: Message, seconds: float) -> Message:
-        """Call one operation and return its reply.
+    def call(self, message: Message, seconds: float) -> Message:
+        """Call the operation and return its reply.
 
         Raises:
             MessageError: the request does not fit.
@@ -131,7 +131,7 @@ class Caller:
             BridgeError: the component is gone, inactive, or failed.
             BridgeTimeoutError: no reply in time.
         """
-        chosen, arguments = split(self._interface, operation, message)
+        chosen, arguments = split(self._interface, self._operation, message)
         natives = chosen.arguments(arguments)
         target = limit(self._reach(), seconds)
         what = f"{self._where}: {self._interface.name}::{chosen.name}"
