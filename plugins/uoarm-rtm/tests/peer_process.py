@@ -7,7 +7,9 @@ Answers are lines of JSON on standard output. It ends when standard input does.
 from __future__ import annotations
 
 import json
+import queue
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -69,6 +71,8 @@ class _Service:
                 "steps": arguments["steps"] + 1,
                 "path": [1.0],
             }
+        if operation == "stuck":
+            time.sleep(3.0)
         if operation == "sleep":
             time.sleep(arguments["seconds"])
             return {}
@@ -166,6 +170,21 @@ class Process:
         profile = RTC.ConnectorProfile("tool", "", ports, pairs(properties))
         code, _ = self._out.connect(profile)
         return str(code)
+
+    def loop(self, name: str, type_id: str) -> None:
+        """Add ports `NAME_in` and `NAME_out`: what comes in goes out, from another thread."""
+        out = self._component.add_out_port(f"{name}_out", type_id, self._types)
+        waiting: queue.Queue[Any] = queue.Queue(100)
+        self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put)
+
+        def forward() -> None:
+            while True:
+                out.write(waiting.get())
+
+        threading.Thread(target=forward, daemon=True).start()
+
+    def activate(self) -> None:
+        self._component.lifecycle.activate()
 
     def cut(self) -> None:
         for port in (self._in, self._out):

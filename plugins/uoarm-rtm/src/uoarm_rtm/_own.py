@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 
-from uoarm.bridge import Channel, Sink
+from uoarm.bridge import Channel, Delivery, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._naming import NamingService
@@ -22,26 +21,26 @@ __all__ = ["Own"]
 class _OwnSource(Channel):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
-    def __init__(self, own: Own, endpoint: Endpoint, name: str, type_id: str) -> None:
+    def __init__(
+        self, own: Own, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver
+    ) -> None:
         super().__init__(endpoint)
         self._own = own
-        self._one_at_a_time = threading.Lock()
+        self._delivery = Delivery(deliver)
         self._count = 0
-        self.port = own.component.add_in_port(name, type_id, own.types, self._take)
-        self.deliver: Deliver | None = None
+        self._port = own.component.add_in_port(name, type_id, own.types, self._take)
 
     def facts(self) -> Mapping[str, object]:
         """Return the count of messages and of connectors."""
-        return {"count": self._count, "connectors": len(self.port.get_connector_profiles())}
+        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
 
     def _take(self, message: Message) -> None:
-        with self._one_at_a_time:
-            if not self._closed and self.deliver is not None:
-                self._count += 1
-                self.deliver(message)
+        self._count += 1
+        self._delivery.give(message)
 
     def _close(self) -> None:
-        self._own.remove(self.port)
+        self._delivery.end()
+        self._own.remove(self._port)
 
 
 class _OwnSink(Sink):
@@ -126,9 +125,7 @@ class Own:
     def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Channel:
         """Open an InPort of ours."""
         self._free(name)
-        source = _OwnSource(self, endpoint, name, type_id)
-        source.deliver = deliver
-        return source
+        return _OwnSource(self, endpoint, name, type_id, deliver)
 
     def sink(self, endpoint: Endpoint, name: str, type_id: str) -> Sink:
         """Open an OutPort of ours."""

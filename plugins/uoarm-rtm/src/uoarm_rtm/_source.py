@@ -9,7 +9,7 @@ from typing import Any
 
 from omniORB import CORBA
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, BridgeTimeoutError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._codec import BIG, LITTLE
@@ -52,9 +52,8 @@ class Source(Channel):
     def __init__(self, place: Place, deliver: Deliver) -> None:
         super().__init__(place.endpoint)
         self._place = place
-        self._deliver = deliver
+        self._delivery = Delivery(deliver)
         self._order = BIG if place.settings.endian == "big" else LITTLE
-        self._one_at_a_time = threading.Lock()
         self._ended = threading.Event()
         self.pulse = Pulse(self, place)
         self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
@@ -71,18 +70,17 @@ class Source(Channel):
 
     def receive(self, data: bytes) -> Any:
         """Decode and deliver one message; returns the status to answer."""
-        with self._one_at_a_time:
-            if self._closed:
-                return OpenRTM.PORT_ERROR
-            try:
-                message = self._place.codec.decode(data, self._order)
-            except MessageError as error:
-                self.pulse.refused += 1
-                self.pulse.tell(Health.DEGRADED, f"{self._place.where}: {error}")
-                return OpenRTM.PORT_ERROR
-            self.pulse.beat()
-            self._deliver(message)
-            return OpenRTM.PORT_OK
+        if self._delivery.ended:
+            return OpenRTM.PORT_ERROR
+        try:
+            message = self._place.codec.decode(data, self._order)
+        except MessageError as error:
+            self.pulse.refused += 1
+            self.pulse.tell(Health.DEGRADED, f"{self._place.where}: {error}")
+            return OpenRTM.PORT_ERROR
+        self.pulse.beat()
+        self._delivery.give(message)
+        return OpenRTM.PORT_OK
 
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
@@ -101,6 +99,7 @@ class Source(Channel):
 
     def _close(self) -> None:
         self._ended.set()
+        self._delivery.end()
         self._withdraw()
         try:
             self._connector.disconnect()
