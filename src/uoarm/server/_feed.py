@@ -91,8 +91,13 @@ class Feed:
             self._hop.put(self._hand_out)
 
     def add(self, listener: Listener) -> None:
-        """Hand messages to a listener from now on."""
+        """Hand messages to a listener from now on; to the first one what came before it, too."""
         self._listeners[listener] = None
+        if self.end is not None:
+            self._hand_all()
+            listener.ended(*self.end)
+        elif self._waiting:
+            self._schedule()
 
     def remove(self, listener: Listener) -> bool:
         """Hand a listener no more; True when it was the last one."""
@@ -103,22 +108,30 @@ class Feed:
         """Hand out what waits, then tell every listener that this was all."""
         if self.end is not None:
             return
-        while self._waiting:
-            self._hand_one(self._waiting.popleft())
         self.end = (state, cause)
+        if self._listeners:
+            self._hand_all()
         for listener in tuple(self._listeners):
             listener.ended(state, cause)
+
+    def _schedule(self) -> None:
+        if not self._pending:
+            self._pending = True
+            asyncio.get_running_loop().call_soon(self._hand_out)
 
     def _hand_out(self) -> None:
         """Hand out a batch; the loop gets a turn between two, so that replies stay quick."""
         self._pending = False
-        for _ in range(_BATCH):
-            if not self._waiting:
-                return
+        if not self._listeners:
+            return
+        for _ in range(min(_BATCH, len(self._waiting))):
             self._hand_one(self._waiting.popleft())
-        if not self._pending:
-            self._pending = True
-            asyncio.get_running_loop().call_soon(self._hand_out)
+        if self._waiting:
+            self._schedule()
+
+    def _hand_all(self) -> None:
+        while self._waiting:
+            self._hand_one(self._waiting.popleft())
 
     def _hand_one(self, parcel: Parcel) -> None:
         for listener in tuple(self._listeners):

@@ -90,6 +90,14 @@ class Outbox:
             pass
         self._filled.set()
 
+    def finish(self, lane: Lane, frame: bytes) -> None:
+        """Add the last frame of a stream, after all that waits of it."""
+        if not lane.waiting:
+            self._turns.append(lane)
+        lane.waiting.append(frame)
+        self._bytes += len(frame)
+        self._filled.set()
+
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
         while lane.waiting:

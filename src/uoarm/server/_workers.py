@@ -43,13 +43,17 @@ class Workers:
         """Jobs under way."""
         return self._busy
 
-    def start(self, action: Callable[[], T]) -> asyncio.Future[T]:
+    def start(self, action: Callable[[], T], *, always: bool = False) -> asyncio.Future[T]:
         """Run an action in a worker; the future has its result. Only from the loop's thread.
+
+        Args:
+            action: what waits.
+            always: begin it also when all workers are taken, for what frees something.
 
         Raises:
             BusyError: no worker is free.
         """
-        if self._busy >= self._limit:
+        if self._busy >= self._limit and not always:
             raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
         self._busy += 1
