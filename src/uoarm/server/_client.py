@@ -10,6 +10,7 @@ from typing import Protocol
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
 
 from uoarm.server._limits import Limits
 from uoarm.server._outbox import Outbox
@@ -49,8 +50,10 @@ class Client:
         self.received = 0
         self.sent = 0
         self.sent_bytes = 0
+        self.is_cut = False
         self._socket = socket
         self._writing_since: float | None = None
+        self._closing: set[asyncio.Task[None]] = set()
 
     @property
     def address(self) -> str:
@@ -79,9 +82,17 @@ class Client:
         elif since is not None and now - since > self.limits.stall_seconds:
             self.cut(f"it has read nothing for {now - since:.0f} s")
 
+    def dismiss(self, cause: str) -> None:
+        """Close properly, with a closing handshake that is not waited for here."""
+        self.is_cut = True
+        closing = asyncio.ensure_future(self._socket.close(CloseCode.POLICY_VIOLATION, cause))
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
+
     def cut(self, cause: str) -> None:
         """End the connection at once, without a closing handshake."""
         _log.warning("client %s at %s is cut off: %s", self.identity, self.address, cause)
+        self.is_cut = True
         self._socket.transport.abort()
 
     async def _read(self, session: Session) -> None:

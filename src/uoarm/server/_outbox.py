@@ -41,6 +41,7 @@ class Outbox:
     A reply never waits behind data, save for the one frame that is being written. Streams take
     turns. When too much waits the oldest of the fullest stream is dropped and counted; replies
     are never dropped: with too many of them `overflowed` is set, and the client must be cut off.
+    `dropped` counts the data messages that were lost here.
 
     Args:
         max_bytes: of all data that waits.
@@ -55,7 +56,9 @@ class Outbox:
         self._bytes = 0
         self._reply_bytes = 0
         self._filled = asyncio.Event()
+        self._emptied = asyncio.Event()
         self.overflowed = False
+        self.dropped = 0
 
     @property
     def waiting_bytes(self) -> int:
@@ -115,7 +118,14 @@ class Outbox:
             if self._turns:
                 return self._next_data()
             self._filled.clear()
+            self._emptied.set()
             await self._filled.wait()
+            self._emptied.clear()
+
+    async def emptied(self) -> None:
+        """Wait until nothing waits."""
+        if not self.empty:
+            await self._emptied.wait()
 
     def _next_data(self) -> tuple[bytes, bool]:
         lane = self._turns.popleft()
@@ -129,6 +139,7 @@ class Outbox:
     def _drop(self, lane: Lane) -> None:
         self._bytes -= len(lane.waiting.popleft())
         lane.dropped += 1
+        self.dropped += 1
 
     def _drop_somewhere(self) -> bool:
         """Drop from the stream that holds most; a single message is always kept."""
