@@ -10,6 +10,7 @@ import click
 import uoarm
 from uoarm.bridge import Registry
 from uoarm.cli._run import call, request
+from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
     CONFIGURATION,
     configuration_option,
@@ -131,3 +132,5 @@ def doctor(*, as_json: bool) -> None:
 main.add_command(request)
 main.add_command(call)
 main.add_command(schema)
+main.add_command(serve)
+main.add_command(token)
