@@ -66,6 +66,7 @@ class Desk:
         self._openings: dict[Feed, asyncio.Task[None]] = {}
         self._closings: set[asyncio.Task[None]] = set()
         self._watchers: dict[Watcher, None] = {}
+        self._names: dict[str, str] = {}
         self._functions = {
             component.name: function.name
             for function in robot.robot.functions.values()
@@ -172,14 +173,22 @@ class Desk:
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
-        feed = self._by_id.get(name) if kind == "connection" else None
         function = self._functions.get(name, "") if kind == "component" else ""
-        if feed is not None and feed.connection is not None:
-            function = feed.connection.plan.function
+        if kind == "connection":
+            function = self._function_of(name)
             if event.change in _ENDS:
-                self._ended(feed)
+                self._names.pop(name, None)
+                if name in self._by_id:
+                    self._ended(self._by_id[name])
         for watcher in tuple(self._watchers):
             watcher(event, function)
+
+    def _function_of(self, connection: str) -> str:
+        """Return the function of a connection, also of one that the application itself opened."""
+        if connection not in self._names:
+            statuses = self.robot.status().connections
+            self._names |= {one.id: one.function for one in statuses}
+        return self._names.get(connection, "")
 
     def _ended(self, feed: Feed) -> None:
         assert feed.connection is not None, "only an opened feed can end"

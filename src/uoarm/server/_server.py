@@ -105,6 +105,7 @@ class Server:
         )
         for socket in tuple(self._sockets):
             socket.transport.abort()
+        await _all_within(limit, [listening.wait_closed() for listening in self._listening])
         if self._desk is not None:
             await self._desk.close()
 
@@ -183,11 +184,8 @@ class Server:
             self._admission.refresh()
             now = time.monotonic()
             for client, shown in list(self._clients.items()):
-                role = self._admission.role(shown)
-                if role is None:
-                    client.dismiss("the token is no longer valid")
-                else:
-                    client.role = role
+                if self._admission.role(shown) != client.role:
+                    client.dismiss("its rights have changed or ended; connect again")
                 client.check(now)
 
     def _health(self) -> dict[str, object]:
