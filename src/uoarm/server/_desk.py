@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError
 from uoarm.manager import Connection, RobotManager
-from uoarm.model import Message, Plan, StatusEvent, ValidationMode
+from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
 from uoarm.server._limits import Limits
@@ -127,6 +127,13 @@ class Desk:
     async def resolve(self, name: str) -> Plan:
         """Find a plan in a worker; raises as `RobotManager.resolve`, and BusyError."""
         return await self.workers.start(lambda: self.robot.resolve(name))
+
+    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
+        """Return the structures of a function's ports; of one that nothing provides, none."""
+        try:
+            return (await self.resolve(function)).provider.structures
+        except (ResolutionError, BridgeError, PluginError):
+            return {}
 
     def watch(self, watcher: Watcher) -> None:
         """Tell a watcher every change and the function that it concerns, from now on."""

@@ -24,6 +24,7 @@ from uoarm.server._forms import FORMS, TEXT_FORM
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
+from uoarm.server.rosbridge import Hub, RosbridgeSession
 
 __all__ = ["Server"]
 
@@ -57,6 +58,7 @@ class Server:
         self._tls = settings.tls()
         self._audit = Audit()
         self._totals = Totals()
+        self._hub = Hub()
         self._connected: Counter[str] = Counter()
         self._clients: dict[Client, Pass] = {}
         self._listening: list[Listening] = []
@@ -173,7 +175,8 @@ class Server:
     def _session(
         self, client: Client, desk: Desk, socket: ServerConnection, *, rosbridge: bool
     ) -> Session:
-        assert not rosbridge, "not served yet"
+        if rosbridge:
+            return RosbridgeSession(client, desk, self._hub, self._audit)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
         return NativeSession(client, desk, form, self._audit)
 
