@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import sys
 import threading
+from queue import SimpleQueue
 from typing import Any
 
 import roslibpy
@@ -40,11 +41,9 @@ def look_around(ros: Any) -> None:
     assert ros.get_service_response_details("Pair")["typedefs"]
     assert ros.get_time()["secs"] > 1_600_000_000
     assert ros.get_params() == []
-    replied: list[Any] = []
-    told = threading.Event()
-    ros.get_action_servers(lambda reply: (replied.append(reply), told.set()))
-    assert told.wait(SECONDS)
-    assert replied[0]["action_servers"] == []
+    replies: SimpleQueue[Any] = SimpleQueue()
+    ros.get_action_servers(replies.put)
+    assert replies.get(timeout=SECONDS)["action_servers"] == []
 
 
 def receive(ros: Any) -> None:
@@ -63,11 +62,9 @@ def receive(ros: Any) -> None:
     assert numbers == [2, 4, 6], numbers
     topic.unsubscribe()
     picture = roslibpy.Topic(ros, "/uoarm/picture", "any/Type")
-    seen: list[Any] = []
-    shown = threading.Event()
-    picture.subscribe(lambda message: (seen.append(message), shown.set()))
-    assert shown.wait(SECONDS)
-    assert base64.b64decode(seen[0]["data"]) == bytes(range(256))
+    seen: SimpleQueue[Any] = SimpleQueue()
+    picture.subscribe(seen.put)
+    assert base64.b64decode(seen.get(timeout=SECONDS)["data"]) == bytes(range(256))
     picture.unsubscribe()
 
 
@@ -107,15 +104,9 @@ def provide(ros: Any) -> None:
     service = roslibpy.Service(ros, "/half", "any/Half")
     service.advertise(half)
     client = roslibpy.Service(ros, "/half", "any/Half")
-    answers: list[Any] = []
-    answered = threading.Event()
-    client.call(
-        roslibpy.ServiceRequest({"x": 8}),
-        callback=lambda reply: (answers.append(reply), answered.set()),
-        errback=lambda error: (answers.append(error), answered.set()),
-    )
-    assert answered.wait(SECONDS)
-    assert answers[0]["x"] == 4, answers
+    answers: SimpleQueue[Any] = SimpleQueue()
+    client.call(roslibpy.ServiceRequest({"x": 8}), callback=answers.put, errback=answers.put)
+    assert answers.get(timeout=SECONDS)["x"] == 4
     service.unadvertise()
 
 
