@@ -58,6 +58,11 @@ assert.equal(sum.value, 5);
 
 const half = new Service({ ros, name: "/half", serviceType: "any/Half" });
 half.advertise((request, response) => { response.x = request.x / 2; return true; });
+// advertise sends later, without saying when.
+const listed = async () => {
+  while (!(await new Promise((yes, no) => ros.getServices(yes, no))).includes("/half"));
+};
+await within(listed(), "half is advertised");
 const asked = new Service({ ros, name: "/half", serviceType: "any/Half" });
 const answer = await within(new Promise((yes, no) => asked.callService({ x: 8 }, yes, no)), "half");
 assert.equal(answer.x, 4);
