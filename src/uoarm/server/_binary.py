@@ -98,7 +98,9 @@ def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
     for key, value in message.items():
         parts.append(_dumps(key))
         if isinstance(value, bytes | bytearray | memoryview) and len(value) >= _LARGE:
-            octets = value.cast("B") if isinstance(value, memoryview) else value
+            octets = value
+            if isinstance(value, memoryview):
+                octets = value.cast("B") if value.c_contiguous else value.tobytes()
             parts += (_head(2, len(octets)), octets)
         elif isinstance(value, dict):
             _write_parts(value, parts)
@@ -117,7 +119,7 @@ def _head(major: int, count: int) -> bytes:
 
 
 def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
-    encoder.encode(bytes(value))
+    encoder.encode(value.tobytes())
 
 
 def _encode_array(encoder: cbor2.CBOREncoder, value: array[Any]) -> None:

@@ -12,7 +12,7 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Schema
 from uoarm.server._binary import read_binary, write_binary
 from uoarm.server._depth import check_depth
-from uoarm.server._text import write_text
+from uoarm.server._text import write_text, write_text_parts
 from uoarm.server._text_structure import make_reader, text_schema
 
 __all__ = ["BINARY_FORM", "FORMS", "TEXT_FORM", "Form", "write_or_tell"]
@@ -69,7 +69,7 @@ class _TextForm(Form):
 
     def write_data(self, connection: str, number: int, message: Message) -> bytes:
         head = f'{{"op":"Data","type":"{connection}","x-number":{number},"jsonMessage":'
-        return b"".join((head.encode(), write_text(message), b"}"))
+        return b"".join((head.encode(), *write_text_parts(message), b"}"))
 
     def read(self, frame: str | bytes, depth: int) -> Mapping[str, Any]:
         if isinstance(frame, bytes):

@@ -8,7 +8,6 @@ Those within 53 bits stay numbers.
 
 from __future__ import annotations
 
-import binascii
 import math
 from array import array
 from collections.abc import Mapping
@@ -18,8 +17,9 @@ import orjson
 
 from uoarm.errors import MessageError
 from uoarm.model import Message
+from uoarm.server._skeleton import dump_parts
 
-__all__ = ["SAFE_INTEGER", "write_text"]
+__all__ = ["SAFE_INTEGER", "write_text", "write_text_parts"]
 
 SAFE_INTEGER = 2**53 - 1
 _OPTIONS = orjson.OPT_STRICT_INTEGER
@@ -29,32 +29,31 @@ _WIDE_SIZE = 8
 
 
 def write_text(message: Message) -> bytes:
-    """Return a message as JSON text in UTF-8.
+    """Return a message as JSON text in UTF-8; raises as `write_text_parts`."""
+    return b"".join(write_text_parts(message))
+
+
+def write_text_parts(message: Message) -> list[bytes]:
+    """Return a message as JSON text in parts, to be joined with what stands around it.
 
     Raises:
         MessageError: a value in it has no form in JSON; the text says which type.
     """
     try:
-        text = orjson.dumps(message, default=_write_other, option=_OPTIONS)
-        if b"null" not in text:
-            return text
-        # orjson writes NaN as null: where null occurs, look at what it came from.
-        return orjson.dumps(_exact(message), default=_write_other, option=_OPTIONS)
+        skeleton, parts = dump_parts(message, _write_other, _OPTIONS)
+        if b"null" not in skeleton:
+            return parts
     except (TypeError, ValueError):
-        return _write_exactly(message)
-
-
-def _write_exactly(message: Message) -> bytes:
+        pass
+    # orjson writes NaN as null and refuses wide integers: then look at what is to be written.
     try:
-        return orjson.dumps(_exact(message), default=_write_other, option=_OPTIONS)
+        return dump_parts(_exact(message), _write_other, _OPTIONS)[1]
     except (TypeError, ValueError, RecursionError) as error:
         raise MessageError(f"the message has no form as JSON text: {error}") from error
 
 
 def _write_other(value: Any) -> Any:
-    """Return what orjson can write in the place of a buffer or a numpy value."""
-    if isinstance(value, bytes | bytearray | memoryview):
-        return orjson.Fragment(b'"' + binascii.b2a_base64(value, newline=False) + b'"')
+    """Return what orjson can write in the place of a numeric buffer or a numpy value."""
     if isinstance(value, array):
         return _exact(value.tolist())
     if isinstance(value, Mapping):
@@ -67,8 +66,6 @@ def _write_other(value: Any) -> Any:
 def _write_numpy(value: Any) -> Any:
     if value.ndim == 0:
         return _exact(value.item())
-    if value.dtype == "uint8" and value.ndim == 1:
-        return orjson.Fragment(b'"' + binascii.b2a_base64(value, newline=False) + b'"')
     wide = value.dtype.kind in _WIDE_KINDS and value.dtype.itemsize == _WIDE_SIZE
     if not (wide and value.size and max(-int(value.min()), int(value.max())) > SAFE_INTEGER):
         try:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import binascii
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
+
+from pybase64 import b64decode
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, Schema
@@ -144,7 +145,7 @@ def _octets(value: Any, path: str) -> Any:
     if not isinstance(value, str):
         return value
     try:
-        return base64.b64decode(value, validate=True)
+        return b64decode(value, validate=True)
     except (binascii.Error, ValueError) as error:
         raise MessageError(f"{path}: expected octets as base64 text: {error}") from error
 

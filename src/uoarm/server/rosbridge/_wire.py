@@ -6,7 +6,6 @@ the infinities are null. Octets are base64 in both.
 
 from __future__ import annotations
 
-import binascii
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,6 +15,7 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message
 from uoarm.server._binary import write_binary
 from uoarm.server._depth import check_depth
+from uoarm.server._skeleton import dump_parts
 
 __all__ = ["check_fields", "read_operation", "write_publish", "write_publish_cbor", "write_ros"]
 
@@ -71,16 +71,13 @@ def write_ros(message: Message) -> bytes:
     Raises:
         MessageError: a value in it has no form.
     """
-    try:
-        return orjson.dumps(message, default=_write_other)
-    except (TypeError, ValueError) as error:
-        raise MessageError(f"the message has no form as JSON text: {error}") from error
+    return b"".join(_write_parts(message))
 
 
 def write_publish(topic: str, message: Message) -> bytes:
-    """Return a publish message, the same bytes for every client."""
+    """Return a publish message, the same bytes for every client; raises as `write_ros`."""
     head = b'{"op":"publish","topic":' + orjson.dumps(topic) + b',"msg":'
-    return b"".join((head, write_ros(message), b"}"))
+    return b"".join((head, *_write_parts(message), b"}"))
 
 
 def write_publish_cbor(topic: str, message: Message) -> bytes:
@@ -88,15 +85,16 @@ def write_publish_cbor(topic: str, message: Message) -> bytes:
     return write_binary({"op": "publish", "topic": topic, "msg": message})
 
 
+def _write_parts(message: Message) -> list[bytes]:
+    try:
+        return dump_parts(message, _write_other)[1]
+    except (TypeError, ValueError) as error:
+        raise MessageError(f"the message has no form as JSON text: {error}") from error
+
+
 def _write_other(value: Any) -> Any:
-    if isinstance(value, bytes | bytearray | memoryview):
-        return orjson.Fragment(b'"' + binascii.b2a_base64(value, newline=False) + b'"')
     if isinstance(value, Mapping):
         return dict(value)
-    if hasattr(value, "__array_interface__"):
-        if value.dtype == "uint8" and value.ndim == 1:
-            return orjson.Fragment(b'"' + binascii.b2a_base64(value, newline=False) + b'"')
-        return value.tolist()
     if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"a value of type {type(value).__name__}")
