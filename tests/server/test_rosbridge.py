@@ -19,6 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
+from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
 from uoarm.server._binary import read_binary
 from uoarm.server.rosbridge._fragments import Fragments
@@ -88,7 +89,11 @@ def url(server: Server, path: str = "/rosbridge") -> str:
 
 
 def opened(robot: RobotManager, count: int) -> None:
-    eventually(lambda: len(robot.status().connections) == count, f"{count} are open")
+    def all_run() -> bool:
+        states = [one.state for one in robot.status().connections]
+        return states == [ConnectionState.RUNNING] * count
+
+    eventually(all_run, f"{count} are open")
 
 
 def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
@@ -159,7 +164,7 @@ def test_a_function_is_a_service(enter: Enter) -> None:
         ("/uoarm/broken", {"value": 3}, "cannot do 3"),
         ("/uoarm/add", {"a": "x", "b": 1}, "expected a number"),
         ("/uoarm/nothing", {}, "nothing"),
-        ("/uoarm/numbers", {}, "a topic, not a service"),
+        ("/uoarm/numbers", {}, "a stream, not a service"),
         ("/elsewhere", {}, "there is no service"),
         ("/rosapi/fly", {}, "no service 'fly'"),
         ("/rosapi/get_param", {"name": "x"}, "no parameters"),

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError
+from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.manager import Connection, RobotManager
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._feed import Feed
@@ -21,6 +21,7 @@ from uoarm.server._workers import Workers
 __all__ = ["Desk", "Wanted", "Watcher"]
 
 _log = logging.getLogger("uoarm.server")
+Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Hears of a change and of the function concerned, empty where it is not known."""
 
@@ -119,10 +120,28 @@ class Desk:
         """Return the running feed of a connection's id."""
         return self._by_id.get(connection)
 
-    async def call(self, name: str, message: Message, timeout: float) -> Message:
-        """Call a service in a worker; raises as `RobotManager.call`, and BusyError."""
+    async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
+        """Call a service in a worker.
+
+        Args:
+            name: a function.
+            message: the request as it came.
+            read: makes its logical value, by the service's structure.
+            timeout: seconds; the limit for all clients holds as well.
+
+        Raises:
+            UsageError: the function is a stream.
+            UoarmError: as `RobotManager.call`, and BusyError.
+        """
         limit = min(timeout, self.limits.call_seconds)
-        return await self.workers.start(lambda: self.robot.call(name, message, timeout=limit))
+
+        def work() -> Message:
+            structure = self.robot.resolve(name).provider.structures.get("request")
+            if structure is None:
+                raise UsageError(f"function {name!r} is a stream, not a service")
+            return self.robot.call(name, read(structure, message), timeout=limit)
+
+        return await self.workers.start(work)
 
     async def resolve(self, name: str) -> Plan:
         """Find a plan in a worker; raises as `RobotManager.resolve`, and BusyError."""

@@ -113,11 +113,11 @@ class Services:
         if not place.function:
             given = {} if arguments is None else arguments
             return await self._hub.call(place.name, given, timeout)
-        structure = (await self._desk.resolve(place.wanted)).provider.structures.get("request")
-        if structure is None:
-            raise UsageError(f"{place.name!r} is a topic, not a service")
-        message = read_message(TEXT_FORM, structure, _named(arguments, structure))
-        return await self._desk.call(place.wanted, message, timeout)
+        return await self._desk.call(place.wanted, arguments, _read, timeout)
+
+
+def _read(structure: MessageStructure, arguments: Message) -> Message:
+    return read_message(TEXT_FORM, structure, _named(arguments, structure))
 
 
 def _named(arguments: Message, structure: MessageStructure) -> Message:
