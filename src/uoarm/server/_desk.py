@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import time
+from collections import deque
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -24,6 +26,7 @@ _log = logging.getLogger("uoarm.server")
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Hears of a change and of the function concerned, empty where it is not known."""
 
+_REMEMBERED = 200
 _ENDS = frozenset({"closed", "failed"})
 
 
@@ -66,6 +69,7 @@ class Desk:
         self._openings: dict[Feed, asyncio.Task[None]] = {}
         self._closings: set[asyncio.Task[None]] = set()
         self._watchers: dict[Watcher, None] = {}
+        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
         self._functions = {
             component.name: function.name
             for function in robot.robot.functions.values()
@@ -79,6 +83,11 @@ class Desk:
     def feeds(self) -> tuple[Feed, ...]:
         """The feeds that are open or opening."""
         return tuple(self._feeds.values())
+
+    def past(self) -> list[tuple[float, StatusEvent, str]]:
+        """Return the last changes: seconds ago, the change, the function concerned."""
+        now = time.monotonic()
+        return [(now - heard, event, function) for heard, event, function in self._past]
 
     async def join(self, wanted: Wanted) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
@@ -178,6 +187,7 @@ class Desk:
             function = feed.connection.plan.function
             if event.change in _ENDS:
                 self._ended(feed)
+        self._past.append((time.monotonic(), event, function))
         for watcher in tuple(self._watchers):
             watcher(event, function)
 
