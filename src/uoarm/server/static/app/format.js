@@ -24,8 +24,10 @@ export function span(seconds) {
 /** A Date as "14:03:07". */
 export const clock = (date) => date.toLocaleTimeString("en-GB", { hour12: false });
 
-/** One word for a number of things: plural(1, "drop") is "1 drop". */
-export const plural = (count, word) => `${short(count)} ${word}${count === 1 ? "" : "s"}`;
+export const noun = (count, word) => (count === 1 ? word : `${word}s`);
+
+/** A number of things: plural(1, "drop") is "1 drop". */
+export const plural = (count, word) => `${short(count)} ${noun(count, word)}`;
 
 /** Any message as indented text, cut where it is long: lists, strings, the whole. */
 export function pretty(message, { items = 40, letters = 200, whole = 20000 } = {}) {

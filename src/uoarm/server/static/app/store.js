@@ -53,9 +53,9 @@ export class Store {
     this.changed();
   }
 
-  #hear(op, type, message, number) {
+  #hear(op, type, message) {
     if (op === "link") this.#linked(type, message);
-    else if (op === "Data") this.watches.take(type, message, number);
+    else if (op === "Data") this.watches.take(type, message);
     else if (op === "Status" && type === "connection") this.watches.ended(message);
     else if (op === "Status" && type === "change") this.#happened([{ ...message, age: 0 }]);
     else if (op === "Error") this.watches.refused(type, message);

@@ -24,9 +24,7 @@ export class Watches {
       inputs: opened.inputs,
       warnings: opened.warnings,
       latest: undefined,
-      number: 0,
       taken: 0,
-      lost: 0,
       arrivals: [],
       series: new Map(),
       end: null,
@@ -45,13 +43,11 @@ export class Watches {
     if (watch && !watch.end) await this.wire.ask("Kill", watch.connection);
   }
 
-  take(connection, message, number) {
+  take(connection, message) {
     const watch = this.byConnection.get(connection);
     if (!watch) return;
     const now = this.now();
-    if (watch.taken > 0) watch.lost += number - watch.number - 1;
     watch.latest = message;
-    watch.number = number;
     watch.taken += 1;
     watch.arrivals.push(now);
     while (watch.arrivals[0] < now - RATE_OVER) watch.arrivals.shift();

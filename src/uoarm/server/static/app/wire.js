@@ -16,7 +16,7 @@ export class Refusal extends Error {
 /**
  * Keeps a WebSocket to the server open, and opens it again after it broke.
  *
- * hear: called with (op, type, message, number) for Data and Status, and with
+ * hear: called with (op, type, message) for Data and Status, and with
  * ("link", "open" | "closed" | "locked") when the connection itself changes.
  */
 export class Wire {
@@ -54,7 +54,7 @@ export class Wire {
     });
   }
 
-  #read({ op, type, id, jsonMessage, "x-number": number }) {
+  #read({ op, type, id, jsonMessage }) {
     const asker = this.asked.get(id);
     this.asked.delete(id);
     if (op === "Reply") asker?.resolve(jsonMessage);
@@ -64,7 +64,7 @@ export class Wire {
         this.wait = FIRST_WAIT;
         this.hear("link", "open", jsonMessage);
       }
-      this.hear(op, type, jsonMessage, number);
+      this.hear(op, type, jsonMessage);
     }
   }
 
