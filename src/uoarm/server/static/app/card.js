@@ -57,7 +57,8 @@ function Row({ row }) {
 
 function figures(row) {
   if (row.native) return "moved by the framework itself";
-  const told = [html`<b>${rate(row.rate)}</b>`, row.age === null ? "no message yet" : `${span(row.age)} ago`];
+  if (row.age === null) return "no message yet";
+  const told = [html`<b>${rate(row.rate)}</b>`, `${span(row.age)} ago`];
   if (row.lost) told.push(html`<span class="bad">${short(row.lost)} dropped</span>`);
   if (row.invalid) told.push(html`<span class="bad">${short(row.invalid)} invalid</span>`);
   return told.map((one, at) => html`${at > 0 && " · "}${one}`);

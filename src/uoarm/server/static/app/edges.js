@@ -35,10 +35,12 @@ function Label({ edge }) {
 }
 
 function route(edge, byId, { places, paths }) {
-  const ends = [[byId.get(edge.from), edge.fromRow, 1], [byId.get(edge.to), edge.toRow, 0]];
-  const [first, last] = ends.map(([card, row, side]) => {
+  const ends = [[byId.get(edge.from), edge.fromRow], [byId.get(edge.to), edge.toRow]];
+  const forward = places.get(edge.from).x <= places.get(edge.to).x;
+  const [first, last] = ends.map(([card, row], end) => {
     const { x, y } = places.get(card.id);
-    return { x: x + side * card.width, y: y + anchor(card, row) };
+    const right = forward === (end === 0); // an edge that goes back leaves on the left
+    return { x: x + (right ? card.width : 0), y: y + anchor(card, row) };
   });
   return [first, ...(paths.get(edge.id) ?? []).slice(1, -1), last];
 }

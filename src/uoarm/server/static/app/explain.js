@@ -27,7 +27,8 @@ export function untried(plan, { name, components }) {
 }
 
 const Node = ({ look, mark, open, label, children }) => html`
-  <li><details open=${open} class=${look}><summary><${Health} of=${mark} />${label}</summary>
+  <li><details open=${open} class=${look}><summary><span class="tree-label"><${Health} of=${mark} />
+    ${label}</span></summary>
     <div class="tree-body">${children}</div></details></li>`;
 
 function Chosen({ step, plan, edge = null }) {
@@ -65,8 +66,8 @@ function Rejected({ of }) {
 const Reason = ({ of }) => html`
   <div class="reason"><p>${of.path && html`<code>${of.path}</code> `}${of.sentence}</p>
     <dl class="facts">
-      ${of.producer && html`<div><dt>may emit</dt><dd>${of.producer}</dd></div>`}
-      ${of.consumer && html`<div><dt>takes</dt><dd>${of.consumer}</dd></div>`}
+      ${of.producer && html`<div><dt>may emit</dt><dd class="clip" tabindex="0">${of.producer}</dd></div>`}
+      ${of.consumer && html`<div><dt>takes</dt><dd class="clip" tabindex="0">${of.consumer}</dd></div>`}
       ${of.example !== null && html`<div><dt>counterexample</dt><dd><code>${pretty(of.example, { whole: 500 })}</code></dd></div>`}
     </dl>
     ${of.suggestion && html`<p class="hint">It would fit with:</p><pre class="message" tabindex="0">${of.suggestion}</pre>`}</div>`;

@@ -27,12 +27,13 @@ export function Graph({ system, shown, selected, select }) {
 
   const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
   const foldAll = (all) => setFolds(new Map(shown.map((one) => [one.name, all])));
+  const allFolded = shown.length > 0 && shown.every((one) => folded(one.name));
   const stop = cards.some((one) => one.id === focused) ? focused : cards[0]?.id;
 
   const focus = (card) => {
     setFocused(card.id);
     stage.current.querySelector(`[data-title="${CSS.escape(card.id)}"]`)?.focus({ preventScroll: true });
-    camera.change((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
+    camera.keepSeen((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
   };
   const keys = (event) => {
     const at = event.target.closest("[data-card]")?.dataset.card;
@@ -45,7 +46,7 @@ export function Graph({ system, shown, selected, select }) {
   };
   useLayoutEffect(() => {
     const card = cards.find((one) => one.id === selected);
-    if (card) camera.change((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
+    if (card) camera.keepSeen((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
   }, [selected, shape]);
 
   const plane = html`
@@ -61,8 +62,8 @@ export function Graph({ system, shown, selected, select }) {
         <${Tool} icon="plus" label="Larger (+)" act=${() => camera.zoomBy(1.25)} />
         <${Tool} icon="minus" label="Smaller (-)" act=${() => camera.zoomBy(0.8)} />
         <${Tool} icon="fit" label="Show all (0)" act=${camera.fitAll} />
-        <${Tool} icon="fold" label="Unfold all" act=${() => foldAll(false)} />
-        <${Tool} icon="unfold" label="Fold all" act=${() => foldAll(true)} />
+        <button type="button" class="tool text" onClick=${() => foldAll(!allFolded)}>
+          ${allFolded ? "Unfold all" : "Fold all"}</button>
         <button type="button" class="tool text" aria-pressed=${frameworks}
           onClick=${() => setFrameworks(!frameworks)}>Frameworks</button>
       </div>

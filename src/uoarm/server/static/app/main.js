@@ -41,7 +41,8 @@ function App({ store }) {
         : html`
           <div class="view">
             ${address.view !== "timeline" && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
-            ${view ?? html`<${Timeline} events=${store.events} since=${store.since} query=${query} open=${follow} />`}
+            ${view ?? html`<${Timeline} events=${store.events} since=${store.since} query=${query}
+              owners=${store.owners} open=${follow} />`}
           </div>
           ${selected && html`<${Panel} store=${store} address=${address} close=${() => close(address, go)} />`}`}
     </main>`;

@@ -52,7 +52,7 @@ export function Summary({ system, filter, setFilter }) {
     <div class="summary">
       <p><b>${system.functions.length}</b> functions <b>${running}</b>/${rows.length} components running
         <b>${system.connections.length}</b> ${noun(system.connections.length, "application")}
-        ${lost > 0 && html`<span class="bad"><b>${lost}</b> lost</span>`}</p>
+        ${lost > 0 && html` <span class="bad"><b>${lost}</b> lost</span>`}</p>
       <div class="chips" role="group" aria-label="Show only">
         <button type="button" class="chip" aria-pressed=${filter.running}
           onClick=${() => toggle({ running: !filter.running })}>Running</button>

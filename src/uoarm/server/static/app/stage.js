@@ -22,6 +22,7 @@ export function useCamera(stage, layout) {
       return next;
     });
   };
+  const keepSeen = (how) => moved && setCamera(how); // while all is shown, nothing is out of sight
   const zoomBy = (factor) => change((now) => zoom(now, factor, size().width / 2, size().height / 2));
   useLayoutEffect(() => {
     if (!moved) setCamera(fit(layout, size()));
@@ -31,7 +32,7 @@ export function useCamera(stage, layout) {
     watch.observe(stage.current);
     return () => watch.disconnect();
   }, [layout, moved]);
-  return { camera, change, zoomBy, fitAll };
+  return { camera, change, keepSeen, zoomBy, fitAll };
 }
 
 export function Stage({ stage, camera: { camera, change }, children }) {

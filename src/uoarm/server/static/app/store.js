@@ -16,6 +16,7 @@ export class Store {
     this.status = NOTHING;
     this.events = [];
     this.since = new Date();
+    this.owners = new Map(); // functions of connections, kept when these have ended
     this.system = join([], NOTHING);
     this.listeners = new Set();
     this.frame = frame;
@@ -90,6 +91,7 @@ export class Store {
 
   #see(status) {
     this.status = status;
+    for (const one of status.connections) this.owners.set(one.id, one.function);
     this.system = join(this.functions, status, this.events);
     this.changed();
   }

@@ -4,8 +4,9 @@ import { useState } from "../vendor/htm-preact.js";
 import { clock } from "./format.js";
 import { html } from "./ui.js";
 
-const KINDS = ["connection", "component", "bridge"];
+const KINDS = [["connection", "Applications"], ["component", "Components"], ["bridge", "Frameworks"]];
 const BAD = new Set(["lost", "failed"]);
+const QUIET = new Set(["opening", "closed", "finished"]);
 const UNSURE = new Set(["degraded", "closing"]);
 const SHOWN = 300;
 
@@ -13,7 +14,7 @@ const SHOWN = 300;
 export function gravity(change) {
   if (BAD.has(change)) return "lost";
   if (UNSURE.has(change)) return "degraded";
-  return change === "closed" || change === "finished" ? "finished" : "ok";
+  return QUIET.has(change) ? "finished" : "ok";
 }
 
 /** Kind and name of what changed: "component camera". */
@@ -32,7 +33,8 @@ export function filterEvents(events, { query = "", kind = "", bad = false }) {
   }).slice(-SHOWN).reverse();
 }
 
-export function Timeline({ events, since, query, open }) {
+/** Args: the events, since when, what is searched, whose a connection was, and open(kind, name). */
+export function Timeline({ events, since, query, owners, open }) {
   const [kind, setKind] = useState("");
   const [bad, setBad] = useState(false);
   const shown = filterEvents(events, { query, kind, bad });
@@ -41,23 +43,23 @@ export function Timeline({ events, since, query, open }) {
   return html`
     <section class="timeline" aria-label="Timeline">
       <div class="chips" role="group" aria-label="Which events">
-        ${choice("", "All")}${KINDS.map((one) => choice(one, `${one[0].toUpperCase()}${one.slice(1)}s`))}
+        ${choice("", "All")}${KINDS.map(([one, label]) => choice(one, label))}
         <button type="button" class="chip" aria-pressed=${bad} onClick=${() => setBad(!bad)}>Only losses</button>
       </div>
       ${shown.length === 0 && html`<p class="empty">No such events since ${clock(since)}.
         Changes of connections, components and frameworks appear here.</p>`}
-      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} open=${open} />`)}</ol>
+      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} owner=${owners.get(subjectOf(one).name)} open=${open} />`)}</ol>
     </section>`;
 }
 
-function Event({ of, open }) {
+function Event({ of, owner, open }) {
   const { kind, name } = subjectOf(of);
   return html`
     <li class="event ${gravity(of.change)}">
       <time datetime=${of.at.toISOString()}>${clock(of.at)}</time>
       <span class="event-dot" aria-hidden="true"></span>
       <div><span class="kind">${kind}</span> <button type="button" class="link" onClick=${() => open(kind, name)}>
-        ${name}</button> <b class="change">${of.change}</b>
+        ${name}</button> ${owner && html`<span class="quiet">${owner}</span>`} <b class="change">${of.change}</b>
         ${of.cause && html`<p>${of.cause}</p>`}</div>
     </li>`;
 }
