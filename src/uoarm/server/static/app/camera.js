@@ -14,11 +14,14 @@ export function zoom(camera, factor, x, y) {
 
 export const pan = (camera, dx, dy) => ({ ...camera, x: camera.x + dx, y: camera.y + dy });
 
-/** Shows the whole graph in the middle of the window, never larger than life. */
-export function fit(content, view, margin = 24, below = 68) {
+/**
+ * Shows the whole graph in the middle of the window, never larger than life. Where that would be
+ * smaller than `least`, it shows the upper left part.
+ */
+export function fit(content, view, { margin = 24, below = 68, least = SMALLEST } = {}) {
   const wide = (view.width - 2 * margin) / Math.max(1, content.width);
   const high = (view.height - margin - below) / Math.max(1, content.height);
-  const scale = clamp(Math.min(1, wide, high));
+  const scale = clamp(Math.max(least, Math.min(1, wide, high)));
   return {
     scale,
     x: Math.max(margin, (view.width - content.width * scale) / 2),

@@ -7,6 +7,7 @@ export const HEAD = 40;
 export const ROW = 28;
 export const OPEN_ROW = 46;
 const FOOT = 6;
+const LETTER = 11; // the width of one, as it is seen from far
 
 export const rowHeight = (row) => (row.open || row.cause ? OPEN_ROW : ROW);
 
@@ -25,8 +26,9 @@ function functionCard(one, isFolded) {
   const rows = isFolded ? [] : one.rows;
   const inside = rows.reduce((total, row) => total + rowHeight(row), 0);
   const height = HEAD + inside + (rows.length ? FOOT : 0);
+  const width = isFolded ? Math.min(WIDTH, 80 + LETTER * one.name.length) : WIDTH;
   return { id: `function/${one.name}`, kind: "function", title: one.name, health: one.health,
-    data: one, folded: isFolded, rows, width: WIDTH, height };
+    data: one, folded: isFolded, rows, width, height };
 }
 
 function connectionCard(one) {

@@ -5,6 +5,8 @@ import { rate, short } from "./format.js";
 import { curve } from "./layout.js";
 import { html } from "./ui.js";
 
+const DIRECT = 3; // an edge of so many points passes no card
+
 export function Edges({ cards, edges, layout }) {
   const byId = new Map(cards.map((one) => [one.id, one]));
   const drawn = edges.map((one) => ({ ...one, points: route(one, byId, layout) }));
@@ -42,7 +44,9 @@ function route(edge, byId, { places, paths }) {
     const right = forward === (end === 0); // an edge that goes back leaves on the left
     return { x: x + (right ? card.width : 0), y: y + anchor(card, row) };
   });
-  return [first, ...(paths.get(edge.id) ?? []).slice(1, -1), last];
+  const points = paths.get(edge.id) ?? [];
+  const bends = points.length > DIRECT ? points.slice(1, -1) : [];
+  return [first, ...bends, last];
 }
 
 function middle(points) {

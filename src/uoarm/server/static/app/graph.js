@@ -44,6 +44,7 @@ export function Graph({ system, shown, selected, select }) {
       act();
     }
   };
+  useLayoutEffect(camera.follow, [shown.map((one) => one.name).join()]);
   useLayoutEffect(() => {
     const card = cards.find((one) => one.id === selected);
     if (card) camera.keepSeen((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
@@ -56,7 +57,7 @@ export function Graph({ system, shown, selected, select }) {
   return html`
     <section class="graph" aria-label="Graph of the system" onKeyDown=${keys}
       onFocusIn=${(event) => setFocused(event.target.dataset.title ?? focused)}>
-      <${Stage} stage=${stage} camera=${camera}>${plane}</${Stage}>
+      <${Stage} stage=${stage}>${plane}</${Stage}>
       ${cards.length === 0 && html`<p class="empty">Nothing is found.</p>`}
       <div class="graph-tools" role="toolbar" aria-label="Graph">
         <${Tool} icon="plus" label="Larger (+)" act=${() => camera.zoomBy(1.25)} />

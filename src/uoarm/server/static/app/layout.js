@@ -3,12 +3,13 @@
 import * as dagre from "../vendor/dagre.js";
 
 const GAP = 28;
-const LABEL = { width: 70, height: 18, labelpos: "c" };
+const CROWD = 12; // a group of more cards than this stands closer
+const LABEL = { width: 56, height: 18, labelpos: "c" };
 
 /** Returns { places: Map(id -> {x, y}), paths: Map(edge id -> [points]), width, height }. */
 export function layOut(cards, edges, { aspect = 1.6 } = {}) {
   const blocks = groups(cards, edges).map((one) => one.cards.length > 1 ? arrange(one) : lone(one));
-  blocks.sort((a, b) => b.count - a.count || b.height - a.height);
+  blocks.sort((a, b) => b.height - a.height || b.width - a.width);
   return onShelves(blocks, aspect);
 }
 
@@ -35,7 +36,8 @@ export function groups(cards, edges) {
 
 function arrange({ cards, edges }) {
   const graph = new dagre.Graph({ multigraph: true });
-  graph.setGraph({ rankdir: "LR", nodesep: GAP, ranksep: 64, edgesep: 16, marginx: 0, marginy: 0 });
+  const tight = cards.length > CROWD;
+  graph.setGraph({ rankdir: "LR", nodesep: tight ? 12 : GAP, ranksep: tight ? 40 : 60, edgesep: 12 });
   graph.setDefaultEdgeLabel(() => ({}));
   for (const one of cards) graph.setNode(one.id, { width: one.width, height: one.height });
   for (const one of edges) {
@@ -48,28 +50,51 @@ function arrange({ cards, edges }) {
     return [one.id, { x: x - one.width / 2, y: y - one.height / 2 }];
   });
   const paths = edges.map((one) => [one.id, graph.edge(one.from, one.to, one.id).points]);
-  return { count: cards.length, width, height, places, paths };
+  return { width, height, places, paths };
 }
 
 const lone = ({ cards: [card] }) =>
-  ({ count: 1, width: card.width, height: card.height, places: [[card.id, { x: 0, y: 0 }]], paths: [] });
+  ({ width: card.width, height: card.height, places: [[card.id, { x: 0, y: 0 }]], paths: [] });
 
+/** Rows of blocks, the highest first; what is low enough stands below another in its row. */
 function onShelves(blocks, aspect) {
   const area = blocks.reduce((total, one) => total + (one.width + GAP) * (one.height + GAP), 0);
   const widest = Math.max(0, ...blocks.map((one) => one.width));
   const limit = Math.max(widest, Math.sqrt(area * aspect));
-  const [places, paths] = [new Map(), new Map()];
-  let [left, top, shelf, width] = [0, 0, 0, 0];
-  for (const block of blocks) {
-    if (left > 0 && left + block.width > limit) [left, top, shelf] = [0, top + shelf + GAP, 0];
-    const move = ({ x, y }) => ({ x: x + left, y: y + top });
-    for (const [id, place] of block.places) places.set(id, move(place));
-    for (const [id, points] of block.paths) paths.set(id, points.map(move));
-    left += block.width + GAP;
-    shelf = Math.max(shelf, block.height);
-    width = Math.max(width, left - GAP);
+  const result = { places: new Map(), paths: new Map(), width: 0, height: 0 };
+  const left = [...blocks];
+  while (left.length > 0) {
+    const top = result.height + (result.height > 0 ? GAP : 0);
+    const shelf = { x: 0, top, height: left[0].height };
+    for (let column = takeFirst(left, limit, shelf.height); column; ) {
+      shelf.x += fillColumn(column, left, shelf, result) + GAP;
+      column = takeFirst(left, limit - shelf.x, shelf.height);
+    }
+    result.width = Math.max(result.width, shelf.x - GAP);
+    result.height = top + shelf.height;
   }
-  return { places, paths, width, height: top + shelf };
+  return result;
+}
+
+function takeFirst(blocks, width, height) {
+  const at = blocks.findIndex((one) => one.width <= width && one.height <= height);
+  return at < 0 ? null : blocks.splice(at, 1)[0];
+}
+
+function fillColumn(first, blocks, shelf, result) {
+  let y = shelf.top;
+  for (let block = first; block; ) {
+    put(block, shelf.x, y, result);
+    y += block.height + GAP;
+    block = takeFirst(blocks, first.width, shelf.top + shelf.height - y);
+  }
+  return first.width;
+}
+
+function put(block, left, top, { places, paths }) {
+  const move = ({ x, y }) => ({ x: x + left, y: y + top });
+  for (const [id, place] of block.places) places.set(id, move(place));
+  for (const [id, points] of block.paths) paths.set(id, points.map(move));
 }
 
 /** A smooth line through the points of an edge, as the `d` of an SVG path. */

@@ -29,8 +29,8 @@ export function Header({ store, address, query, setQuery }) {
         <a href=${writeAddress({ ...address, view: one })}
           aria-current=${address.view === one ? "page" : null}>${NAMES[one]}</a>`)}</nav>
       <label class="search"><${Icon} name="search" /><span class="hidden">Search</span>
-        <input type="search" ref=${input} value=${query} placeholder="Search   /" autocomplete="off" spellcheck=${false}
-          onInput=${(event) => setQuery(event.target.value)} /></label>
+        <input type="search" ref=${input} value=${query} placeholder="Search" aria-keyshortcuts="/" autocomplete="off" spellcheck=${false}
+          onInput=${(event) => setQuery(event.target.value)} /><kbd aria-hidden="true">/</kbd></label>
       <p class="link-state ${store.link}" role="status"><span class="lamp" aria-hidden="true"></span>
         <span>${LINKS[store.link]}</span></p>
     </header>`;
@@ -50,9 +50,10 @@ export function Summary({ system, filter, setFilter }) {
   const toggle = (change) => setFilter({ ...filter, ...change });
   return html`
     <div class="summary">
-      <p><b>${system.functions.length}</b> functions <b>${running}</b>/${rows.length} components running
-        <b>${system.connections.length}</b> ${noun(system.connections.length, "application")}
-        ${lost > 0 && html` <span class="bad"><b>${lost}</b> lost</span>`}</p>
+      <p><span><b>${system.functions.length}</b> ${noun(system.functions.length, "function")}</span>
+        <span><b>${running}</b> of ${rows.length} components running</span>
+        <span><b>${system.connections.length}</b> ${noun(system.connections.length, "application")}</span>
+        ${lost > 0 && html`<span class="bad"><b>${lost}</b> lost</span>`}</p>
       <div class="chips" role="group" aria-label="Show only">
         <button type="button" class="chip" aria-pressed=${filter.running}
           onClick=${() => toggle({ running: !filter.running })}>Running</button>

@@ -1,46 +1,55 @@
 // The window onto a plane: moved by pointer, wheel and pinch.
 
-import { useEffect, useLayoutEffect, useState } from "../vendor/htm-preact.js";
+import { useLayoutEffect, useRef } from "../vendor/htm-preact.js";
 import { fit, pan, zoom } from "./camera.js";
 import { html } from "./ui.js";
 
+const FAR = 0.5; // below this scale small print is left out
 const STILL = 4; // pixels that a finger may move and still press
 
-/** The camera of a stage. It shows everything until someone moves it. */
+/** On a phone the graph begins large enough to be read, and in part. */
+const legible = ({ width }) => (width < 700 ? { least: 0.6, margin: 14 } : {});
+
+/**
+ * The camera of a stage. It follows the layout until someone moves it. It moves the plane itself:
+ * nothing is rendered again, however much there is.
+ */
 export function useCamera(stage, layout) {
-  const [camera, setCamera] = useState({ x: 0, y: 0, scale: 1 });
-  const [moved, setMoved] = useState(false);
+  const state = useRef({ now: { x: 0, y: 0, scale: 1 }, moved: false }).current;
   const size = () => ({ width: stage.current.clientWidth, height: stage.current.clientHeight });
-  const fitAll = () => {
-    setMoved(false);
-    setCamera(fit(layout, size()));
+  const put = (camera) => {
+    state.now = camera;
+    const { x, y, scale } = camera;
+    stage.current.firstElementChild.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
+    stage.current.classList.toggle("far", scale < FAR);
   };
+  const settle = () => state.moved || put(fit(layout, size(), legible(size())));
   const change = (how) => {
-    setCamera((now) => {
-      const next = how(now);
-      if (next.x !== now.x || next.y !== now.y || next.scale !== now.scale) setMoved(true);
-      return next;
-    });
+    state.moved = true;
+    put(how(state.now));
   };
-  const keepSeen = (how) => moved && setCamera(how); // while all is shown, nothing is out of sight
+  const keepSeen = (how) => put(how(state.now)); // what the program moves, a new layout may undo
   const zoomBy = (factor) => change((now) => zoom(now, factor, size().width / 2, size().height / 2));
+  const fitAll = () => {
+    state.moved = false;
+    put(fit(layout, size()));
+  };
+  const follow = () => {
+    state.moved = false;
+    settle();
+  };
   useLayoutEffect(() => {
-    if (!moved) setCamera(fit(layout, size()));
-  }, [layout]);
-  useEffect(() => {
-    const watch = new ResizeObserver(() => !moved && setCamera(fit(layout, size())));
+    settle();
+    const watch = new ResizeObserver(settle);
     watch.observe(stage.current);
     return () => watch.disconnect();
-  }, [layout, moved]);
-  return { camera, change, keepSeen, zoomBy, fitAll };
+  }, [layout]);
+  useLayoutEffect(() => listen(stage.current, change), []);
+  return { change, keepSeen, zoomBy, fitAll, follow };
 }
 
-export function Stage({ stage, camera: { camera, change }, children }) {
-  useEffect(() => listen(stage.current, change), []);
-  const transform = `translate(${camera.x}px, ${camera.y}px) scale(${camera.scale})`;
-  return html`<div class="stage ${camera.scale < 0.5 ? "far" : ""}" ref=${stage}>
-    <div class="plane" style=${{ transform }}>${children}</div></div>`;
-}
+export const Stage = ({ stage, children }) =>
+  html`<div class="stage" ref=${stage}><div class="plane">${children}</div></div>`;
 
 /** Makes a stage follow pointers and the wheel; returns what ends that. */
 function listen(element, change) {

@@ -5,6 +5,7 @@ import { clock } from "./format.js";
 import { html } from "./ui.js";
 
 const KINDS = [["connection", "Applications"], ["component", "Components"], ["bridge", "Frameworks"]];
+const SAID = { connection: "application", bridge: "framework" };
 const BAD = new Set(["lost", "failed"]);
 const QUIET = new Set(["opening", "closed", "finished"]);
 const UNSURE = new Set(["degraded", "closing"]);
@@ -58,7 +59,7 @@ function Event({ of, owner, open }) {
     <li class="event ${gravity(of.change)}">
       <time datetime=${of.at.toISOString()}>${clock(of.at)}</time>
       <span class="event-dot" aria-hidden="true"></span>
-      <div><span class="kind">${kind}</span> <button type="button" class="link" onClick=${() => open(kind, name)}>
+      <div><span class="kind">${SAID[kind] ?? kind}</span> <button type="button" class="link" onClick=${() => open(kind, name)}>
         ${name}</button> ${owner && html`<span class="quiet">${owner}</span>`} <b class="change">${of.change}</b>
         ${of.cause && html`<p>${of.cause}</p>`}</div>
     </li>`;
