@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import rclpy
@@ -41,6 +42,7 @@ from rclpy.qos import (
 )
 from rclpy.task import Future
 
+from uoarm_ros2._installation import installation, wheels
 from uoarm_ros2._qos import Policies
 
 try:
@@ -61,25 +63,17 @@ _log = logging.getLogger("uoarm.ros2")
 
 def environment() -> dict[str, str]:
     """Return which rclpy, distribution, middleware and domain this process uses."""
+    folder = Path(rclpy.__file__).parent
+    found = installation(folder, os.environ, wheels())
     return {
-        "rclpy": os.path.dirname(rclpy.__file__),  # noqa: PTH120 - a string for people
-        "distribution": os.environ.get("ROS_DISTRO") or _distribution(),
+        "rclpy": str(folder),
+        "distribution": f"{found.distribution}, from {found.origin}",
+        **({"conflict": found.conflict} if found.conflict else {}),
         "rmw": rclpy.get_rmw_implementation_identifier(),
         "domain": os.environ.get("ROS_DOMAIN_ID", "0 (ROS_DOMAIN_ID is not set)"),
         "discovery": _discovery(),
         "executor": "standard" if EventsExecutor is None else "events, standard",
     }
-
-
-def _distribution() -> str:
-    """Return the distribution whose wheels are installed, as their names tell."""
-    from importlib.metadata import distributions  # noqa: PLC0415 - asked by people only
-
-    names = (str(each.metadata["Name"]) for each in distributions())
-    found = sorted(
-        {name.split("-")[1] for name in names if name.endswith("-rclpy") and name.count("-") > 1}
-    )
-    return ", ".join(found) or "unknown"
 
 
 def _discovery() -> str:
