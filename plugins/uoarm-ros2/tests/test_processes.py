@@ -11,14 +11,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, sink, source
 from peers import DOMAIN, Peer
 
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Sink
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
+from uoarm.testing import Background
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -124,12 +127,39 @@ def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     make_bridge("first").close()
     threads = set(threading.enumerate())
     descriptors = _resources()[0]
-    for number in range(10):
+    for number in range(50):
         bridge = make_bridge(f"number_{number}")
         sink(bridge, endpoint(Role.INPUT, "/x", INT64, peer="optional", wait=0.0))
         bridge.close()
     assert _resources()[0] == descriptors
     assert {each for each in set(threading.enumerate()) - threads if "ros2" in each.name} == set()
+
+
+@pytest.mark.parametrize("executor", ["standard", "events"])
+def test_a_bridge_closes_in_time_while_messages_flow_both_ways(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/flood")
+    out = endpoint(Role.INPUT, "/out", INT64, peer="optional", wait=0.0)
+    for number in range(5):
+        bridge, inbox = make_bridge(f"number_{number}", executor=executor), Inbox()
+        source(bridge, endpoint(Role.OUTPUT, "/flood", INT64), inbox)
+        sending = Background(partial(send_until_closed, sink(bridge, out)))
+        talker.start("publish", topic="/flood", count=500, period=0.001)
+        inbox.wait_for(10)
+        Background(bridge.close).result(5.0)
+        assert sending.result(5.0) is FailureReason.CLOSED
+        talker.answer()
+    assert [each.name for each in threading.enumerate() if each.name.startswith("ros2")] == []
+
+
+def send_until_closed(out: Sink) -> FailureReason:
+    while True:
+        try:
+            out.send({"data": 1})
+        except BridgeError as error:
+            return error.reason
 
 
 def test_a_bridge_closes_in_time_while_a_receiver_hangs(bridge: Bridge, peer: Start) -> None:
