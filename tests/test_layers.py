@@ -22,12 +22,14 @@ LAYERS = [
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"host"},
     {"flow"},
     {"config"},
     {"resolve"},
     {"manager"},
     {"__init__"},
     {"testing"},
+    {"server"},
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
@@ -78,7 +80,22 @@ def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
-    heavy = ["rich", "click", "jsonschema", "numpy", "cv2", "rclpy", "omniORB", "hypothesis"]
+    heavy = [
+        "rich",
+        "click",
+        "jsonschema",
+        "numpy",
+        "cv2",
+        "rclpy",
+        "omniORB",
+        "hypothesis",
+        "zenoh",
+        "msgpack",
+        "websockets",
+        "orjson",
+        "cbor2",
+        "prometheus_client",
+    ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

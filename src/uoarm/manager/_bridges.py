@@ -9,6 +9,9 @@ from collections.abc import Callable, Mapping
 from uoarm import _bounded
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.flow import Clock
+from uoarm.manager._hosted import start_hosted
+from uoarm.manager._restarts import Restarts
 from uoarm.model import BridgeSpec, BridgeStatus, Health
 
 __all__ = ["BridgeSet"]
@@ -25,6 +28,7 @@ class BridgeSet:
         registry: the plugins that make them.
         listener: told of every health event.
         ready: instances to use instead of making them; closed with the others.
+        clock: seconds, for the waits between restarts.
     """
 
     def __init__(
@@ -33,16 +37,19 @@ class BridgeSet:
         registry: Registry,
         listener: Callable[[HealthEvent], None],
         ready: Mapping[str, Bridge],
+        clock: Clock,
     ) -> None:
         self._specs = specs
         self._registry = registry
         self._listener = listener
         self._bridges: dict[str, Bridge] = {}
-        self._lock = threading.RLock()
+        self._restarts = Restarts(clock)
+        self._turns: dict[str, threading.Lock] = {}
+        self._lock = threading.Lock()
         self._closed = False
         for name, bridge in ready.items():
             self._bridges[name] = bridge
-            bridge.watch(listener)
+            bridge.watch(self._heard)
 
     def get(self, name: str) -> Bridge:
         """Return the bridge of this name, starting it when it is the first time.
@@ -56,11 +63,20 @@ class BridgeSet:
         if bridge is not None:
             return bridge
         with self._lock:
-            if self._closed:
-                raise ConnectionClosedError("the robot manager is closed")
-            if name not in self._bridges:
-                self._bridges[name] = self._start(name)
-            return self._bridges[name]
+            self._require_open()
+            turn = self._turns.setdefault(name, threading.Lock())
+        with turn:  # one that is slow to start holds up nobody else
+            bridge = self._bridges.get(name)
+            if bridge is not None:
+                return bridge
+            bridge = self._start(name)
+            with self._lock:
+                if not self._closed:
+                    self._bridges[name] = bridge
+                    bridge.watch(self._heard)
+                    return bridge
+        bridge.close()
+        raise ConnectionClosedError("the robot manager is closed")
 
     def retire(self, name: str) -> None:
         """Close a bridge that is lost; `get` makes a new one. Failures while closing are logged."""
@@ -100,15 +116,25 @@ class BridgeSet:
                 failures.append(error)
         return failures
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise ConnectionClosedError("the robot manager is closed")
+
+    def _heard(self, event: HealthEvent) -> None:
+        """Note the death of a whole bridge, then tell the listener."""
+        if event.health is Health.LOST and event.channel is None and event.component is None:
+            self._restarts.died(event.bridge, event.cause)
+        self._listener(event)
+
     def _start(self, name: str) -> Bridge:
         spec = self._specs.get(name)
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
-        bridge = _bounded.run(
+        if spec.host is not None:
+            return start_hosted(spec, spec.host, self._restarts)
+        return _bounded.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
             lambda: self._registry.create(spec),
             on_late=lambda late: late.close(),
         )
-        bridge.watch(self._listener)
-        return bridge

@@ -14,13 +14,14 @@ from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.model._robot import BridgeSpec, Robot
+from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
 from uoarm.model._status import (
     BridgeStatus,
     ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
+    Gap,
     Health,
     RouteStatus,
     StatusEvent,
@@ -44,8 +45,10 @@ __all__ = [
     "Deliver",
     "Edge",
     "Endpoint",
+    "FailoverPolicy",
     "Function",
     "FunctionStatus",
+    "Gap",
     "Health",
     "Input",
     "Message",
