@@ -1,0 +1,91 @@
+"""The spare devices, read by plain Python: a Nonin oximeter and a second blood-pressure monitor.
+
+They are other devices on other lines, so that a measurement never comes from a device that is
+gone. The decoders are those of uoarm-rocos; lines, sessions and reconnection are not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, TypedDict, cast
+
+import serial
+from healthbot_parts.messages import Pressure
+from typing_extensions import NotRequired
+from uoarm_rocos.devices._nonin import Nonin1Decoder
+from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Ua767Decoder
+
+from uoarm.local import Range
+
+__all__ = ["Cuff", "Oximetry", "Question", "oximeter"]
+
+_PIECE = 64
+_SILENCE = 3.0
+_LIMIT = 60.0
+
+
+class Oximetry(TypedDict):
+    """Pulse a minute and saturation in %, as far as they were measured."""
+
+    quality: Literal["good", "weak", "artifact", "searching", "finger-out", "probe-error"]
+    pulse: NotRequired[Annotated[int, Range(0, 511)]]
+    spo2: NotRequired[Annotated[int, Range(0, 127)]]
+
+
+class Question(TypedDict):
+    """Nothing is asked: the person starts the measurement at the monitor."""
+
+
+def oximeter(url: str) -> Iterator[Oximetry]:
+    """Yield what a Nonin oximeter in serial format 1 sends, once a second.
+
+    Args:
+        url: a serial port in any form of pyserial.
+
+    Raises:
+        OSError: the port is not there, or nothing comes for three seconds.
+    """
+    decoder = Nonin1Decoder()
+    with serial.serial_for_url(url, 9600, timeout=0.5) as line:
+        heard = time.monotonic()
+        while True:
+            for message in decoder.feed(line.read(_PIECE)):
+                heard = time.monotonic()
+                yield cast("Oximetry", message)
+            if time.monotonic() - heard > _SILENCE:
+                raise OSError(f"the oximeter at {url} is silent for {_SILENCE:g} s")
+
+
+class Cuff:
+    """Waits for the next measurement of a UA-767PBT.
+
+    Args:
+        url: a serial port in any form of pyserial.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+
+    def __call__(self, question: Question) -> Pressure:
+        """Return the next measurement.
+
+        Raises:
+            OSError: the port is not there, or no measurement comes within a minute.
+        """
+        del question
+        decoder = Ua767Decoder()
+        end = time.monotonic() + _LIMIT
+        with serial.serial_for_url(self._url, 9600, timeout=0.2) as line:
+            while time.monotonic() < end:
+                for found in decoder.feed(line.read(_PIECE)):
+                    if isinstance(found, dict):
+                        line.write(ACCEPTED)
+                        return _pressure(found)
+                    line.write(REFUSED)
+        raise OSError(f"no measurement came from {self._url} within {_LIMIT:g} s")
+
+
+def _pressure(reading: dict[str, Any]) -> Pressure:
+    names = ("systolic", "diastolic", "mean", "pulse", "battery")
+    return cast("Pressure", {name: reading[name] for name in names})
