@@ -16,6 +16,10 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from healthbot_scene.crew import Crew, Running
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -34,7 +38,7 @@ def main() -> int:
     parser.add_argument("--visit", action="store_true", help="run one visit in the terminal; end")
     options = parser.parse_args()
     try:
-        from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - what is missing is told
+        from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - or it is told
         from healthbot_scene.parts import parts_of  # noqa: PLC0415
         from healthbot_scene.places import make_places  # noqa: PLC0415
         from vision_demo.packages import FootageError  # noqa: PLC0415
@@ -50,10 +54,7 @@ def main() -> int:
             places = make_places(options.run or Path(temporary), cache, ports)
             parts = parts_of(places, places.write_robot(options.robot), HERE / "browser")
             with Crew(places.run, places.environment()) as crew:
-                for part in parts:
-                    running = crew.start(part)
-                    told = f"{part.name:<11} {part.framework:<14} pid {running.process.pid:<8}"
-                    print(told, part.what, flush=True)
+                crew.start_all(parts, _tell)
                 print("Everything is ready; Ctrl-C ends it.", flush=True)
                 return _visit(places.robot_url) if options.visit else _watch(crew)
         except (FootageError, PartError, FileNotFoundError) as error:
@@ -64,6 +65,12 @@ def main() -> int:
             return 0
 
 
+def _tell(running: Running) -> None:
+    part = running.part
+    where = f"{part.name:<11} {part.framework:<14} pid {running.process.pid:<8}"
+    print(where, part.what, flush=True)
+
+
 def _visit(url: str) -> int:
     """Run the terminal application once."""
     node = "node"
@@ -71,11 +78,8 @@ def _visit(url: str) -> int:
     return subprocess.run(command, check=False).returncode
 
 
-def _watch(crew: object) -> int:
+def _watch(crew: Crew) -> int:
     """Tell of parts that die; return once the robot itself is gone."""
-    from healthbot_scene.crew import Crew  # noqa: PLC0415 - see above
-
-    assert isinstance(crew, Crew)
     while True:
         for running in crew.dead():
             part = running.part

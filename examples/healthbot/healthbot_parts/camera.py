@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from healthbot_parts.messages import View
 from uoarm_vision.camera import camera as play
+
+from healthbot_parts.messages import View
 
 __all__ = ["camera"]
 

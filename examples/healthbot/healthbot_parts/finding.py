@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import cv2
 import numpy as np
 from uoarm_vision.haar import HaarDetector
 from uoarm_vision.messages import Box
@@ -14,6 +15,7 @@ __all__ = ["FaceFinder", "picture_of"]
 
 _SIDE = 320
 _MARGIN = 0.3
+_CUT_OUT = 160
 _ORDERS = {"rgb8": (2, 1, 0), "bgr8": (0, 1, 2)}
 
 
@@ -53,8 +55,11 @@ class FaceFinder:
 
 
 def _around(picture: Picture, box: Box) -> Picture:
-    """Return the face with a margin, for whoever needs to see ears and chin."""
+    """Return the face with a margin for hair and chin, 160 pixels at most on each side."""
     margin = round(box["width"] * _MARGIN)
     top, left = max(0, box["y"] - margin), max(0, box["x"] - margin)
     bottom, right = box["y"] + box["height"] + margin, box["x"] + box["width"] + margin
-    return picture[top:bottom, left:right]
+    face = picture[top:bottom, left:right]
+    factor = min(1.0, _CUT_OUT / max(face.shape[:2]))
+    size = round(face.shape[1] * factor), round(face.shape[0] * factor)
+    return cv2.resize(face, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)

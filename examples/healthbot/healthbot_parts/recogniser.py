@@ -9,8 +9,9 @@ import importlib
 from typing import Any
 
 import numpy as np
-from healthbot_parts.messages import Faces, People, Person
 from uoarm_vision.messages import Box, Frame
+
+from healthbot_parts.messages import Faces, People, Person
 
 __all__ = ["LightRecogniser", "NetworkRecogniser"]
 

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypedDict, cast
 
 import serial
-from healthbot_parts.messages import Pressure
 from typing_extensions import NotRequired
 from uoarm_rocos.devices._nonin import Nonin1Decoder
 from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Ua767Decoder
 
+from healthbot_parts.messages import Pressure
 from uoarm.local import Range
 
 __all__ = ["Cuff", "Oximetry", "Question", "oximeter"]

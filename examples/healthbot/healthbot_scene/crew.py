@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
 from attrs import frozen
-from healthbot_scene.parts import Part
 from typing_extensions import Self
+
+from healthbot_scene.parts import Part
 
 __all__ = ["Crew", "PartError", "Running"]
 
@@ -62,6 +63,27 @@ class Crew:
         Raises:
             PartError: it ended, or is not ready in time.
         """
+        running = self._launch(part)
+        self._wait(running)
+        return running
+
+    def start_all(self, parts: Sequence[Part], tell: Callable[[Running], None]) -> None:
+        """Start the first part, and once it is ready the others side by side.
+
+        Args:
+            parts: the others may need the first, the naming service.
+            tell: called with each part once it is ready.
+
+        Raises:
+            PartError: one did not become ready.
+        """
+        first, *others = parts
+        tell(self.start(first))
+        for running in [self._launch(part) for part in others]:
+            self._wait(running)
+            tell(running)
+
+    def _launch(self, part: Part) -> Running:
         log = self._run / f"{part.name}.log"
         launch = (sys.executable, "-m", "healthbot_scene.launch", str(os.getpid()))
         with log.open("wb") as out:
@@ -75,25 +97,19 @@ class Crew:
                 start_new_session=True,
             )
         running = self._running[part.name] = Running(part, process, log)
+        return running
+
+    def _wait(self, running: Running) -> None:
+        part = running.part
         deadline = time.monotonic() + part.seconds
-        while not part.ready(log):
-            code = process.poll()
+        while not part.ready(running.log):
+            code = running.process.poll()
             if code is not None:
                 raise PartError(f"{part.name} ended with {code}:\n{running.last_words()}")
             if time.monotonic() > deadline:
                 text = f"{part.name} is not ready after {part.seconds:g} s"
                 raise PartError(f"{text}:\n{running.last_words()}")
             time.sleep(_LOOK_SECONDS)
-        return running
-
-    def start_all(self, parts: Iterable[Part]) -> None:
-        """Start parts one after the other.
-
-        Raises:
-            PartError: one did not become ready.
-        """
-        for part in parts:
-            self.start(part)
 
     def dead(self) -> list[Running]:
         """Return the parts that have ended by themselves since the last look, and forget them."""

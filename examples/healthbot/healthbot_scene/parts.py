@@ -9,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from attrs import frozen
-from healthbot_scene.places import Places
 from uoarm_rtm._compiler import omniorb_programs
+
+from healthbot_scene.places import Places
 
 __all__ = ["Part", "parts_of"]
 
@@ -80,7 +81,7 @@ def parts_of(places: Places, robot: Path, page: Path) -> list[Part]:
             "medical records, FHIR over HTTP",
             "web service",
             (*records, "--database", str(run / "records.sqlite")),
-            _listens(places.records),
+            _says("records at"),
         ),
         Part(
             "robot",

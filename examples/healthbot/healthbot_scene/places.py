@@ -67,7 +67,7 @@ class Places:
     @property
     def records_url(self) -> str:
         """Where the records service is."""
-        return f"http://127.0.0.1:{self.records}"
+        return f"http://127.0.0.1:{self.records}/fhir"
 
     def environment(self) -> dict[str, str]:
         """Return the environment variables of every part: loopback only, our own domain."""

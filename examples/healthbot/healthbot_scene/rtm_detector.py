@@ -1,6 +1,6 @@
 """Face detection as an RT-Component in a process of its own, found by the naming service.
 
-It has an InPort `image` (RTC::CameraImage) and an OutPort `faces` (HealthBot::Faces), and is driven
+It has an InPort `image` (HealthBot::View) and an OutPort `faces` (HealthBot::Faces), and is driven
 by whoever activates it, be that uoarm, RT System Editor or rtshell.
 """
 
@@ -22,6 +22,7 @@ from uoarm_rtm.component import RtComponent, Sheet
 _NAME = "FaceDetector0"
 _IDL = Path(__file__).parents[1] / "faces.idl"
 _SECONDS = 2.0
+_FIELDS = ("width", "height", "encoding", "data")
 
 
 class Detector:
@@ -38,7 +39,7 @@ class Detector:
         self._waiting: queue.Queue[Any] = queue.Queue(maxsize=1)
         sheet = Sheet(_NAME, "FaceDetector", "finds faces in pictures", category="Vision")
         self._component = RtComponent(self._orb, sheet)
-        self._component.add_in_port("image", "RTC::CameraImage", types, self._take)
+        self._component.add_in_port("image", "HealthBot::View", types, self._take)
         self._faces = self._component.add_out_port("faces", "HealthBot::Faces", types)
         self._component.bind([NamingService(self._orb, nameserver, _SECONDS)])
 
@@ -50,9 +51,7 @@ class Detector:
             except queue.Empty:
                 continue
             try:
-                picture = picture_of(
-                    image["width"], image["height"], image["format"], image["pixels"]
-                )
+                picture = picture_of(**{name: image[name] for name in _FIELDS})
             except ValueError as error:
                 print(f"a picture is passed over: {error}", file=sys.stderr)
                 continue
