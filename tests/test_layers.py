@@ -22,6 +22,7 @@ LAYERS = [
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"environments"},
     {"host"},
     {"flow"},
     {"config"},
