@@ -33,6 +33,7 @@ class Leaving:
         self.endpoint = endpoint
         self.channel: Channel | None = None
         self._outgoing = outgoing
+        self._closed = False
         self._last_error = ""
 
     @property
@@ -46,7 +47,7 @@ class Leaving:
             self._outgoing.send(message)
         except UoarmError as error:
             self._outgoing.skip()
-            if str(error) != self._last_error:
+            if not self._closed and str(error) != self._last_error:
                 self._last_error = str(error)
                 _log.warning("%s: a message is lost: %s", self.endpoint, error)
 
@@ -59,6 +60,7 @@ class Leaving:
 
     def close(self) -> None:
         """Send nothing more."""
+        self._closed = True
         self._outgoing.close()
 
 
