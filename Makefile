@@ -24,6 +24,9 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
+	@for plugin in $(PLUGINS); do \
+	  echo "== $$plugin"; (cd $$plugin && $(abspath $(BIN))/mypy) || exit 1; \
+	done
 
 docs: $(VENV)/.docs  ## the documentation site, in build/docs; every warning is an error
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs

@@ -3,6 +3,7 @@
 from uoarm.model._component import (
     Component,
     Endpoint,
+    Expectation,
     Function,
     Input,
     Output,
@@ -17,6 +18,7 @@ from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
 from uoarm.model._status import (
     BridgeStatus,
+    ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
@@ -35,6 +37,7 @@ __all__ = [
     "Availability",
     "BridgeSpec",
     "BridgeStatus",
+    "ChannelStatus",
     "Component",
     "ComponentStatus",
     "ConnectionState",
@@ -43,6 +46,7 @@ __all__ = [
     "Deliver",
     "Edge",
     "Endpoint",
+    "Expectation",
     "FailoverPolicy",
     "Function",
     "FunctionStatus",

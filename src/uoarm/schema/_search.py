@@ -140,10 +140,11 @@ def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Re
         return None
     try:
         found = yield from _leaf(solver, state)
-    except (UnsupportedPatternError, TooLong):
+        if isinstance(found, Found):
+            found = try_values([found.value], state)
+            return found if isinstance(found, Found) else None
+    except (OutOfScopeError, UnsupportedPatternError, TooLong):
         return None
-    if isinstance(found, Found):
-        return found if isinstance(try_values([found.value], state), Found) else None
     return found if isinstance(found, Empty) else None
 
 
