@@ -30,6 +30,7 @@ LAYERS = [
     {"manager"},
     {"__init__"},
     {"testing"},
+    {"server"},
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
@@ -91,6 +92,10 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
         "hypothesis",
         "zenoh",
         "msgpack",
+        "websockets",
+        "orjson",
+        "cbor2",
+        "prometheus_client",
     ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(

@@ -12,6 +12,7 @@ from uoarm.bridge import Registry
 from uoarm.cli._env import env
 from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._run import call, request
+from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
     CONFIGURATION,
     configuration_option,
@@ -136,4 +137,6 @@ main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)
 main.add_command(schema)
+main.add_command(serve)
+main.add_command(token)
 main.add_command(status)
