@@ -23,6 +23,7 @@ LAYERS = [
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"environments"},
     {"host"},
     {"flow"},
     {"config"},
