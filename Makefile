@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PLUGINS = $(wildcard plugins/*)
 
-.PHONY: demo test test-long lint types check bench mutation clean
+.PHONY: demo test test-long lint types docs check bench mutation clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
@@ -24,6 +24,12 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
+	@for plugin in $(PLUGINS); do \
+	  echo "== $$plugin"; (cd $$plugin && $(abspath $(BIN))/mypy) || exit 1; \
+	done
+
+docs: $(VENV)/.docs  ## the documentation site, in build/docs; every warning is an error
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 
 check: lint types test  ## everything that must be green
 
@@ -49,5 +55,9 @@ $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/pytho
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@
 
+$(VENV)/.docs: pyproject.toml $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet -e '.[docs]'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output
+	rm -rf $(VENV) build .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output

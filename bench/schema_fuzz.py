@@ -22,14 +22,20 @@ from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
 from tests.schema._strategies import related_pair
+from tests.schema._unions import range_pair, row_pair, tagged_pair
 from tests.schema._universe import universe
+from tests.schema._watching import watching_pair
 
 from uoarm.schema import check
 from uoarm.testing._choices import chance
 
+_EXACT = (watching_pair, watching_pair, range_pair, row_pair, tagged_pair)
+
 
 def _question(choices: RandomChoices) -> tuple[Body, Body, str | None]:
     """A pair, and the true answer where the producer has few enough instances to try all."""
+    if chance(choices, 40):
+        return choices.item(_EXACT)(choices)
     if not chance(choices, 30):
         return (*related_pair(choices), None)
     producer, instances = finite_schema(choices)
@@ -61,11 +67,11 @@ def main() -> None:
             slowest = max(slowest, (time.perf_counter() - started, seed))
             given = judge(producer, consumer, choices, universe=everything)
             answers[given if truth in {None, given} or given == "undecided" else "WRONG"] += 1
-            if truth not in {None, given}:
+            if truth not in {None, given} and given != "undecided":
                 print(f"{given} for {truth}, seed {seed}{shown(producer, consumer)}")
             if verdict.undecided is not None:
                 causes[verdict.undecided] += 1
-                if causes[verdict.undecided] <= 2:
+                if causes[verdict.undecided] <= 1:
                     print(f"undecided, seed {seed}: {verdict.undecided}{shown(producer, consumer)}")
         except WrongVerdictError as error:
             answers["WRONG"] += 1

@@ -125,3 +125,14 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--json")
     assert result.exit_code == code
     assert json.loads(result.output)["compatible"] is (code == 0)
+
+
+def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
+    result = run("status", "-f", robot)
+    assert result.exit_code == 1
+    assert "doubled  from doubler" in result.output
+    assert "misfit  cannot be had" in result.output
+    told = {one["name"]: one for one in json.loads(run("status", "-f", robot, "--json").stdout)}
+    assert told["count"]["provider"] == "counter"
+    assert told["count"]["candidates"][0]["cause"] == ""
+    assert told["misfit"]["provider"] is None

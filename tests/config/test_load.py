@@ -357,3 +357,33 @@ def problems_of(text: str) -> list[str]:
     except ConfigurationError as error:
         return str(error).splitlines()
     return []
+
+
+APPLICATIONS = """
+version: 1
+bridges: {python: {}}
+applications:
+  reception: [face, %s]
+functions:
+  camera:
+    components: [{name: eye, bridge: python, output: {endpoint: ["m:camera"]}}]
+  face:
+    components:
+      - {name: finder, bridge: python, input: {from: camera, endpoint: ["m:find"]}}
+  lamp:
+    components: [{name: bulb, bridge: python, input: {endpoint: ["m:lamp"]}}]
+"""
+
+
+def test_functions_that_nobody_uses_are_named_where_applications_are_declared() -> None:
+    robot = loads(APPLICATIONS % "camera")
+    assert robot.applications == {"reception": ("face", "camera")}
+    (warning,) = robot.warnings
+    assert 'no application and no component uses the function "lamp"' in warning
+    assert "<text>:12:3" in warning
+    assert loads(APPLICATIONS % "lamp").warnings == ()
+
+
+def test_an_application_cannot_ask_for_what_is_not_there() -> None:
+    with pytest.raises(ConfigurationError, match=r'no function "lmap" \(did you mean "lamp"\?\)'):
+        loads(APPLICATIONS % "lmap")

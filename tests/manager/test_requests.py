@@ -163,6 +163,20 @@ def test_a_lie_is_counted_and_not_forwarded(make_robot: Make) -> None:
         assert dict(route.dropped) == {"invalid": 2}
 
 
+def test_a_shared_edge_is_checked_as_the_strictest_of_its_users_wishes(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
+    with robot.request("wanted") as careless:
+        stage.script.put({"value": 256})
+        assert careless.get(10) == {"value": 256}
+        with robot.request("wanted", validate="always") as careful:
+            for value in (256, 1):
+                stage.script.put({"value": value})
+            assert careful.get(10) == {"value": 1}
+        assert careless.get(10) == {"value": 1}
+        stage.script.put({"value": 256})
+        assert careless.get(10) == {"value": 256}
+
+
 def test_the_application_feeds_an_input_and_is_told_of_a_mismatch(make_robot: Make) -> None:
     robot = make_robot(HEAD + step("wanted", "take_broad", None))
     with robot.request("wanted", validate="sampled") as connection:

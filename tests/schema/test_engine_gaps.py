@@ -8,7 +8,7 @@ import pytest
 
 from uoarm.schema import check
 
-GAP: dict[str, Any] = {"unevaluatedProperties": False}
+GAP: dict[str, Any] = {"$ref": "tag:nowhere,2026:other"}
 OBJECT: dict[str, Any] = {"type": "object"}
 
 
@@ -18,18 +18,33 @@ OBJECT: dict[str, Any] = {"type": "object"}
         GAP,
         {"allOf": [GAP]},
         {"properties": {"a": {"type": "string"}}, "$ref": "#/$defs/gap", "$defs": {"gap": GAP}},
+        {"unevaluatedProperties": GAP},
+        {"allOf": [GAP], "unevaluatedProperties": {"type": "object"}},
+        {"anyOf": [GAP, {"properties": {"a": True}}], "unevaluatedProperties": False},
         {"required": [], "allOf": [GAP, {"maxProperties": 9}]},
         {"anyOf": [GAP, {"type": "null"}]},
         {"not": {"not": GAP}},
         {"oneOf": [GAP, {"type": "null"}]},
         {"if": True, "then": GAP},
         {"$schema": "tag:nowhere,2026:other", "type": "object"},
-        {"allOf": [{"$dynamicRef": "#x"}, {"minProperties": 0}]},
+        {"allOf": [{"$dynamicRef": "tag:nowhere,2026:other#x"}, {"minProperties": 0}]},
     ],
 )
 def test_a_gap_is_never_a_yes(consumer: dict[str, Any]) -> None:
     assert not check(OBJECT, consumer).compatible
 
 
-def test_a_gap_about_objects_does_not_concern_numbers() -> None:
-    assert check({"type": "integer"}, {"type": ["object", "number"], **GAP}).compatible
+def test_a_gap_about_texts_does_not_concern_numbers() -> None:
+    refers_back = {"type": ["string", "number"], "pattern": r"(a)\1"}
+    assert check({"type": "integer"}, refers_back).compatible
+    assert check({"type": "string"}, refers_back).undecided is not None
+
+
+def test_a_gap_in_one_way_does_not_hide_another() -> None:
+    verdict = check({"anyOf": [GAP, {"const": 1}]}, {"type": "string"})
+    assert verdict.counterexample == 1
+
+
+def test_a_gap_beside_a_contradiction_does_not_matter() -> None:
+    producer = {"allOf": [GAP, {"type": "integer"}, {"type": "string"}]}
+    assert check(producer, False).compatible

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
-from tests.schema._judge import judge
+from tests.schema._judge import answer, judge, shown
 from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import related_pair
+from tests.schema._unions import range_pair, row_pair, tagged_pair
 from tests.schema._universe import universe
+from tests.schema._watching import watching_pair
 
+from uoarm.schema import check
 from uoarm.testing._choices import chance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.schema._judge import Body
+
+    from uoarm.testing._choices import Choices
+
+    Known = tuple[Body, Body, str]
 
 EVERYTHING = tuple(universe())
 SOME = EVERYTHING[::9]
@@ -20,3 +34,11 @@ def test_pairs_of_a_block_of_seeds(block: int) -> None:
         choices = RandomChoices(seed)
         pair = related_pair(choices)
         judge(*pair, choices, universe=EVERYTHING if chance(choices, 20) else SOME)
+
+
+@pytest.mark.parametrize("block", range(15))
+@pytest.mark.parametrize("draw", [watching_pair, range_pair, row_pair, tagged_pair])
+def test_pairs_of_known_truth(draw: Callable[[Choices], Known], block: int) -> None:
+    for seed in range(10 * block, 10 * block + 10):
+        producer, consumer, truth = draw(RandomChoices(seed))
+        assert answer(check(producer, consumer)) == truth, (seed, shown(producer, consumer))

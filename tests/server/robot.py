@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Iterator
-from queue import SimpleQueue
 from typing import Annotated, TypedDict
 
 from uoarm.local import Range
@@ -71,40 +71,65 @@ END = object()
 
 
 class Script:
-    """What sources emit; each test has a queue of its own."""
+    """What sources emit. Only the newest source of a name plays: an old one that still waits in
+    its thread takes nothing away from it."""
 
     def __init__(self) -> None:
-        self.queue: SimpleQueue[object] = SimpleQueue()
         self.gate = threading.Event()
+        self._changed = threading.Condition()
+        self._items: dict[str, deque[object]] = {"numbers": deque(), "picture": deque()}
+        self._newest: dict[str, object] = {}
 
     def reset(self) -> None:
-        self.queue = SimpleQueue()
-        self.gate = threading.Event()
+        with self._changed:
+            self.gate = threading.Event()
+            self._items = {name: deque() for name in self._items}
+            self._newest.clear()
+            self._changed.notify_all()
 
     def put(self, *items: object) -> None:
-        for item in items:
-            self.queue.put(item)
+        """Play pictures and numbers, each where they belong."""
+        with self._changed:
+            for item in items:
+                name = "picture" if isinstance(item, dict) and "width" in item else "numbers"
+                self._items[name].append(item)
+            self._changed.notify_all()
 
     def release(self) -> None:
         self.gate.set()
-        self.queue.put(END)
+        self.reset()
+        self.gate.set()
+
+    def play(self, name: str) -> Iterator[object]:
+        me = object()
+        with self._changed:
+            self._newest[name] = me
+            self._changed.notify_all()
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._items[name] or not self._plays(name, me))
+                if not self._plays(name, me):
+                    return
+                item = self._items[name].popleft()
+            if item is END:
+                return
+            if isinstance(item, Exception):
+                raise item
+            yield item
+
+    def _plays(self, name: str, me: object) -> bool:
+        return self._newest.get(name) is me
 
 
 script = Script()
 
 
 def numbers() -> Iterator[Number]:
-    queue = script.queue
-    while (item := queue.get()) is not END:
-        if isinstance(item, Exception):
-            raise item
-        yield item  # type: ignore[misc] # a lie is part of some tests
+    yield from script.play("numbers")  # type: ignore[misc] # a lie is part of some tests
 
 
 def picture() -> Iterator[Picture]:
-    queue = script.queue
-    while (item := queue.get()) is not END:
-        yield item  # type: ignore[misc] # what a test puts there
+    yield from script.play("picture")  # type: ignore[misc] # what a test puts there
 
 
 def double(message: Number) -> Number:

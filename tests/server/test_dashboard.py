@@ -124,7 +124,7 @@ def test_numbers_become_lines(browser: Browser, visit: Open) -> None:
     for shade in (10, 20, 30):
         front.take((shade, 0, 0))
     browser.until(says(".sparks", "10 … 30"))
-    assert browser.js("document.querySelectorAll('.spark canvas').length") == 1
+    browser.until("document.querySelectorAll('.spark canvas').length === 1")
 
 
 def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: Open) -> None:

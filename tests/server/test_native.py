@@ -247,11 +247,14 @@ def test_a_message_without_a_form_is_a_gap_that_is_told(talk: Connect) -> None:
 
 
 def test_kill_waits_for_what_was_sent_before_it(talk: Connect) -> None:
-    client = talk()
-    connection = client.open("echo")
-    sent = [client.send("Data", connection, {"value": 1}) for _ in range(50)]
-    client.ask("Kill", connection)
-    assert all(client.answer(one)["op"] == "Reply" for one in sent)
+    listener, client = talk(), talk()
+    connection = listener.open("echo")
+    own = client.open("echo", receive=False)
+    assert own != connection
+    for value in range(50):
+        client.send("Data", own, {"value": value})
+    client.ask("Kill", own)
+    assert [one["value"] for one in listener.data(connection, 50)] == list(range(50))
 
 
 def test_requests_under_way_are_limited(serve: Serve) -> None:

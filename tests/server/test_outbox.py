@@ -109,6 +109,19 @@ def test_a_killed_stream_leaves_nothing_behind() -> None:
     run(work())
 
 
+def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        pieces, other = lane(1), lane()
+        outbox.put(pieces, b"x1", b"x2", b"x3")
+        outbox.put(pieces, b"y1", b"y2")
+        outbox.put(other, b"o")
+        assert await drain(outbox) == [b"y1", b"y2", b"o"]
+        assert (pieces.dropped, pieces.sent) == (1, 1)
+
+    run(work())
+
+
 steps = st.lists(
     st.tuples(st.sampled_from(["puttwo", "next", "reply"]), st.integers(1, 400)), max_size=60
 )
@@ -130,7 +143,7 @@ def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) 
                 await outbox.next()
         for count, one in zip(put, lanes, strict=True):
             assert count == one.sent + one.dropped + len(one.waiting)
-        waiting = [len(frame) for one in lanes for frame in one.waiting]
+        waiting = [len(frame) for one in lanes for frames in one.waiting for frame in frames]
         assert sum(waiting) <= 1000 or all(len(one.waiting) <= 1 for one in lanes)
 
     run(work())

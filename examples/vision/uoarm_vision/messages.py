@@ -1,60 +1,63 @@
-"""What flows between the components."""
+"""The messages between camera, detector, recogniser and application.
+
+Pixels travel along: a recogniser must see them, and an application may want to draw on them.
+Within one process that costs nothing, since messages hold the same octets.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypedDict
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated, Literal, TypedDict
 
 from uoarm.local import Octets, Range
 
-Pixels = Annotated[int, Range(0, 10_000)]
-Pixel = NDArray[Any]
+__all__ = ["Box", "Faces", "Frame", "People", "Person"]
+
+Position = Annotated[int, Range(0, 65535)]
+Length = Annotated[int, Range(1, 65535)]
 
 
 class Frame(TypedDict):
-    """One picture: rows of blue, green, red octets."""
+    """One picture: rows from the top, three octets a pixel, blue first; time in s since 1970."""
 
-    number: Annotated[int, Range(0)]
     source: str
-    width: Pixels
-    height: Pixels
+    sequence: Annotated[int, Range(0, 2**63 - 1)]
+    time: Annotated[float, Range(minimum=0)]
+    width: Length
+    height: Length
     encoding: Literal["bgr8"]
     data: Octets
 
 
 class Box(TypedDict):
-    """Where a face is, in pixels from the upper left corner."""
+    """A rectangle within a picture, in pixels from its upper left corner."""
 
-    left: int
-    top: int
-    right: int
-    bottom: int
+    x: Position
+    y: Position
+    width: Length
+    height: Length
 
 
 class Faces(TypedDict):
-    """A picture and the faces found in it."""
+    """A picture and where the faces are in it."""
 
     frame: Frame
     boxes: list[Box]
 
 
 class Person(TypedDict):
-    """One face with a name; `unknown` when nobody enrolled is near enough."""
+    """One face and whose it is; no name when it is nobody's who was enrolled.
 
-    name: str
-    distance: float
+    `distance` is how far the face is from the nearest person enrolled; its unit is the
+    recogniser's own.
+    """
+
     box: Box
+    name: str | None
+    distance: Annotated[float, Range(minimum=0)]
 
 
 class People(TypedDict):
-    """Who is in one picture."""
+    """A picture and who is in it."""
 
     frame: Frame
-    people: list[Person]
-
-
-def pixels_of(frame: Frame) -> Pixel:
-    """Return a picture as an array of height, width, three colours; the octets are not copied."""
-    return np.frombuffer(frame["data"], np.uint8).reshape(frame["height"], frame["width"], 3)
+    persons: list[Person]

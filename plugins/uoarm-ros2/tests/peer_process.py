@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
@@ -123,6 +124,21 @@ class Doer:
             return response
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def fail(self, name: str) -> dict[str, Any]:
+        """Serve as a node does whose callback raises: the exception ends the process."""
+
+        def answer(request: Any, response: Any) -> Any:
+            raise RuntimeError("this service is broken")
+
+        self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def echo(self, come: str, go: str) -> dict[str, Any]:
+        everything = profile(history="keep_all")
+        publisher = self.node.create_publisher(PoseStamped, go, everything)
+        self.node.create_subscription(PoseStamped, come, publisher.publish, everything)
         return {}
 
     def call(self, name: str, value: bool) -> dict[str, Any]:

@@ -38,9 +38,12 @@ def test_a_message_survives_the_wire_and_back(name: str, data: st.DataObject) ->
 def test_the_defaults_of_a_type_are_what_its_class_makes(name: str) -> None:
     shape = record(name)
     made: object = shape.native()
-    assert bytes(serialize_message(writer(shape)(reader(shape)(made)))) == bytes(
-        serialize_message(made)
-    )
+    ours = writer(shape)(reader(shape)(made))
+    assert same(reader(shape)(ours), plain(reader(shape)(made)))
+    wires = [bytes(serialize_message(native)) for native in (ours, made)]
+    padding = 3  # Fast CDR rounds up to four bytes and leaves there what memory held
+    assert wires[0][:-padding] == wires[1][:-padding]
+    assert len(wires[0]) == len(wires[1])
 
 
 def test_arrays_of_types_that_hold_arrays_of_types_survive() -> None:

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
+from messages import default_of
 from peers import Peer
-from uoarm_ros2._read import reader
-from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
@@ -27,8 +26,7 @@ FIBONACCI = "test_msgs/action/Fibonacci"
 
 def request(**fields: object) -> dict[str, Any]:
     native: Any = import_type(BASIC)
-    shape = shape_of(native.Request, BASIC)
-    return {**reader(shape)(native.Request()), **fields}
+    return {**default_of(native.Request), **fields}
 
 
 def service(*address: str, **options: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Sink
+from uoarm.bridge._delivery import Delivery
 from uoarm.bridge._description import Capabilities, Description, Discovered, HealthEvent
 from uoarm.bridge._plugin import BridgeType, hookimpl, hookspec
 from uoarm.bridge._registry import PluginProblem, Registry
@@ -12,6 +13,7 @@ __all__ = [
     "BridgeType",
     "Capabilities",
     "Channel",
+    "Delivery",
     "Description",
     "Discovered",
     "Handler",

@@ -12,7 +12,7 @@ from attrs import frozen
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._plugin import SPECIFICATION, BridgeType
-from uoarm.errors import BridgeError, PluginError
+from uoarm.errors import BridgeError, ConfigurationError, PluginError
 from uoarm.model import BridgeSpec
 
 __all__ = ["PluginProblem", "Registry"]
@@ -77,12 +77,14 @@ class Registry:
         """Make the bridge instance that a configuration asks for.
 
         Raises:
+            ConfigurationError: the plugin does not take these options.
             PluginError: no such plugin, a broken one, or its middleware is missing.
             BridgeError: the plugin raised something else.
         """
         kind = self._types.get(spec.plugin)
         if kind is None:
             raise PluginError(f"bridge {spec.name!r}: {self.missing(spec.plugin)}")
+        _require_fitting(spec, kind)
         with translated(f"bridge {spec.name!r}: starting plugin {spec.plugin!r}"):
             bridge: object = kind.create(spec.name, spec.options)
         if not isinstance(bridge, Bridge):
@@ -113,6 +115,16 @@ class Registry:
             self._types[kind.name] = kind
             return
         self._problems.append(PluginProblem(plugin, cause))
+
+
+def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
+    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+
+    wrong = list(Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options)))
+    if wrong:
+        told = "; ".join(f"{error.json_path}: {error.message}" for error in wrong)
+        text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options: {told}"
+        raise ConfigurationError(text)
 
 
 def _types_of(point: EntryPoint) -> list[BridgeType]:

@@ -9,6 +9,7 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._run import call, request
 from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
@@ -19,6 +20,7 @@ from uoarm.cli._shared import (
     print_json,
     reporting,
 )
+from uoarm.cli._status import status
 from uoarm.config import inspect, load
 from uoarm.resolve import tell_plan
 from uoarm.schema._command import schema
@@ -37,7 +39,7 @@ def main() -> None:
 @json_option
 def check(file: str, *, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE."""
-    report = inspect(file)
+    report = inspect(file, Registry().types)
     if as_json:
         print_json({"problems": report.problems, "warnings": report.warnings})
     else:
@@ -131,6 +133,8 @@ def doctor(*, as_json: bool) -> None:
 
 main.add_command(request)
 main.add_command(call)
+main.add_command(new_bridge)
 main.add_command(schema)
 main.add_command(serve)
 main.add_command(token)
+main.add_command(status)

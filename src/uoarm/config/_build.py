@@ -29,7 +29,9 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     """Return the robot that a checked configuration describes."""
     bridges = {name: _bridge(name, bridge, origin) for name, bridge in value["bridges"].items()}
     functions = {name: _function(name, one) for name, one in value["functions"].items()}
-    return Robot(bridges, functions, warnings, origin)
+    asked = value.get("applications", {})
+    applications = {name: tuple(names) for name, names in asked.items()}
+    return Robot(bridges, functions, warnings, origin, applications)
 
 
 def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import stat
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from types import MappingProxyType
+from typing import TypeAlias
 
 from attrs import frozen
 
+from uoarm.bridge import BridgeType
 from uoarm.config._build import build
 from uoarm.config._document import Document
 from uoarm.config._meaning import MeaningChecker
+from uoarm.config._plugins import PluginChecker
 from uoarm.config._problem import Place, Problem
 from uoarm.config._shape import ShapeChecker
 from uoarm.config._spelling import Speller
@@ -20,8 +25,11 @@ from uoarm.model import Robot
 
 __all__ = ["Report", "inspect", "load", "loads"]
 
+Types: TypeAlias = Mapping[str, BridgeType]
+
 _SHOWN = 50
 _START = Place(1, 1)
+_NO_TYPES: Types = MappingProxyType({})
 
 
 @frozen
@@ -52,34 +60,39 @@ class Report:
         raise ConfigurationError("\n".join(lines))
 
 
-def load(path: str | PathLike[str]) -> Robot:
+def load(path: str | PathLike[str], types: Types = _NO_TYPES) -> Robot:
     """Read a configuration file.
+
+    Args:
+        path: the file.
+        types: bridge types, to check options and endpoints with; see `Registry.types`.
 
     Raises:
         ConfigurationError: it cannot be read or has mistakes; the text lists all of them.
     """
-    return inspect(path).require()
+    return inspect(path, types).require()
 
 
-def loads(text: str, origin: str = "") -> Robot:
+def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
     """Read a configuration from text.
 
     Args:
         text: YAML 1.2.
         origin: the file that it stands for; its folder is where Python components are found.
+        types: bridge types, to check options and endpoints with.
 
     Raises:
         ConfigurationError: it has mistakes; the text lists all of them.
     """
-    return _inspect(text, origin).require()
+    return _inspect(text, origin, types).require()
 
 
-def inspect(path: str | PathLike[str]) -> Report:
+def inspect(path: str | PathLike[str], types: Types = _NO_TYPES) -> Report:
     """Read a configuration file and report on it without raising."""
     file = str(path)
     try:
         raw = _read_bounded(Path(path))
-        return _inspect(raw.decode("utf-8"), file)
+        return _inspect(raw.decode("utf-8"), file, types)
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
@@ -109,21 +122,22 @@ def _read_bounded(path: Path) -> bytes:
     return raw
 
 
-def _inspect(text: str, file: str) -> Report:
+def _inspect(text: str, file: str, types: Types) -> Report:
     document = read(text, file)
     if not document.whole:
         return Report(None, _sorted(document.problems))
     if document.value is None and not document.problems:
         return _unreadable(file, "the file is empty", hint="begin with: version: 1")
-    return _judge(document, file)
+    return _judge(document, file, types)
 
 
-def _judge(document: Document, file: str) -> Report:
+def _judge(document: Document, file: str, types: Types) -> Report:
     speller = Speller()
     shape = ShapeChecker(document, file, speller)
     meaning = MeaningChecker(document, file, speller)
     meaning.run()
-    found = [*shape.problems(), *meaning.problems]
+    plugins = PluginChecker(document, file, speller, types)
+    found = [*shape.problems(), *meaning.problems, *plugins.problems()]
     for path, structure in meaning.structures():
         found.extend(shape.structure_problems(structure, path))
     told = {problem.place for problem in document.problems}

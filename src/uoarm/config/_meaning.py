@@ -12,6 +12,7 @@ from uoarm.config._document import Document, Path
 from uoarm.config._parts import (
     ComponentPart,
     PortPart,
+    applications,
     bridge_names,
     components,
     function_names,
@@ -71,6 +72,7 @@ class MeaningChecker:
                 self._check_source(port)
         self._check_priorities()
         self._check_cycles()
+        self._check_applications()
 
     def structures(self) -> list[tuple[Path, object]]:
         """Return every declared structure with its path."""
@@ -157,6 +159,24 @@ class MeaningChecker:
                 f"{function} has several outputs and none is named default",
                 f"say which: {_choices(function, emitted.names)}",
             )
+
+    def _check_applications(self) -> None:
+        asked = applications(self._document.value)
+        for name, functions in asked.items():
+            for number, function in enumerate(functions):
+                if isinstance(function, str) and function not in self._functions:
+                    hint = self._speller.guess_or_list(function, self._functions, "functions")
+                    where: Path = ("applications", name, number)
+                    self._refuse(where, f"there is no function {clip(function)}", hint)
+        if not asked:
+            return
+        used = {str(function) for functions in asked.values() for function in functions}
+        for component in self._components:
+            used.update(port.source.partition(".")[0] for port in component.inputs() if port.source)
+        for name in self._functions:
+            if name not in used:
+                sentence = f"no application and no component uses the function {clip(name)}"
+                self._warn(("functions", name), sentence, at_key=True)
 
     def _check_priorities(self) -> None:
         same: dict[tuple[str, int], list[ComponentPart]] = {}

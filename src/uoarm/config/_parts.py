@@ -13,7 +13,14 @@ from attrs import frozen
 
 from uoarm.config._document import Path
 
-__all__ = ["ComponentPart", "PortPart", "bridge_names", "components", "function_names"]
+__all__ = [
+    "ComponentPart",
+    "PortPart",
+    "applications",
+    "bridge_names",
+    "components",
+    "function_names",
+]
 
 _STREAMS = ("input", "inputs", "output", "outputs")
 _KEYS = {"name", "bridge", "priority", "parameters", "service", *_STREAMS}
@@ -93,6 +100,12 @@ def bridge_names(value: object) -> dict[str, Any]:
 def function_names(value: object) -> dict[str, Any]:
     """Return the functions by name, where they can be told at all."""
     return _mapping(_mapping(value).get("functions"))
+
+
+def applications(value: object) -> dict[str, list[Any]]:
+    """Return what each application asks for, where it can be told."""
+    asked = _mapping(_mapping(value).get("applications"))
+    return {name: names for name, names in asked.items() if isinstance(names, list)}
 
 
 def components(value: object) -> Iterator[ComponentPart]:

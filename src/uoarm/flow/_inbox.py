@@ -26,6 +26,7 @@ class Inbox:
 
     def __init__(self, policy: QueuePolicy, on_drop: Callable[[str], None]) -> None:
         self._queue: BoundedQueue[Message] = BoundedQueue(policy, on_drop)
+        self._on_drop = on_drop
         self._callbacks: tuple[Deliver, ...] = ()
         self._wake: Callable[[], None] | None = None
         self._lock = threading.RLock()
@@ -60,7 +61,7 @@ class Inbox:
         """Give every message to a callback from now on, first what is waiting already.
 
         Callbacks run in the thread in which the message arrives; one that raises is logged and
-        stays. Returns a function that ends the subscription.
+        stays, and the message counts as lost. Returns a function that ends the subscription.
         """
         with self._lock:
             self._callbacks = (*self._callbacks, callback)
@@ -89,12 +90,16 @@ class Inbox:
             wake()
 
     def _tell(self, message: Message) -> None:
+        failed = False
         with self._lock:
             for callback in self._callbacks:
                 try:
                     callback(message)
                 except Exception as error:  # noqa: BLE001 - a callback may raise anything
+                    failed = True
                     self._complain(callback, error)
+        if failed:
+            self._on_drop("failed")
 
     def _complain(self, callback: Deliver, error: Exception) -> None:
         text = f"{type(error).__name__}: {error}"

@@ -30,13 +30,13 @@ class Route:
         hand: the consumer; what it raises is counted here.
         clock: seconds.
         transfer: compiled adapter, None when messages pass unchanged.
-        check: raises MessageError for a message that does not match; None: not checked.
+        check: raises MessageError for a message that does not match; None: not checked. May
+            be replaced at any time, as `check`.
         queue: None to call the consumer in the producer's thread; else a bounded queue with
             one worker stands between.
     """
 
     __slots__ = (
-        "_check",
         "_clock",
         "_closed",
         "_dropped",
@@ -51,6 +51,7 @@ class Route:
         "_window_rate",
         "_window_start",
         "_worker",
+        "check",
         "consumer",
         "invalid",
         "last_error",
@@ -82,7 +83,7 @@ class Route:
         self._dropping = threading.Lock()
         self._hand = hand
         self._transfer = transfer
-        self._check = check
+        self.check = check
         self._clock = clock
         self._closed = False
         self._window_start = clock()
@@ -104,8 +105,9 @@ class Route:
         if now - self._window_start >= _WINDOW_SECONDS:
             self._turn_window(now)
         try:
-            if self._check is not None:
-                self._check(message)
+            check = self.check
+            if check is not None:
+                check(message)
             if self._transfer is not None:
                 message = self._transfer(message)
             self._give(message)

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
+from weakref import WeakSet
 
 from attrs import define, field
 
-from uoarm.bridge import Bridge, BridgeType, Capabilities, Channel, Description, Sink, hookimpl
+from uoarm.bridge import (
+    Bridge,
+    BridgeType,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Sink,
+    hookimpl,
+)
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._instance import Instance
 from uoarm.local._target import Target, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
 __all__ = ["PythonBridge", "uoarm_bridge_types"]
 
+_SOURCE_SECONDS = 0.25
 _OPTIONS = {
     "type": "object",
     "properties": {
@@ -51,6 +64,7 @@ class PythonBridge(Bridge):
         path: Any = options.get("path", ())
         self._path: Sequence[str] = tuple(path)
         self._slots: dict[str, _Slot] = {}
+        self._sources: WeakSet[threading.Thread] = WeakSet()
         self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -62,14 +76,24 @@ class PythonBridge(Bridge):
         del structure
         target = self._target(endpoint)
         instance = self._enter(endpoint, target)
-        instance.emit_to(endpoint.port, deliver)
-        channel = _SourceChannel(endpoint, lambda: self._leave_source(endpoint, instance))
+        receiver = Delivery(deliver)
+
+        def leave() -> None:
+            instance.source.remove_listener(channel)
+            instance.remove_receiver(endpoint.port, receiver)
+            self._leave(endpoint)
+
+        channel = _SourceChannel(endpoint, leave)
+        instance.add_receiver(endpoint.port, receiver)
         if not target.takes_messages(endpoint):
             try:
-                instance.start(lambda failure: self._ended(channel, failure))
+                thread = instance.source.add_listener(
+                    channel, lambda failure: self._ended(channel, failure)
+                )
             except BaseException:
-                self._leave_source(endpoint, instance)
+                leave()
                 raise
+            self._sources.add(thread)
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -86,7 +110,14 @@ class PythonBridge(Bridge):
             self._leave(endpoint)
 
     def _close(self) -> None:
-        """Nothing is left: every instance went with its last channel."""
+        """Wait a quarter of a second at most for sources that have a message under way.
+
+        Every instance went with its last channel. A thread that is still in foreign code when
+        the interpreter ends may take the whole process down with it.
+        """
+        deadline = time.monotonic() + _SOURCE_SECONDS
+        for thread in list(self._sources):
+            thread.join(max(0.0, deadline - time.monotonic()))
 
     def _target(self, endpoint: Endpoint) -> Target:
         return find(endpoint.address, self._path)
@@ -114,11 +145,6 @@ class PythonBridge(Bridge):
             del self._slots[endpoint.component]
         if slot.instance is not None:
             slot.instance.close()
-
-    def _leave_source(self, endpoint: Endpoint, instance: Instance) -> None:
-        instance.emit_to(endpoint.port, None)
-        instance.stop()
-        self._leave(endpoint)
 
     def _ended(self, channel: Channel, failure: Exception | None) -> None:
         if failure is None:
@@ -148,7 +174,13 @@ class _InputSink(Sink):
         self._leave = leave
 
     def send(self, message: Message) -> None:
-        """Run the component's function on a message and emit what it returns."""
+        """Run the component's function on a message and emit what it returns.
+
+        Raises:
+            BridgeError: the channel is closed. What the function raises passes through.
+        """
+        if self.closed:
+            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
         self._take(message)
 
     def _close(self) -> None:

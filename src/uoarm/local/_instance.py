@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import attrs
 
+from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.local._source import Source
 from uoarm.local._target import Target
-from uoarm.model import Deliver, Endpoint, Message, Options
+from uoarm.model import Endpoint, Message, Options
 
 __all__ = ["Emit", "Instance"]
 
@@ -25,7 +26,7 @@ class Emit:
 
 
 class Instance:
-    """One component: its object, what it emits to, and its source thread.
+    """One component: its object, what takes its messages, and its source thread.
 
     Args:
         target: the Python object.
@@ -35,16 +36,24 @@ class Instance:
     def __init__(self, target: Target, parameters: Options) -> None:
         self._target = target
         self._parameters = dict(parameters)
-        self._emitters: dict[str, Deliver] = {}
-        self._stop = threading.Event()
+        self._receivers: dict[str, tuple[Delivery, ...]] = {}
+        self._source = Source(self._iterator, self._emit, f"uoarm-{target.name}")
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
 
-    def emit_to(self, port: str, deliver: Deliver | None) -> None:
-        """Send what the component emits at a port to `deliver`; None: nobody listens."""
-        if deliver is None:
-            self._emitters.pop(port, None)
-        else:
-            self._emitters[port] = deliver
+    @property
+    def source(self) -> Source:
+        """What iterates over the component where it takes no messages."""
+        return self._source
+
+    def add_receiver(self, port: str, receiver: Delivery) -> None:
+        """Send what the component emits at a port to one more receiver."""
+        self._receivers[port] = (*self._receivers.get(port, ()), receiver)
+
+    def remove_receiver(self, port: str, receiver: Delivery) -> None:
+        """Send nothing more to a receiver."""
+        receiver.end()
+        left = tuple(each for each in self._receivers[port] if each is not receiver)
+        self._receivers[port] = left
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
         """Return a function that hands a message to an input and emits what comes back."""
@@ -61,22 +70,9 @@ class Instance:
         """Call a service and return its reply."""
         return _plain(self._handler(endpoint)(message))
 
-    def start(self, finished: Callable[[Exception | None], None]) -> None:
-        """Start the source's thread; `finished` hears of its end unless it was stopped."""
-        threading.Thread(
-            target=self._run,
-            args=(self._iterator(), finished),
-            name=f"uoarm-{self._target.name}",
-            daemon=True,
-        ).start()
-
-    def stop(self) -> None:
-        """Tell the source to end; it does so after the message that it has under way."""
-        self._stop.set()
-
     def close(self) -> None:
         """End the component: stop its source and call its own `close` if it has one."""
-        self.stop()
+        self._source.stop()
         close = getattr(self._object, "close", None)
         if self._target.is_class and callable(close):
             close()
@@ -99,22 +95,6 @@ class Instance:
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return iter(made)
 
-    def _run(
-        self, messages: Iterator[Message], finished: Callable[[Exception | None], None]
-    ) -> None:
-        failure: Exception | None = None
-        try:
-            for message in messages:
-                if self._stop.is_set():
-                    break
-                self._emit(message)
-        except Exception as error:  # noqa: BLE001 - a component may raise anything
-            failure = error
-        finally:
-            _close_generator(messages)
-        if not self._stop.is_set():
-            finished(failure)
-
     def _emit_all(self, result: Any) -> None:
         if isinstance(result, Iterator):
             for message in result:
@@ -126,9 +106,11 @@ class Instance:
         port = "default"
         if isinstance(message, Emit):
             port, message = message.port, message.message
-        deliver = self._emitters.get(port)
-        if deliver is not None and message is not None:
-            deliver(_plain(message))
+        receivers = self._receivers.get(port)
+        if receivers and message is not None:
+            plain = _plain(message)
+            for receiver in receivers:
+                receiver.give(plain)
 
 
 def _plain(message: Any) -> Message:
@@ -138,9 +120,3 @@ def _plain(message: Any) -> Message:
     if dataclasses.is_dataclass(message) and not isinstance(message, type):
         return dataclasses.asdict(message)
     return message
-
-
-def _close_generator(messages: Iterator[Message]) -> None:
-    close = getattr(messages, "close", None)
-    if callable(close):
-        close()

@@ -125,6 +125,13 @@ class Connection:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self._cause or 'kill'}")
         self._sender(port).send(message)
 
+    def flush(self, timeout: float) -> bool:
+        """Wait until the component has taken what was sent; False when time ran out.
+
+        `kill` discards what a slower component has not taken yet; call this before it.
+        """
+        return all(sender.flush(timeout) for sender in tuple(self._opened.senders.values()))
+
     def subscribe(self, callback: Deliver) -> Callable[[], None]:
         """Give messages to a callback from now on, first those that wait; returns what ends it.
 

@@ -11,7 +11,7 @@ from uoarm.manager._connection import Connection
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._pool import Pool
-from uoarm.model import ConnectionState, Health
+from uoarm.model import Component, ConnectionState, Health, Robot
 
 __all__ = ["HealthDesk"]
 
@@ -31,6 +31,7 @@ class HealthDesk:
         pool: Pool,
         ledger: Ledger,
         board: Board,
+        robot: Robot,
         *,
         forget: Callable[[str], None],
         retire: Callable[[str], None],
@@ -38,6 +39,7 @@ class HealthDesk:
         self._pool = pool
         self._ledger = ledger
         self._board = board
+        self._robot = robot
         self._forget = forget
         self._retire = retire
 
@@ -48,32 +50,24 @@ class HealthDesk:
     def _handle(self, event: HealthEvent) -> None:
         if event.channel is not None and event.channel.closed:
             return
+        for component in self._robot.components():
+            if _concerns(event, component):
+                self._forget(component.name)
         whole_bridge = event.channel is None and event.component is None
         if whole_bridge:
             self._board.post(f"bridge {event.bridge}", event.health.value, event.cause)
-        for live in self._concerned(event):
+        for live in self._pool.components():
+            if not _concerns(event, live.component):
+                continue
             live.health, live.cause = event.health, event.cause
             subject = f"component {live.component.name}"
             self._board.post(subject, event.health.value, event.cause)
-            self._forget(live.component.name)
             if event.health is Health.FINISHED:
                 self._finish(live)
             elif event.health is Health.LOST:
                 self._lose(live, event.cause)
         if whole_bridge and event.health is Health.LOST:
             self._retire(event.bridge)
-
-    def _concerned(self, event: HealthEvent) -> list[LiveComponent]:
-        """Return the open components that an event is about.
-
-        A channel is found by its endpoint: it may report before its opening has returned.
-        """
-        name = event.component if event.channel is None else event.channel.endpoint.component
-        return [
-            live
-            for live in self._pool.components()
-            if live.component.bridge == event.bridge and name in {None, live.component.name}
-        ]
 
     def _lose(self, live: LiveComponent, cause: str) -> None:
         for connection in self._ledger.users_of(live):
@@ -89,6 +83,15 @@ class HealthDesk:
                 name=f"uoarm-finish-{connection.id}",
                 daemon=True,
             ).start()
+
+
+def _concerns(event: HealthEvent, component: Component) -> bool:
+    """Whether an event is about a component.
+
+    A channel is found by its endpoint: it may report before its opening has returned.
+    """
+    name = event.component if event.channel is None else event.channel.endpoint.component
+    return component.bridge == event.bridge and name in {None, component.name}
 
 
 def _finish_one(connection: Connection, cause: str) -> None:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from uoarm.bridge import Bridge, Channel, Sink
 from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
-from uoarm.model import Component, ComponentStatus, Health, Message, Step
+from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
 
-__all__ = ["LiveComponent"]
+__all__ = ["LiveComponent", "facts_of"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -99,6 +99,10 @@ class LiveComponent:
             health=self.health,
             users=tuple(self.users),
             cause=self.cause,
+            channels=(
+                *_channel_statuses("output", self._sources),
+                *_channel_statuses("input", self._sinks),
+            ),
         )
 
     @contextmanager
@@ -128,6 +132,20 @@ class LiveComponent:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
+
+
+def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
+    """Return a channel's facts; one that cannot tell them says why, and harms no status."""
+    try:
+        return tuple(channel.facts().items())
+    except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
+        return (("failed", f"{type(error).__name__}: {error}"),)
+
+
+def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
+    # A copy at once: channels open and close meanwhile.
+    for name, channel in tuple(channels.items()):
+        yield ChannelStatus(f"{direction}.{name}", facts_of(channel))
 
 
 def _one_at_a_time(sink: Sink) -> Callable[[Message], None]:

@@ -12,23 +12,38 @@ from uoarm.adapt import transfer
 from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, ConnectionClosedError, ResolutionError
 from uoarm.flow import Clock, Route, make_check
-from uoarm.manager._live import LiveComponent
+from uoarm.manager._live import LiveComponent, facts_of
 from uoarm.model import Edge, QueuePolicy, RouteStatus, Step, ValidationMode
 
 __all__ = ["LiveEdge", "Pool"]
 
+_STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
 _log = logging.getLogger("uoarm")
 
 
 @define(eq=False)
 class LiveEdge:
-    """An open edge: a route of ours, or a native link of the bridge."""
+    """An open edge: a route of ours, or a native link of the bridge.
+
+    Its messages are checked as the strictest of its users wishes; a native link's never are.
+    """
 
     edge: Edge
-    users: list[str] = field(factory=list)
+    users: dict[str, ValidationMode] = field(factory=dict)
     route: Route | None = None
     link: Channel | None = None
     ready: threading.Lock = field(factory=threading.Lock)
+    checking: threading.Lock = field(factory=threading.Lock)
+
+    def renew_check(self) -> None:
+        """Check messages as the users of this moment wish."""
+        if self.route is None:
+            return
+        with self.checking:
+            wished = list(self.users.values())
+            mode = max(wished, key=_STRICTNESS.index, default=ValidationMode.OFF)
+            name = producer_name(self.edge)
+            self.route.check = make_check(self.edge.producer_structure, mode, name)
 
     def status(self) -> RouteStatus | None:
         """Return what the status map shows; None while the edge is being opened."""
@@ -36,7 +51,8 @@ class LiveEdge:
             return self.route.status()
         if self.link is None:
             return None
-        return RouteStatus(producer_name(self.edge), consumer_name(self.edge), 0, 0, native=True)
+        ends = producer_name(self.edge), consumer_name(self.edge)
+        return RouteStatus(*ends, 0, 0, native=True, facts=facts_of(self.link))
 
 
 class Pool:
@@ -99,11 +115,12 @@ class Pool:
                     f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
                     f"{joined.edge.producer!r}; this plan feeds it from {edge.producer!r}"
                 )
-            joined.users.append(user)
+            joined.users[user] = validate
         try:
             with joined.ready:
                 if joined.route is None and joined.link is None:
-                    self._open(joined, producer, consumer, validate)
+                    self._open(joined, producer, consumer)
+                joined.renew_check()
         except BaseException:
             self.part(joined, user, producer)
             raise
@@ -115,14 +132,14 @@ class Pool:
     def part(self, joined: LiveEdge, user: str, producer: LiveComponent) -> None:
         """Take one user of an edge back; the last one closes it."""
         with self._lock:
-            if user in joined.users:
-                joined.users.remove(user)
-            if joined.users:
-                return
+            joined.users.pop(user, None)
             key = joined.edge.consumer, joined.edge.input
-            if self._edges.get(key) is joined:
+            if not joined.users and self._edges.get(key) is joined:
                 del self._edges[key]
-        _shut(joined, producer)
+        if joined.users:
+            joined.renew_check()
+        else:
+            _shut(joined, producer)
 
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components open now."""
@@ -134,13 +151,7 @@ class Pool:
         with self._lock:
             return tuple(self._edges.values())
 
-    def _open(
-        self,
-        joined: LiveEdge,
-        producer: LiveComponent,
-        consumer: LiveComponent,
-        validate: ValidationMode,
-    ) -> None:
+    def _open(self, joined: LiveEdge, producer: LiveComponent, consumer: LiveComponent) -> None:
         edge = joined.edge
         joined.link = _native_link(edge, producer, consumer)
         if joined.link is not None:
@@ -155,7 +166,6 @@ class Pool:
             sink.send,
             clock=self._clock,
             transfer=transfer(edge),
-            check=make_check(edge.producer_structure, validate, producer_name(edge)),
             queue=queue,
         )
         joined.route = route

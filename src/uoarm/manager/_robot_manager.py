@@ -14,20 +14,22 @@ from uoarm.adapt import check_edge
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.config import load
 from uoarm.errors import UsageError
-from uoarm.flow import Clock, Route, make_check
+from uoarm.flow import Clock, make_check
+from uoarm.manager._attempt import Attempt
 from uoarm.manager._board import Board
 from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
 from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
-from uoarm.manager._opening import OpenPlan
 from uoarm.manager._pool import Pool
+from uoarm.manager._prepare import prepare, reference
+from uoarm.manager._survey import survey
 from uoarm.model import (
     ConnectionState,
     Deliver,
+    FunctionStatus,
     Message,
     Plan,
-    PortRef,
     QueuePolicy,
     Robot,
     StatusEvent,
@@ -76,7 +78,8 @@ class RobotManager:
             self._pool,
             self._ledger,
             self._board,
-            forget=self._resolver.invalidate,
+            robot,
+            forget=self._forget,
             retire=self._bridges.retire,
         )
 
@@ -93,18 +96,27 @@ class RobotManager:
         Raises:
             ConfigurationError: the file has mistakes; the text lists all of them.
         """
-        return cls(load(path), registry=registry, clock=clock)
+        registry = registry or Registry()
+        return cls(load(path, registry.types), registry=registry, clock=clock)
 
-    def resolve(self, name: str) -> Plan:
+    def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
         """Return the plan that `request` would open, without opening anything.
 
-        Asks bridges for structures that are not known yet, each within its time limit.
+        Asks bridges for structures that are not known yet; one that does not answer within half
+        a minute is passed over.
 
         Raises:
             ResolutionError: nothing fits; the text says for every candidate why.
+            BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
         """
         self._ledger.require_open()
-        return self._resolver.resolve(_reference(name).function)
+        function = reference(name).function
+        known = self._resolver.known(function)
+        if known is not None:
+            return known
+        return _bounded.run(
+            f"resolving {function!r}", timeout, lambda: self._resolver.resolve(function)
+        )
 
     def request(
         self,
@@ -123,7 +135,7 @@ class RobotManager:
             queue: what to do when the application reads slower than messages come; None:
                 the newest 64 are kept.
             on_message: a callback that receives the messages, from the first one on.
-            timeout: seconds for opening; resolving has its own limits, one for each bridge step.
+            timeout: seconds for everything: resolving, checking and opening.
 
         Raises:
             ResolutionError: nothing fits. Nothing was opened.
@@ -132,21 +144,33 @@ class RobotManager:
                 soon as the bridge lets go.
             UsageError: the function has several outputs and the name does not say which.
         """
-        plan = self.resolve(name)
-        connection = self._prepare(
-            plan, _reference(name), ValidationMode(validate), queue or _INBOX
-        )
-        if on_message is not None:
-            connection.subscribe(on_message)
-        self._ledger.add(connection)
+        self._ledger.require_open()
+        attempt = Attempt()
+
+        def open_plan() -> Connection:
+            connection = prepare(
+                self.resolve(name, timeout=timeout),
+                reference(name),
+                self._ledger.new_id(),
+                pool=self._pool,
+                validate=ValidationMode(validate),
+                queue=queue or _INBOX,
+                clock=self._clock,
+            )
+            if on_message is not None:
+                connection.subscribe(on_message)
+            attempt.adopt(connection)
+            self._ledger.add(connection)
+            connection.open()
+            return connection
+
         try:
-            _bounded.run(f"request for {name!r}", timeout, connection.open)
+            return _bounded.run(f"request for {name!r}", timeout, open_plan)
         except BaseException as error:
-            for step in plan.steps:
-                self._resolver.invalidate(step.component.name)
-            connection.end(ConnectionState.FAILED, str(error))
+            failed = attempt.give_up(str(error))
+            for step in failed.plan.steps if failed is not None else ():
+                self._forget(step.component.name)
             raise
-        return connection
 
     def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
         """Call the service that provides a function and return its reply.
@@ -163,17 +187,9 @@ class RobotManager:
             BridgeTimeoutError: no reply in time.
             UsageError: the function is a stream.
         """
-        plan = self.resolve(name)
-        step = plan.provider
-        service = step.component.service
-        if service is None:
-            raise UsageError(f"function {name!r} is a stream: use request, not call")
-        place = f"request to {step.component.name}"
-        check = make_check(step.structures["request"], ValidationMode.ALWAYS, place)
-        if check is not None:
-            check(message)
-        bridge = self._bridges.get(step.component.bridge)
-        return bridge.call(service.endpoint, message, timeout=timeout)
+        return _bounded.run(
+            f"call of {name!r}", timeout, lambda: self._call(name, message, timeout)
+        )
 
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
@@ -186,6 +202,16 @@ class RobotManager:
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
         )
+
+    def survey(self) -> tuple[FunctionStatus, ...]:
+        """Return which functions and components can be had now; opens nothing.
+
+        Blocks while bridges are asked, several components at once, each within its limit.
+        """
+        self._ledger.require_open()
+        for component in self.robot.components():
+            self._forget(component.name)
+        return survey(self.robot, self._structures, self.resolve)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
@@ -202,6 +228,22 @@ class RobotManager:
             _log.warning("%s", failure)
         self._board.close()
 
+    def _call(self, name: str, message: Message, timeout: float) -> Message:
+        step = self.resolve(name, timeout=timeout).provider
+        service = step.component.service
+        if service is None:
+            raise UsageError(f"function {name!r} is a stream: use request, not call")
+        place = f"request to {step.component.name}"
+        check = make_check(step.structures["request"], ValidationMode.ALWAYS, place)
+        if check is not None:
+            check(message)
+        bridge = self._bridges.get(step.component.bridge)
+        return bridge.call(service.endpoint, message, timeout=timeout)
+
+    def _forget(self, component: str) -> None:
+        self._structures.forget(component)
+        self._resolver.invalidate(component)
+
     def _noticed(self, event: HealthEvent) -> None:
         self._health.noticed(event)
 
@@ -215,38 +257,3 @@ class RobotManager:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-    def _prepare(
-        self, plan: Plan, reference: PortRef, validate: ValidationMode, queue: QueuePolicy
-    ) -> Connection:
-        identity = self._ledger.new_id()
-        output = _output(plan, reference)
-        opened = OpenPlan(plan, identity, self._pool, validate, self._clock)
-        if output is None:
-            return Connection(identity, opened, queue)
-        place = f"{plan.provider.component.name}.{output}"
-        check = make_check(plan.provider.structures[f"output.{output}"], validate, place)
-        return Connection(
-            identity,
-            opened,
-            queue,
-            output=output,
-            receive=lambda hand: Route(place, identity, hand, clock=self._clock, check=check),
-        )
-
-
-def _reference(name: str) -> PortRef:
-    function, dot, port = name.partition(".")
-    return PortRef(function, port if dot else None)
-
-
-def _output(plan: Plan, reference: PortRef) -> str | None:
-    """Return the name of the output that the application receives, None where it has none."""
-    component = plan.provider.component
-    if not component.outputs and reference.port is None:
-        return None
-    output = component.output(reference.port)
-    if output is None:
-        names = ", ".join(f"{reference.function}.{one.name}" for one in component.outputs)
-        raise UsageError(f"say which output of {reference.function!r} is meant: {names or 'none'}")
-    return output.name

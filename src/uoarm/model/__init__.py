@@ -17,6 +17,7 @@ from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, Robot
 from uoarm.model._status import (
     BridgeStatus,
+    ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
@@ -26,12 +27,15 @@ from uoarm.model._status import (
     StatusMap,
 )
 from uoarm.model._structure import MessageStructure
+from uoarm.model._survey import Availability, FunctionStatus
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
 
 __all__ = [
+    "Availability",
     "BridgeSpec",
     "BridgeStatus",
+    "ChannelStatus",
     "Component",
     "ComponentStatus",
     "ConnectionState",
@@ -41,6 +45,7 @@ __all__ = [
     "Edge",
     "Endpoint",
     "Function",
+    "FunctionStatus",
     "Health",
     "Input",
     "Message",

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from attrs import field, frozen
 
-from uoarm.model._component import Function
+from uoarm.model._component import Component, Function
 from uoarm.model._values import Options
 
 __all__ = ["BridgeSpec", "Robot"]
@@ -36,9 +36,17 @@ class Robot:
     Attributes:
         warnings: remarks about the file that do not stop it from being used.
         origin: the file it was read from, empty when it was built in memory.
+        applications: the functions that each application is said to ask for; for readers and
+            checks, nobody else is kept from asking.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
     functions: Mapping[str, Function] = field(hash=False)
     warnings: tuple[str, ...] = ()
     origin: str = ""
+    applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
+
+    def components(self) -> Iterator[Component]:
+        """Yield every component, in the order of the file."""
+        for function in self.functions.values():
+            yield from function.components

@@ -12,7 +12,7 @@ from uoarm.resolve._protocols import Structures, Unavailable
 
 __all__ = ["StructureCache"]
 
-_DESCRIBE_SECONDS = 60.0
+_DESCRIBE_SECONDS = 30.0
 
 
 class StructureCache:

@@ -55,6 +55,10 @@ class Resolver:
         self._plans: dict[str, Plan] = {}
         self._lock = threading.Lock()
 
+    def known(self, name: str) -> Plan | None:
+        """Return the plan that was found before and still holds, None when it must be sought."""
+        return self._plans.get(name)
+
     def resolve(self, name: str, *, excluded: frozenset[str] = frozenset()) -> Plan:
         """Return the plan of highest priority.
 

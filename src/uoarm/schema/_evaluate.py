@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
@@ -12,9 +12,12 @@ from uoarm.schema._trampoline import run
 from uoarm.schema._values import exact, key_of, kind_of
 from uoarm.schema._words import found_in
 
-__all__ = ["OutOfScopeError", "accepts", "failures"]
+__all__ = ["accepts", "item_rules", "member_rules", "named_rules"]
 
-Question: TypeAlias = "tuple[Node, Any]"
+Mark: TypeAlias = "str | int"
+Marks: TypeAlias = "set[Mark] | None"
+"""Names or positions that were evaluated, gathered where something asks for them."""
+Question: TypeAlias = "tuple[Node, Any, Marks]"
 Answer: TypeAlias = Generator[Question, bool, bool]
 
 
@@ -24,57 +27,8 @@ def accepts(node: Node, value: object) -> bool:
     Raises:
         OutOfScopeError: the schema says something that is not decided here.
     """
-    return run((node, value), _valid)
-
-
-def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
-    """Return the innermost failing schemas: node, value there, path, keyword."""
-    found: list[tuple[Node, Any, tuple[str | int, ...], str]] = []
-    waiting: list[tuple[Node, Any, tuple[str | int, ...]]] = [(node, value, ())]
-    visits = 0
-    while waiting and visits < 10_000:  # noqa: PLR2004 - an explanation, not a verdict
-        visits += 1
-        one, part, path = waiting.pop()
-        deeper = [
-            (child, item, (*path, *step))
-            for child, item, step in _direct_parts(one, part)
-            if not child.never and not accepts(child, item)
-        ]
-        keyword = _failing_keyword(one, part)
-        if keyword == "rules" and deeper:
-            waiting.extend(deeper[:3])
-        else:
-            found.append((one, part, path, keyword))
-    return found
-
-
-def _direct_parts(node: Node, value: Any) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
-    parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [(one, value, ()) for one in node.all_of]
-    if node.reference is not None:
-        parts.append((node.target(), value, ()))
-    if isinstance(value, list):
-        parts += [(rule, value[n], (n,)) for n in range(len(value)) for rule in item_rules(node, n)]
-    elif isinstance(value, Mapping):
-        parts += [(rule, value[k], (k,)) for k in value for rule in member_rules(node, k)]
-    return parts
-
-
-def _failing_keyword(node: Node, value: Any) -> str:
-    kind = kind_of(value)
-    if node.kinds is not None and kind not in node.kinds:
-        return "type"
-    if node.integer_only and kind == "number" and exact(value).denominator != 1:
-        return "type"
-    if node.values is not None and key_of(value) not in node.values:
-        return "enum"
-    if isinstance(value, Mapping):
-        if any(name not in value for name in node.required):
-            return "required"
-        if node.additional is not None and node.additional.never:
-            extra = [k for k in value if not named_rules(node, k)]
-            if extra:
-                return "additionalProperties"
-    return "rules"
+    question: Question = (node, value, None)
+    return run(question, _valid)
 
 
 def item_rules(node: Node, position: int) -> list[Node]:
@@ -99,22 +53,54 @@ def member_rules(node: Node, name: str) -> list[Node]:
 
 
 def _valid(question: Question) -> Answer:
-    node, value = question
+    node, value, marks = question
     if node.never:
         return False
     if node.unsupported:
         raise OutOfScopeError(node.unsupported)
     if not _plain_rules(node, value):
         return False
-    gap = node.gaps.get(kind_of(value))
-    if gap:
-        raise OutOfScopeError(gap)
     if isinstance(value, list | tuple):
-        if not (yield from _array(node, value)):
+        if marks is None and node.unevaluated_items is not None:
+            marks = set()
+        if not (yield from _array(node, value, marks)) or not (
+            yield from _logic(node, value, marks)
+        ):
             return False
-    elif isinstance(value, Mapping) and not (yield from _object(node, value)):
-        return False
-    return (yield from _logic(node, value))
+        return (yield from _unevaluated(node.unevaluated_items, enumerate(value), marks))
+    if isinstance(value, Mapping):
+        if marks is None and node.unevaluated_properties is not None:
+            marks = set()
+        if not (yield from _object(node, value, marks)) or not (
+            yield from _logic(node, value, marks)
+        ):
+            return False
+        return (yield from _unevaluated(node.unevaluated_properties, value.items(), marks))
+    return (yield from _logic(node, value, None))
+
+
+def _unevaluated(rule: Node | None, parts: Iterable[tuple[Mark, Any]], marks: Marks) -> Answer:
+    """Hold the parts that nothing evaluated to a rule, which evaluates them."""
+    if rule is None:
+        return True
+    assert marks is not None
+    for mark, part in parts:
+        if mark not in marks:
+            if not (yield rule, part, None):
+                return False
+            marks.add(mark)
+    return True
+
+
+def _apply(node: Node, value: Any, marks: Marks) -> Answer:
+    """Apply a schema to the same value; what it evaluates counts only when it holds."""
+    if marks is None:
+        return (yield node, value, None)
+    own: set[Mark] = set()
+    holds = yield node, value, own
+    if holds:
+        marks |= own
+    return holds
 
 
 def _plain_rules(node: Node, value: Any) -> bool:
@@ -146,7 +132,7 @@ def _number(node: Node, value: float) -> bool:
     )
 
 
-def _array(node: Node, value: Any) -> Answer:
+def _array(node: Node, value: Any, marks: Marks) -> Answer:
     if len(value) < node.min_items or (node.max_items is not None and len(value) > node.max_items):
         return False
     if node.unique and len({key_of(one) for one in value}) < len(value):
@@ -158,19 +144,24 @@ def _array(node: Node, value: Any) -> Answer:
                 composite = isinstance(item, list | tuple | Mapping)
                 key = (rule.number, id(item) if composite else key_of(item))
                 if key not in known:
-                    known[key] = yield rule, item
+                    known[key] = yield rule, item, None
                 if not known[key]:
                     return False
+        if marks is not None:
+            marks.update(range(len(value) if node.items is not None else len(node.prefix)))
     if node.contains is not None:
-        hits = 0
-        for item in value:
-            hits += yield node.contains, item
-        if hits < node.min_contains or (node.max_contains is not None and hits > node.max_contains):
-            return False
+        hits = []
+        for position, item in enumerate(value):
+            if (yield node.contains, item, None):
+                hits.append(position)
+        if marks is not None:
+            marks.update(hits)
+        most = node.max_contains
+        return node.min_contains <= len(hits) and (most is None or len(hits) <= most)
     return True
 
 
-def _object(node: Node, value: Mapping[str, Any]) -> Answer:
+def _object(node: Node, value: Mapping[str, Any], marks: Marks) -> Answer:
     count = len(value)
     if count < node.min_properties:
         return False
@@ -182,42 +173,58 @@ def _object(node: Node, value: Mapping[str, Any]) -> Answer:
         if name in value and any(one not in value for one in needed):
             return False
     for name, item in value.items():
-        if node.names is not None and not (yield node.names, name):
+        if node.names is not None and not (yield node.names, name, None):
             return False
-        for rule in member_rules(node, name):
-            if not (yield rule, item):
+        rules = member_rules(node, name)
+        for rule in rules:
+            if not (yield rule, item, None):
                 return False
+        if rules and marks is not None:
+            marks.add(name)
     for name, rule in node.dependent_schemas:
-        if name in value and not (yield rule, value):
+        if name in value and not (yield from _apply(rule, value, marks)):
             return False
     return True
 
 
-def _logic(node: Node, value: Any) -> Answer:
-    if node.reference is not None and not (yield node.target(), value):
+def _logic(node: Node, value: Any, marks: Marks) -> Answer:
+    if node.reference is not None and not (yield from _apply(node.target(), value, marks)):
         return False
     for one in node.all_of:
-        if not (yield one, value):
+        if not (yield from _apply(one, value, marks)):
             return False
-    if node.any_of is not None:
-        for one in node.any_of:
-            if (yield one, value):
-                break
-        else:
-            return False
+    if node.any_of is not None and not (yield from _any_of(node.any_of, value, marks)):
+        return False
     if node.one_of is not None:
         hits = 0
         for one in node.one_of:
-            hits += yield one, value
+            hits += yield from _apply(one, value, marks)
         if hits != 1:
             return False
-    if node.negated is not None and (yield node.negated, value):
+    if node.negated is not None and (yield node.negated, value, None):
         return False
     if node.condition is not None:
-        branch = node.then if (yield node.condition, value) else node.otherwise
-        if branch is not None and not (yield branch, value):
+        holds = yield from _apply(node.condition, value, marks)
+        branch = node.then if holds else node.otherwise
+        if branch is not None and not (yield from _apply(branch, value, marks)):
             return False
     return True
+
+
+def _any_of(nodes: Iterable[Node], value: Any, marks: Marks) -> Answer:
+    """Apply several schemas; one that is not decided does not matter beside one that holds."""
+    hits = 0
+    undecided: OutOfScopeError | None = None
+    for one in nodes:
+        try:
+            hits += yield from _apply(one, value, marks)
+        except OutOfScopeError as error:
+            undecided = error
+        if hits and marks is None:
+            return True
+    if undecided is not None:
+        raise undecided
+    return hits > 0
 
 
 def _found(pattern: str, text: str) -> bool:

@@ -3,45 +3,23 @@
 A literal is a node with a sign. Expanding it for a kind gives atoms (demands of one sort each,
 see below), further literals, and choices: lists of branches of which one must hold. Negation is
 pushed in here: not-all becomes one-fails, a lower bound becomes an upper one.
-
-Atoms, by their first item:
-
-any kind    ("in", node) one of the node's values; ("notin", node) none of them
-number      ("low", bound, strict), ("high", bound, strict), ("multiple", m), ("notmultiple", m)
-string      ("least", n), ("most", n), ("match", pattern), ("nomatch", pattern)
-array       ("least", n), ("most", n), ("at", i, literal) if there is an i-th,
-            ("tail", start, literal), ("someat", i, literal), ("some", start, literal),
-            ("contains", node, least, most), ("unique",), ("twice",)
-object      ("least", n), ("most", n), ("has", name), ("lacks", name),
-            ("member", name, literal) if present, ("somemember", name, literal),
-            ("pattern", pattern, literal), ("somepattern", pattern, literal),
-            ("rest", node, literal) names that the node does not name, ("somerest", node, literal),
-            ("names", literal), ("somename", literal)
+The sorts of atoms are listed in `_branch`.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Iterable, Sequence
+from itertools import combinations
 
-from attrs import define, field
-
+from uoarm.schema._branch import Atom, Branch, Choice, Literal
+from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._node import Node
+from uoarm.schema._tags import certainly_disjoint
+from uoarm.schema._unevaluated import items_fail, items_hold, members_fail, members_hold
 
-__all__ = ["KINDS", "Atom", "Branch", "Literal", "expand"]
+__all__ = ["expand"]
 
-KINDS = ("null", "boolean", "number", "string", "array", "object")
-
-Literal: TypeAlias = "tuple[Node, bool]"
-Atom: TypeAlias = "tuple[object, ...]"
-
-
-@define
-class Branch:
-    """Demands that hold together; `choices` holds lists of which one branch each must hold."""
-
-    atoms: list[Atom] = field(factory=list)
-    literals: list[Literal] = field(factory=list)
-    choices: list[list[Branch]] = field(factory=list)
+_MAX_RIVALS = 600
 
 
 def expand(literal: Literal, kind: str) -> Branch | None:
@@ -58,7 +36,7 @@ def expand(literal: Literal, kind: str) -> Branch | None:
         return None
     if len(branches) == 1:
         return branches[0]
-    return Branch(choices=[branches])
+    return Branch(choices=[Choice(branches, node)])
 
 
 def _positive(node: Node, kind: str) -> Branch | None:
@@ -72,27 +50,21 @@ def _positive(node: Node, kind: str) -> Branch | None:
     if node.reference is not None:
         whole.literals.append((node.target(), True))
     if node.any_of is not None:
-        whole.choices.append([Branch(literals=[(one, True)]) for one in node.any_of])
+        whole.choices.append(Choice([Branch(literals=[(one, True)]) for one in node.any_of]))
     if node.one_of is not None:
-        whole.choices.append(
-            [Branch(literals=[(n, n is one) for n in node.one_of]) for one in node.one_of]
-            if len({id(n) for n in node.one_of}) == len(node.one_of)
-            else [
-                Branch(literals=[(n, i == j) for j, n in enumerate(node.one_of)])
-                for i in range(len(node.one_of))
-            ]
-        )
+        whole.choices.append(_exactly_one(node.one_of, kind))
     if node.negated is not None:
         whole.literals.append((node.negated, False))
     if node.condition is not None:
-        whole.choices.append(
-            [
-                Branch(literals=[(node.condition, True), *_if_there(node.then, sign=True)]),
-                Branch(literals=[(node.condition, False), *_if_there(node.otherwise, sign=True)]),
-            ]
-        )
+        holds = Branch(literals=[(node.condition, True), *_if_there(node.then, sign=True)])
+        fails = Branch(literals=[(node.condition, False), *_if_there(node.otherwise, sign=True)])
+        whole.choices.append(Choice([holds, fails]))
     if kind == "object":
         whole.choices.extend(_dependencies(node))
+        if node.unevaluated_properties is not None:
+            whole.choices.append(Choice(members_hold(node, node.unevaluated_properties)))
+    elif kind == "array" and node.unevaluated_items is not None:
+        whole.choices.append(Choice(items_hold(node, node.unevaluated_items)))
     return whole
 
 
@@ -100,13 +72,49 @@ def _if_there(node: Node | None, *, sign: bool) -> list[Literal]:
     return [] if node is None else [(node, sign)]
 
 
-def _dependencies(node: Node) -> list[list[Branch]]:
+def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
+    return [
+        one
+        for one in nodes
+        if one.unsupported or not (one.never or (one.kinds is not None and kind not in one.kinds))
+    ]
+
+
+def _check_few(nodes: Sequence[Node]) -> None:
+    if len(nodes) > _MAX_RIVALS:
+        raise OutOfScopeError(f"a oneOf of more than {_MAX_RIVALS} schemas that may overlap")
+
+
+def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
+    possible = _possible(nodes, kind)
+    if certainly_disjoint(possible, kind):
+        return Choice([Branch(literals=[(one, True)]) for one in possible])
+    _check_few(possible)
+    return Choice(
+        [
+            Branch(literals=[(other, i == j) for j, other in enumerate(possible)])
+            for i in range(len(possible))
+        ]
+    )
+
+
+def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
+    possible = _possible(nodes, kind)
+    if certainly_disjoint(possible, kind):
+        return []
+    _check_few(possible)
+    return [Branch(literals=[(one, True), (two, True)]) for one, two in combinations(possible, 2)]
+
+
+def _dependencies(node: Node) -> list[Choice]:
     needs = [
-        [Branch([("lacks", name)]), Branch([("has", name), *(("has", one) for one in names)])]
+        Choice(
+            [Branch([("lacks", name)]), Branch([("has", name), *(("has", one) for one in names)])]
+        )
         for name, names in node.dependent_required
     ]
     rules = [
-        [Branch([("lacks", name)]), Branch([("has", name)], [(rule, True)])]
+        Choice([Branch([("lacks", name)]), Branch([("has", name)], [(rule, True)])])
         for name, rule in node.dependent_schemas
     ]
     return needs + rules
@@ -125,11 +133,7 @@ def _violations(node: Node, kind: str) -> list[Branch]:
         ways.append(Branch(literals=[(one, False) for one in node.any_of]))
     if node.one_of is not None:
         ways.append(Branch(literals=[(one, False) for one in node.one_of]))
-        ways.extend(
-            Branch(literals=[(one, True), (other, True)])
-            for n, one in enumerate(node.one_of)
-            for other in node.one_of[n + 1 :]
-        )
+        ways.extend(_two_at_once(node.one_of, kind))
     if node.negated is not None:
         ways.append(Branch(literals=[(node.negated, True)]))
     if node.condition is not None:
@@ -142,6 +146,10 @@ def _violations(node: Node, kind: str) -> list[Branch]:
             ways.extend(Branch([("has", name), ("lacks", one)]) for one in names)
         for name, rule in node.dependent_schemas:
             ways.append(Branch([("has", name)], [(rule, False)]))
+        if node.unevaluated_properties is not None:
+            ways.extend(members_fail(node, node.unevaluated_properties))
+    elif kind == "array" and node.unevaluated_items is not None:
+        ways.extend(items_fail(node, node.unevaluated_items))
     return ways
 
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._evaluate import failures, member_rules
+from uoarm.schema._evaluate import member_rules
+from uoarm.schema._failures import failures
 from uoarm.schema._node import Node
 from uoarm.schema._verdict import Loss, Reason
 

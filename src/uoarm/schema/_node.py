@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
@@ -18,8 +20,8 @@ __all__ = ["Node"]
 class Node:
     """One schema. Equal content has the same `number`, so that comparing is comparing integers.
 
-    A node that holds something out of scope says so in `unsupported`, or in `gaps` by the kind of
-    value that it concerns. `never` is `false`.
+    A node that holds something out of scope says so in `unsupported`. `never` is `false`. `tags`
+    are found when first asked for, by `_tags`.
     """
 
     number: int
@@ -27,7 +29,6 @@ class Node:
     document: Document
     never: bool = False
     unsupported: str = ""
-    gaps: dict[str, str] = field(factory=dict)
     kinds: frozenset[str] | None = None
     integer_only: bool = False
     values: dict[Key, object] | None = None
@@ -47,9 +48,11 @@ class Node:
     min_contains: int = 1
     max_contains: int | None = None
     unique: bool = False
+    unevaluated_items: Node | None = None
     properties: dict[str, Node] = field(factory=dict)
     patterns: tuple[tuple[str, Node], ...] = ()
     additional: Node | None = None
+    unevaluated_properties: Node | None = None
     names: Node | None = None
     required: tuple[str, ...] = ()
     min_properties: int = 0
@@ -64,8 +67,17 @@ class Node:
     then: Node | None = None
     otherwise: Node | None = None
     reference: str | None = None
+    tags: Mapping[str, AbstractSet[Key]] | None = None
 
     def target(self) -> Node:
         """Return the node that `$ref` points to."""
         assert self.reference is not None
         return self.document.resolve(self.reference)
+
+    def applied(self) -> list[Node]:
+        """Return the schemas that this one applies to the same value."""
+        single = [self.negated, self.condition, self.then, self.otherwise]
+        found = [one for one in single if one is not None]
+        found += [*self.all_of, *(self.any_of or ()), *(self.one_of or ())]
+        found += [one for _, one in self.dependent_schemas]
+        return found if self.reference is None else [*found, self.target()]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Sequence
 from typing import Any, TypeAlias
 
+from uoarm.schema._branch import Atom, Literal
 from uoarm.schema._evaluate import accepts, named_rules
-from uoarm.schema._expand import Atom, Literal
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import Any, TypeAlias
+from typing import Any
 
+from uoarm.schema._array_view import ArrayView
 from uoarm.schema._arrays import array_leaf
+from uoarm.schema._branch import Branch, Choice
+from uoarm.schema._choices import judge, rank
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._expand import Branch, expand
+from uoarm.schema._number_goals import find_number_whole
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
 from uoarm.schema._regex import UnsupportedPatternError
-from uoarm.schema._results import EMPTY, Found, Result, Unknown
+from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State, possible_kinds, try_values
 from uoarm.schema._values import exact, kind_of
 from uoarm.schema._words import TooLong, shortest_word
 
 __all__ = ["answer"]
 
-Judged: TypeAlias = Generator[Goal, Result, "list[Branch] | None"]
+_MAX_TRIED = 100
 
 
 def answer(solver: Solver, goal: Goal) -> Asking:
@@ -41,6 +44,11 @@ def answer(solver: Solver, goal: Goal) -> Asking:
 
 
 def _of_kind(solver: Solver, state: State) -> Asking:
+    if state.kind == "number" and any(node.applied() for node, _ in state.goal):
+        try:
+            return find_number_whole(state.goal, solver.spend)
+        except OutOfScopeError:
+            pass  # one way of several may still be within it
     if not state.add(Branch(literals=list(state.goal))):
         return EMPTY
     if state.kind == "null":
@@ -60,12 +68,12 @@ def _search(solver: Solver, state: State) -> Asking:
         return EMPTY
     while state.choices:
         solver.spend()
-        view = ObjectView(state.atoms) if state.kind == "object" else None
+        view = _view(state)
         many = len(state.choices) > 1
-        open_choices: list[list[Branch]] = []
+        open_choices: list[Choice] = []
         forced: Branch | None = None
         for choice in state.choices:
-            alive = yield from _judge(state, view, choice, many=many)
+            alive = yield from judge(state, view, choice, many=many)
             if alive is None:
                 continue
             if not alive:
@@ -73,7 +81,7 @@ def _search(solver: Solver, state: State) -> Asking:
             if len(alive) == 1 and forced is None:
                 forced = alive[0]
                 continue
-            open_choices.append(alive)
+            open_choices.append(Choice(alive, choice.refused))
         state.choices = open_choices
         if forced is not None:
             if not state.add(forced):
@@ -91,19 +99,32 @@ def _search(solver: Solver, state: State) -> Asking:
     return (yield from _leaf(solver, state))
 
 
+def _view(state: State) -> ObjectView | ArrayView | None:
+    if state.kind == "object":
+        return ObjectView(state.atoms)
+    return ArrayView(state.atoms) if state.kind == "array" else None
+
+
 def _is_finite(state: State) -> bool:
     return any(atom[0] == "in" for atom in state.atoms)
 
 
 def _branch(solver: Solver, state: State) -> Asking:
     """Try the ways of the choice that has fewest, one after another."""
-    position = min(range(len(state.choices)), key=lambda n: len(state.choices[n]))
-    ways = state.choices.pop(position)
+    settled = yield from _without_choices(solver, state)
+    if settled is not None:
+        return settled
+    position = min(range(len(state.choices)), key=lambda n: rank(state.choices[n]))
+    ways = state.choices.pop(position).ways
     unknown: Unknown | None = None
     for way in ways:
         solver.spend()
         trial = state.copy()
-        if not trial.add(way):
+        try:
+            if not trial.add(way):
+                continue
+        except OutOfScopeError as error:
+            unknown = Unknown(str(error))
             continue
         result = yield from _search(solver, trial)
         if isinstance(result, Found):
@@ -113,38 +134,18 @@ def _branch(solver: Solver, state: State) -> Asking:
     return unknown or EMPTY
 
 
-def _judge(state: State, view: ObjectView | None, choice: list[Branch], *, many: bool) -> Judged:
-    """Return the branches that may still hold, or None when the choice holds already."""
-    alive: list[Branch] = []
-    for branch in choice:
-        if not branch.atoms and not branch.literals and not branch.choices:
-            return None
-        if len(branch.atoms) + len(branch.literals) != 1 or branch.choices:
-            if all((n.number, not s) not in state.seen for n, s in branch.literals):
-                alive.append(branch)
-            continue
-        if branch.literals:
-            node, sign = branch.literals[0]
-            if (node.number, sign) in state.seen:
-                return None
-            if node.unsupported or state.kind in node.gaps:
-                alive.append(branch)
-                continue
-            if (node.number, not sign) in state.seen or expand((node, sign), state.kind) is None:
-                continue
-            if not sign and node.kinds is not None and state.kind not in node.kinds:
-                return None
-            alive.append(branch)
-            continue
-        if view is None:
-            alive.append(branch)
-            continue
-        holds = yield from view.judge(branch.atoms[0], many=many)
-        if holds is True:
-            return None
-        if holds is None:
-            alive.append(branch)
-    return alive
+def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Result | None]:
+    """Leave the choices aside: there may be no value even so, or one that happens to do."""
+    if any(atom[0] == "least" and atom[1] > _MAX_TRIED for atom in state.atoms):  # type: ignore[operator] # a size
+        return None
+    try:
+        found = yield from _leaf(solver, state)
+        if isinstance(found, Found):
+            found = try_values([found.value], state)
+            return found if isinstance(found, Found) else None
+    except (OutOfScopeError, UnsupportedPatternError, TooLong):
+        return None
+    return found if isinstance(found, Empty) else None
 
 
 def _leaf(solver: Solver, state: State) -> Asking:

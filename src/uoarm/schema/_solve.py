@@ -10,23 +10,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterable
+from collections.abc import Set as AbstractSet
 from typing import Any, TypeAlias
 
 from attrs import define, field
 
+from uoarm.schema._branch import KINDS, Atom, Branch, Choice, Literal
 from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._evaluate import accepts
-from uoarm.schema._expand import KINDS, Atom, Branch, Literal, expand
+from uoarm.schema._expand import expand
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
-from uoarm.schema._values import kind_of
+from uoarm.schema._tags import contradicts, tags_of
+from uoarm.schema._values import Key, kind_of
 
 __all__ = ["Asking", "BudgetError", "Goal", "Solver", "State"]
 
 Goal: TypeAlias = "tuple[Literal, ...]"
 Asking: TypeAlias = Generator[Goal, Result, Result]
-Key: TypeAlias = "frozenset[tuple[int, bool]]"
+GoalKey: TypeAlias = "frozenset[tuple[int, bool]]"
 
 
 class BudgetError(Exception):
@@ -35,7 +38,7 @@ class BudgetError(Exception):
 
 @define
 class _Frame:
-    key: Key
+    key: GoalKey
     work: Asking
     low: int
     unknown: Unknown | None = None
@@ -48,12 +51,18 @@ class State:
     kind: str
     goal: Goal
     atoms: list[Atom] = field(factory=list)
-    choices: list[list[Branch]] = field(factory=list)
+    choices: list[Choice] = field(factory=list)
     seen: set[tuple[int, bool]] = field(factory=set)
+    tags: dict[str, AbstractSet[Key]] = field(factory=dict)
 
     def add(self, branch: Branch) -> bool:
-        """Demand a branch as well; False when it contradicts what is demanded already."""
+        """Demand a branch as well; False when it contradicts what is demanded already.
+
+        Raises:
+            OutOfScopeError: it does not contradict, but holds something that is not decided.
+        """
         waiting = [branch]
+        cause = ""
         while waiting:
             one = waiting.pop()
             self.atoms.extend(one.atoms)
@@ -66,19 +75,39 @@ class State:
                     continue
                 self.seen.add(key)
                 if node.unsupported:
-                    raise OutOfScopeError(node.unsupported)
-                more = expand((node, sign), self.kind)
-                gap = node.gaps.get(self.kind, "")
-                if more is None and (sign or not gap):
+                    cause = node.unsupported
+                    continue
+                if self.kind == "object" and sign and not self._add_tags(node):
                     return False
-                if gap or more is None:
-                    raise OutOfScopeError(gap)
+                if not sign and contradicts(self.tags, node):
+                    continue
+                more = expand((node, sign), self.kind)
+                if more is None:
+                    return False
                 waiting.append(more)
+        if cause:
+            raise OutOfScopeError(cause)
         return True
 
     def copy(self) -> State:
         """Return a state that can be changed on its own."""
-        return State(self.kind, self.goal, list(self.atoms), list(self.choices), set(self.seen))
+        return State(
+            self.kind,
+            self.goal,
+            list(self.atoms),
+            list(self.choices),
+            set(self.seen),
+            dict(self.tags),
+        )
+
+    def _add_tags(self, node: Node) -> bool:
+        """Learn what an object is tagged with; False when that contradicts what is known."""
+        for name, keys in tags_of(node).items():
+            known = self.tags.get(name)
+            self.tags[name] = keys if known is None else known & keys
+            if not self.tags[name]:
+                return False
+        return True
 
 
 class Solver:
@@ -94,7 +123,7 @@ class Solver:
         self._pool = pool
         self._steps = steps
         self._deadline = time.monotonic() + seconds
-        self._memo: dict[Key, Result] = {}
+        self._memo: dict[GoalKey, Result] = {}
         self._made: dict[str, Node] = {}
 
     def solve(self, goal: Goal) -> Result:
@@ -106,9 +135,9 @@ class Solver:
         from uoarm.schema._search import answer  # noqa: PLC0415 - the two call each other
 
         frames: list[_Frame] = []
-        active: dict[Key, int] = {}
+        active: dict[GoalKey, int] = {}
 
-        def push(asked: Goal, key: Key) -> None:
+        def push(asked: Goal, key: GoalKey) -> None:
             active[key] = len(frames)
             frames.append(_Frame(key, answer(self, asked), len(frames)))
 
@@ -157,7 +186,7 @@ class Solver:
             node = self._made[name] = Document(schema, self._pool).root
         return node
 
-    def _finish(self, frames: list[_Frame], active: dict[Key, int], result: Result) -> Result:
+    def _finish(self, frames: list[_Frame], active: dict[GoalKey, int], result: Result) -> Result:
         frame = frames.pop()
         del active[frame.key]
         depth = len(frames)
@@ -188,12 +217,12 @@ def possible_kinds(goal: Goal) -> list[str]:
     """Return the kinds that the positive literals leave, likely ones first."""
     kinds = list(KINDS)
     for node, sign in goal:
-        if sign and node.kinds is not None:
+        if sign and node.kinds is not None and not node.unsupported:
             kinds = [one for one in kinds if one in node.kinds]
     return kinds
 
 
-def _key(goal: Goal) -> Key | None:
+def _key(goal: Goal) -> GoalKey | None:
     """Return what names a goal in the memory; None when it contradicts itself."""
     key = frozenset((node.number, sign) for node, sign in goal)
     if any((number, not sign) in key for number, sign in key):

@@ -16,18 +16,31 @@ A = TypeVar("A")
 
 
 def run(question: Q, answer: Callable[[Q], Generator[Q, A, A]]) -> A:
-    """Answer a question by running its generator; what it yields is answered the same way."""
+    """Answer a question by running its generator; what it yields is answered the same way.
+
+    An OutOfScopeError of an answer is thrown into whatever asked for it.
+    """
     stack = [answer(question)]
     result: A | None = None
+    failure: OutOfScopeError | None = None
     while stack:
         try:
-            asked = stack[-1].send(result)  # type: ignore[arg-type] # None starts a generator
+            if failure is not None:
+                thrown, failure = failure, None
+                asked = stack[-1].throw(thrown)
+            else:
+                asked = stack[-1].send(result)  # type: ignore[arg-type] # None starts a generator
         except StopIteration as done:
             stack.pop()
             result = done.value
+        except OutOfScopeError as error:
+            stack.pop()
+            failure = error
         else:
             if len(stack) > _MAX_DEPTH:
                 raise OutOfScopeError(f"more than {_MAX_DEPTH:,} schemas within one another")
             stack.append(answer(asked))
             result = None
+    if failure is not None:
+        raise failure
     return result  # type: ignore[return-value] # the last generator returned it

@@ -101,6 +101,9 @@ class Client:
         async for frame in self._socket:
             self.received += 1
             session.handle(frame)
+            if self.outbox.overflowed:
+                self.cut("it does not read its replies")
+                return
             if self.received % _TURN == 0:
                 now = time.monotonic()
                 allowance = min(rate, allowance + (now - before) * rate) - _TURN

@@ -7,14 +7,14 @@ import functools
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 from attrs import frozen
 
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.manager import Connection, RobotManager
-from uoarm.model import Message, Plan, StatusEvent, ValidationMode
+from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
 from uoarm.server._limits import Limits
@@ -23,6 +23,7 @@ from uoarm.server._workers import Workers
 __all__ = ["Desk", "Wanted", "Watcher"]
 
 _log = logging.getLogger("uoarm.server")
+Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Hears of a change and of the function concerned, empty where it is not known."""
 
@@ -70,6 +71,7 @@ class Desk:
         self._closings: set[asyncio.Task[None]] = set()
         self._watchers: dict[Watcher, None] = {}
         self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
+        self._names: dict[str, str] = {}
         self._functions = {
             component.name: function.name
             for function in robot.robot.functions.values()
@@ -127,14 +129,39 @@ class Desk:
         """Return the running feed of a connection's id."""
         return self._by_id.get(connection)
 
-    async def call(self, name: str, message: Message, timeout: float) -> Message:
-        """Call a service in a worker; raises as `RobotManager.call`, and BusyError."""
+    async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
+        """Call a service in a worker.
+
+        Args:
+            name: a function.
+            message: the request as it came.
+            read: makes its logical value, by the service's structure.
+            timeout: seconds; the limit for all clients holds as well.
+
+        Raises:
+            UsageError: the function is a stream.
+            UoarmError: as `RobotManager.call`, and BusyError.
+        """
         limit = min(timeout, self.limits.call_seconds)
-        return await self.workers.start(lambda: self.robot.call(name, message, timeout=limit))
+
+        def work() -> Message:
+            structure = self.robot.resolve(name).provider.structures.get("request")
+            if structure is None:
+                raise UsageError(f"function {name!r} is a stream, not a service")
+            return self.robot.call(name, read(structure, message), timeout=limit)
+
+        return await self.workers.start(work)
 
     async def resolve(self, name: str) -> Plan:
         """Find a plan in a worker; raises as `RobotManager.resolve`, and BusyError."""
         return await self.workers.start(lambda: self.robot.resolve(name))
+
+    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
+        """Return the structures of a function's ports; of one that nothing provides, none."""
+        try:
+            return (await self.resolve(function)).provider.structures
+        except (ResolutionError, BridgeError, PluginError):
+            return {}
 
     def watch(self, watcher: Watcher) -> None:
         """Tell a watcher every change and the function that it concerns, from now on."""
@@ -181,15 +208,23 @@ class Desk:
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
-        feed = self._by_id.get(name) if kind == "connection" else None
         function = self._functions.get(name, "") if kind == "component" else ""
-        if feed is not None and feed.connection is not None:
-            function = feed.connection.plan.function
+        if kind == "connection":
+            function = self._function_of(name)
             if event.change in _ENDS:
-                self._ended(feed)
+                self._names.pop(name, None)
+                if name in self._by_id:
+                    self._ended(self._by_id[name])
         self._past.append((time.monotonic(), event, function))
         for watcher in tuple(self._watchers):
             watcher(event, function)
+
+    def _function_of(self, connection: str) -> str:
+        """Return the function of a connection, also of one that the application itself opened."""
+        if connection not in self._names:
+            statuses = self.robot.status().connections
+            self._names |= {one.id: one.function for one in statuses}
+        return self._names.get(connection, "")
 
     def _ended(self, feed: Feed) -> None:
         assert feed.connection is not None, "only an opened feed can end"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
@@ -16,7 +17,7 @@ from uoarm.server._hop import Hop
 
 __all__ = ["Feed", "Listener", "Parcel"]
 
-_BATCH = 64
+_TURN_SECONDS = 0.001
 
 
 @define(eq=False)
@@ -120,11 +121,12 @@ class Feed:
             asyncio.get_running_loop().call_soon(self._hand_out)
 
     def _hand_out(self) -> None:
-        """Hand out a batch; the loop gets a turn between two, so that replies stay quick."""
+        """Hand out for a moment, then let writers and replies have their turn."""
         self._pending = False
         if not self._listeners:
             return
-        for _ in range(min(_BATCH, len(self._waiting))):
+        end = time.perf_counter() + _TURN_SECONDS
+        while self._waiting and time.perf_counter() < end:
             self._hand_one(self._waiting.popleft())
         if self._waiting:
             self._schedule()

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from uoarm._version import __version__
-from uoarm.errors import ControlMessageError, UoarmError, UsageError
+from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
 from uoarm.resolve import NoPlanError
-from uoarm.server._asked import check_asked, salvage_id
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of
-from uoarm.server._forms import Form, write_or_tell
 from uoarm.server._holdings import Holdings, wanted_by
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
+from uoarm.wire import Form, check_asked, salvage_id, write_or_tell
 
 __all__ = ["NativeSession"]
 
@@ -120,14 +120,10 @@ class NativeSession:
     async def _call(self, asked: ControlMessage) -> None:
         name = str(asked.type)
         self._require(Operation.CALL, name)
-        plan = await self._desk.resolve(name)
-        structure = plan.provider.structures.get("request")
-        if structure is None:
-            raise UsageError(f"function {name!r} is a stream: send Request, not Call")
-        message = read_message(self._form, structure, asked.jsonMessage)
         limit = asked.extensions.get("x-timeout", self._client.limits.call_seconds)
         assert isinstance(limit, int | float), "the schema says so"
-        self._reply(asked, await self._desk.call(name, message, float(limit)))
+        read = functools.partial(read_message, self._form)
+        self._reply(asked, await self._desk.call(name, asked.jsonMessage, read, float(limit)))
 
     async def _resolve(self, asked: ControlMessage) -> None:
         name = str(asked.type)

@@ -27,7 +27,7 @@ class Lane:
     text: bool
     dropped: int = 0
     sent: int = 0
-    waiting: deque[bytes] = field(factory=deque)
+    waiting: deque[tuple[bytes, ...]] = field(factory=deque)
 
     @property
     def length(self) -> int:
@@ -53,6 +53,7 @@ class Outbox:
         self._max_replies = max_replies
         self._replies: deque[tuple[bytes, bool]] = deque()
         self._turns: deque[Lane] = deque()
+        self._pieces: deque[tuple[bytes, bool]] = deque()
         self._bytes = 0
         self._reply_bytes = 0
         self._filled = asyncio.Event()
@@ -68,7 +69,7 @@ class Outbox:
     @property
     def empty(self) -> bool:
         """Whether nothing waits."""
-        return not self._replies and not self._turns
+        return not (self._replies or self._turns or self._pieces)
 
     def tell(self, frame: bytes, *, text: bool) -> None:
         """Add a reply or an event."""
@@ -81,14 +82,17 @@ class Outbox:
             self._reply_bytes += len(frame)
         self._filled.set()
 
-    def put(self, lane: Lane, frame: bytes) -> None:
-        """Add one data message of a stream, dropping older ones as its policy says."""
+    def put(self, lane: Lane, *frames: bytes) -> None:
+        """Add one data message of a stream, dropping older ones as its policy says.
+
+        Several frames are the pieces of one message: sent one after the other, or dropped whole.
+        """
         if not lane.waiting:
             self._turns.append(lane)
         elif len(lane.waiting) >= lane.length:
             self._drop(lane)
-        lane.waiting.append(frame)
-        self._bytes += len(frame)
+        lane.waiting.append(frames)
+        self._bytes += _size(frames)
         while self._bytes > self._max_bytes and self._drop_somewhere():
             pass
         self._filled.set()
@@ -97,14 +101,14 @@ class Outbox:
         """Add the last frame of a stream, after all that waits of it."""
         if not lane.waiting:
             self._turns.append(lane)
-        lane.waiting.append(frame)
+        lane.waiting.append((frame,))
         self._bytes += len(frame)
         self._filled.set()
 
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
         while lane.waiting:
-            self._bytes -= len(lane.waiting.popleft())
+            self._bytes -= _size(lane.waiting.popleft())
         if lane in self._turns:
             self._turns.remove(lane)
 
@@ -115,6 +119,8 @@ class Outbox:
                 frame, text = self._replies.popleft()
                 self._reply_bytes -= len(frame)
                 return frame, text
+            if self._pieces:
+                return self._pieces.popleft()
             if self._turns:
                 return self._next_data()
             self._filled.clear()
@@ -129,22 +135,27 @@ class Outbox:
 
     def _next_data(self) -> tuple[bytes, bool]:
         lane = self._turns.popleft()
-        frame = lane.waiting.popleft()
-        self._bytes -= len(frame)
+        frames = lane.waiting.popleft()
+        self._bytes -= _size(frames)
+        self._pieces.extend((piece, lane.text) for piece in frames[1:])
         lane.sent += 1
         if lane.waiting:
             self._turns.append(lane)
-        return frame, lane.text
+        return frames[0], lane.text
 
     def _drop(self, lane: Lane) -> None:
-        self._bytes -= len(lane.waiting.popleft())
+        self._bytes -= _size(lane.waiting.popleft())
         lane.dropped += 1
         self.dropped += 1
 
     def _drop_somewhere(self) -> bool:
         """Drop from the stream that holds most; a single message is always kept."""
-        fullest = max(self._turns, key=lambda lane: sum(map(len, lane.waiting)))
+        fullest = max(self._turns, key=lambda lane: sum(map(_size, lane.waiting)))
         if len(fullest.waiting) == 1:
             return False
         self._drop(fullest)
         return True
+
+
+def _size(frames: tuple[bytes, ...]) -> int:
+    return sum(map(len, frames))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from uoarm.manager import RobotManager
 from uoarm.server._server import Server
@@ -34,12 +36,7 @@ def run(
         OSError: a port is taken.
     """
     server = Server(robot, settings)
-    loop = _new_loop()
-    try:
-        loop.run_until_complete(_until_signal(server, ready))
-    finally:
-        loop.run_until_complete(loop.shutdown_asyncgens())
-        loop.close()
+    _run_loop(_new_loop(), _until_signal(server, ready))
 
 
 @contextmanager
@@ -67,10 +64,7 @@ def serve_in_thread(robot: RobotManager, settings: Settings) -> Iterator[Server]
         await stop.wait()
         await server.stop()
 
-    def work() -> None:
-        loop.run_until_complete(serve())
-        loop.close()
-
+    work = functools.partial(_run_loop, loop, serve())
     thread = threading.Thread(target=work, name="uoarm-serve", daemon=True)
     thread.start()
     try:
@@ -96,6 +90,20 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
         await stop.wait()
     finally:
         await server.stop()
+
+
+def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) -> None:
+    """Run one piece of work in a loop, and end whatever it has left there."""
+    try:
+        loop.run_until_complete(work)
+    finally:
+        left = asyncio.all_tasks(loop)
+        for task in left:
+            task.cancel()
+        if left:
+            loop.run_until_complete(asyncio.wait(left))
+        loop.run_until_complete(loop.shutdown_asyncgens())
+        loop.close()
 
 
 def _new_loop() -> asyncio.AbstractEventLoop:

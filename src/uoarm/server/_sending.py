@@ -14,12 +14,13 @@ from uoarm.errors import UsageError
 from uoarm.flow import make_check
 from uoarm.manager import Connection
 from uoarm.model import Message, MessageStructure, ValidationMode
-from uoarm.server._forms import Form
 from uoarm.server._workers import BusyError, Workers
+from uoarm.wire import Form
 
 __all__ = ["Sending", "read_message"]
 
 _BATCH = 256
+_FLUSH_SECONDS = 2.0
 Done: TypeAlias = Callable[[BaseException | None], None]
 
 
@@ -69,11 +70,18 @@ class Sending:
                 raise
 
     def after(self, action: Callable[[], None]) -> None:
-        """Do something once all that was sent until now was handed over."""
+        """Do something once the component has taken all that was sent until now.
+
+        A component that hangs is waited for two seconds only.
+        """
         if self._running:
             self._after.append(action)
         else:
-            action()
+            self._flush([action])
+
+    def _flush(self, actions: list[Callable[[], None]]) -> None:
+        flushed = self._workers.start(lambda: self._connection.flush(_FLUSH_SECONDS), always=True)
+        flushed.add_done_callback(lambda _: [action() for action in actions])
 
     def _run(self) -> None:
         batch = list(islice(self._waiting, _BATCH))
@@ -92,9 +100,9 @@ class Sending:
             self._run()
             return
         self._running = False
-        after, self._after = self._after, []
-        for action in after:
-            action()
+        if self._after:
+            after, self._after = self._after, []
+            self._flush(after)
 
     def _hand_over(self, letter: _Letter) -> BaseException | None:
         """Return what went wrong with one message, in a worker."""

@@ -20,10 +20,11 @@ from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
 from uoarm.server._desk import Desk
 from uoarm.server._doors import Doors
-from uoarm.server._forms import FORMS, TEXT_FORM
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
+from uoarm.server.rosbridge import Hub, RosbridgeSession
+from uoarm.wire import FORMS, TEXT_FORM
 
 __all__ = ["Server"]
 
@@ -57,6 +58,7 @@ class Server:
         self._tls = settings.tls()
         self._audit = Audit()
         self._totals = Totals()
+        self._hub = Hub()
         self._connected: Counter[str] = Counter()
         self._clients: dict[Client, Pass] = {}
         self._listening: list[Listening] = []
@@ -105,6 +107,7 @@ class Server:
         )
         for socket in tuple(self._sockets):
             socket.transport.abort()
+        await _all_within(limit, [listening.wait_closed() for listening in self._listening])
         if self._desk is not None:
             await self._desk.close()
 
@@ -172,7 +175,8 @@ class Server:
     def _session(
         self, client: Client, desk: Desk, socket: ServerConnection, *, rosbridge: bool
     ) -> Session:
-        assert not rosbridge, "not served yet"
+        if rosbridge:
+            return RosbridgeSession(client, desk, self._hub, self._audit)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
         return NativeSession(client, desk, form, self._audit)
 
@@ -183,11 +187,8 @@ class Server:
             self._admission.refresh()
             now = time.monotonic()
             for client, shown in list(self._clients.items()):
-                role = self._admission.role(shown)
-                if role is None:
-                    client.dismiss("the token is no longer valid")
-                else:
-                    client.role = role
+                if self._admission.role(shown) != client.role:
+                    client.dismiss("its rights have changed or ended; connect again")
                 client.check(now)
 
     def _health(self) -> dict[str, object]:

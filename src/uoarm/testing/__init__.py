@@ -1,8 +1,34 @@
-"""Help for testing bridges and components: instances of message structures.
+"""Help for testing bridges, components and applications: a bridge to play on, faults, waiting.
 
-Needs the packages of the extra `dev`; hypothesis is imported when it is used.
+The conformance kit for bridge authors is `uoarm.testing.conformance`, which needs pytest;
+`instances` needs hypothesis. Nothing else here needs more than uoarm itself.
 """
 
+from uoarm.testing._census import Census
+from uoarm.testing._clock import ManualClock
+from uoarm.testing._collector import Background, Collector
+from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
+from uoarm.testing._memory import MemoryBridge
+from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._same import plain, same
 
-__all__ = ["find_instance", "instances"]
+__all__ = [
+    "Background",
+    "Census",
+    "Collector",
+    "Emitter",
+    "Hang",
+    "Loop",
+    "ManualClock",
+    "MemoryBridge",
+    "Service",
+    "Taker",
+    "find_instance",
+    "hanging",
+    "instances",
+    "lying",
+    "plain",
+    "raising",
+    "same",
+]

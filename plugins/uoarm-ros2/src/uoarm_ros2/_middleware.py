@@ -139,7 +139,7 @@ class Station:
         """End the thread; whether it ended within `limit` seconds."""
         self._stopping = True
         with suppress(Exception):  # it may have put itself away already
-            self._executor.wake()
+            self._executor.create_task(_nothing)  # work, which ends a spin at once; wake() does not
         return threading.current_thread() is self._thread or self._ended.wait(limit)
 
     def _run(self) -> None:
@@ -277,6 +277,15 @@ class Station:
     def has_server(self, service: str) -> bool:
         """Whether a server of this full name is on the graph; clients do not count."""
         return bool(self.node.count_services(service))
+
+    def servers(self, service: str) -> tuple[Peer, ...]:
+        """Return the servers of a full name, as their reply topics show them.
+
+        Empty where the middleware names these topics otherwise than DDS does in ROS 2:
+        https://design.ros2.org/articles/topic_and_service_names.html
+        """
+        found = self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)
+        return tuple(map(_peer, found))
 
     def services(self) -> dict[str, list[str]]:
         """Return the services on the graph now, with their types."""

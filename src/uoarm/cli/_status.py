@@ -1,0 +1,52 @@
+"""`uoarm status`: which functions can be had now, from which component, and why not the others."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import click
+
+from uoarm import RobotManager
+from uoarm.cli._shared import REFUSED, configuration_option, json_option, open_robot, print_json
+from uoarm.model import FunctionStatus
+
+__all__ = ["status"]
+
+
+@click.command()
+@configuration_option
+@click.option("--watch", is_flag=True, help="Ask again until Ctrl-C.")
+@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
+@json_option
+def status(file: str, *, watch: bool, every: float, as_json: bool) -> None:
+    """Ask every bridge what can be had now, without opening anything.
+
+    Exit code 0 when every function can be had, 1 otherwise.
+    """
+    with open_robot(file) as robot:
+        functions = _show(robot, as_json=as_json)
+        while watch:
+            time.sleep(every)
+            if sys.stdout.isatty() and not as_json:
+                click.clear()
+            functions = _show(robot, as_json=as_json)
+    sys.exit(REFUSED if any(one.provider is None for one in functions) else 0)
+
+
+def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
+    functions = robot.survey()
+    if as_json:
+        print_json(functions)
+        return functions
+    for function in functions:
+        colour = "red" if function.provider is None else "green"
+        state = "cannot be had" if function.provider is None else f"from {function.provider}"
+        click.echo(f"{click.style(function.name, bold=True)}  {click.style(state, fg=colour)}")
+        for one in function.candidates:
+            mark = "*" if one.component == function.provider else " "
+            told = one.cause or "available"
+            click.echo(f"  {mark} {one.priority:>4}  {one.component}  ({one.bridge})  {told}")
+        if function.provider is None and not any(one.cause for one in function.candidates):
+            click.echo(f"  {function.cause}")
+    return functions

@@ -1,0 +1,84 @@
+"""Mistakes that only a plugin can tell: options that it does not know, addresses it cannot read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from uoarm.bridge import BridgeType
+from uoarm.config._document import Document, Path
+from uoarm.config._parts import bridge_names, components
+from uoarm.config._problem import Problem, clip, write_path
+from uoarm.config._spelling import Speller
+
+__all__ = ["PluginChecker"]
+
+
+class PluginChecker:
+    """Asks the installed bridge types about what is written for them.
+
+    A bridge whose plugin is not installed is passed over: the same file may serve machines with
+    different frameworks.
+    """
+
+    def __init__(
+        self, document: Document, file: str, speller: Speller, types: Mapping[str, BridgeType]
+    ) -> None:
+        self._document = document
+        self._file = file
+        self._speller = speller
+        self._bridges: dict[str, tuple[BridgeType, Any]] = {}
+        for name, written in bridge_names(document.value).items():
+            settings = written if isinstance(written, dict) else {}
+            kind = types.get(str(settings.get("plugin", name)))
+            if kind is not None:
+                self._bridges[name] = kind, settings.get("options", {})
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield every mistake in options and endpoints."""
+        for name, (kind, options) in self._bridges.items():
+            if isinstance(options, dict):
+                yield from self._option_problems(kind, options, ("bridges", name, "options"))
+        for component in components(self._document.value):
+            bridge = component.text("bridge")
+            if bridge in self._bridges:
+                kind, _ = self._bridges[bridge]
+                for port in (*component.inputs(), *component.outputs(), *component.services()):
+                    yield from self._endpoint_problems(kind, port.value, port.path)
+
+    def _option_problems(self, kind: BridgeType, options: Any, path: Path) -> Iterator[Problem]:
+        from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+
+        for error in Draft202012Validator(kind.options_schema).iter_errors(options):
+            where: Path = (*path, *error.absolute_path)
+            if error.validator == "additionalProperties" and isinstance(error.instance, dict):
+                known = list(error.schema.get("properties", {}))
+                for key in error.instance.keys() - set(known):
+                    hint = self._speller.guess_or_list(key, known, "known options") if known else ""
+                    sentence = f"the plugin {kind.name} has no option {clip(key)}"
+                    yield self._problem((*where, key), sentence, hint, at_key=True)
+            else:
+                yield self._problem(where, f"the plugin {kind.name} says: {error.message}")
+
+    def _endpoint_problems(
+        self, kind: BridgeType, port: Mapping[str, Any], path: Path
+    ) -> Iterator[Problem]:
+        address, options = port.get("endpoint"), port.get("options", {})
+        if not isinstance(address, list) or not all(isinstance(part, str) for part in address):
+            return
+        if not isinstance(options, dict) or kind.check_endpoint is None:
+            return
+        try:
+            wrong = kind.check_endpoint(tuple(address), options)
+        except Exception as error:  # noqa: BLE001 - a plugin may raise anything
+            wrong = f"check_endpoint failed with {type(error).__name__}: {error}"
+        if wrong:
+            yield self._problem((*path, "endpoint"), f"the plugin {kind.name} says: {wrong}")
+
+    def _problem(
+        self, path: Path, sentence: str, hint: str = "", *, at_key: bool = False
+    ) -> Problem:
+        place = self._document.key_place(path) if at_key else self._document.place(path)
+        return Problem(
+            place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
+        )

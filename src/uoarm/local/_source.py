@@ -1,0 +1,105 @@
+"""Sources: the thread that iterates over a component, for as long as somebody listens."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable, Iterator
+from typing import Any
+
+__all__ = ["Source"]
+
+Finished = Callable[[Exception | None], None]
+
+
+class Source:
+    """Iterates in a daemon thread from the first listener's coming to the last one's leaving.
+
+    May be used from any thread.
+
+    Args:
+        iterate: makes the iterator; called in the listener's thread, so that it may refuse.
+        emit: takes each message, in the source's thread.
+        name: of the thread.
+    """
+
+    def __init__(
+        self, iterate: Callable[[], Iterator[Any]], emit: Callable[[Any], None], name: str
+    ) -> None:
+        self._iterate = iterate
+        self._emit = emit
+        self._name = name
+        self._changing = threading.Lock()
+        self._listeners: dict[Hashable, Finished] = {}
+        self._run: _Run | None = None
+
+    def add_listener(self, key: Hashable, finished: Finished) -> threading.Thread:
+        """Start iterating unless it does already, and return the thread.
+
+        `finished` hears of the end, with the exception if there was one, unless `key` was removed
+        before.
+        """
+        with self._changing:
+            if self._run is None:
+                self._run = _Run(self._iterate(), self._emit, self._ended, self._name)
+                self._run.thread.start()
+            self._listeners[key] = finished
+            return self._run.thread
+
+    def remove_listener(self, key: Hashable) -> None:
+        """Forget a listener; after the last one the iteration ends with the next message."""
+        with self._changing:
+            self._listeners.pop(key, None)
+            if not self._listeners:
+                self._stop()
+
+    def stop(self) -> None:
+        """Tell the iteration to end, and nobody of it."""
+        with self._changing:
+            self._listeners.clear()
+            self._stop()
+
+    def _stop(self) -> None:
+        if self._run is not None:
+            self._run.stopped = True
+            self._run = None
+
+    def _ended(self, run: _Run, failure: Exception | None) -> None:
+        with self._changing:
+            if self._run is not run:
+                return
+            self._run = None
+            listeners = list(self._listeners.values())
+        for finished in listeners:
+            finished(failure)
+
+
+class _Run:
+    """One iteration from its beginning to its end."""
+
+    def __init__(
+        self,
+        messages: Iterator[Any],
+        emit: Callable[[Any], None],
+        ended: Callable[[_Run, Exception | None], None],
+        name: str,
+    ) -> None:
+        self._messages = messages
+        self._emit = emit
+        self._ended = ended
+        self.stopped = False
+        self.thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def _work(self) -> None:
+        failure: Exception | None = None
+        try:
+            for message in self._messages:
+                if self.stopped:
+                    break
+                self._emit(message)
+        except Exception as error:  # noqa: BLE001 - a component may raise anything
+            failure = error
+        finally:
+            close = getattr(self._messages, "close", None)
+            if callable(close):
+                close()
+        self._ended(self, failure)

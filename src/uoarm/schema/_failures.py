@@ -1,0 +1,62 @@
+"""Where a value fails a schema: the innermost schemas that refuse a part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm.schema._evaluate import accepts, item_rules, member_rules, named_rules
+from uoarm.schema._node import Node
+from uoarm.schema._values import exact, key_of, kind_of
+
+__all__ = ["failures"]
+
+
+def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
+    """Return the innermost failing schemas: node, value there, path, keyword."""
+    found: list[tuple[Node, Any, tuple[str | int, ...], str]] = []
+    waiting: list[tuple[Node, Any, tuple[str | int, ...]]] = [(node, value, ())]
+    visits = 0
+    while waiting and visits < 10_000:  # noqa: PLR2004 - an explanation, not a verdict
+        visits += 1
+        one, part, path = waiting.pop()
+        deeper = [
+            (child, item, (*path, *step))
+            for child, item, step in _direct_parts(one, part)
+            if not child.never and not accepts(child, item)
+        ]
+        keyword = _failing_keyword(one, part)
+        if keyword == "rules" and deeper:
+            waiting.extend(deeper[:3])
+        else:
+            found.append((one, part, path, keyword))
+    return found
+
+
+def _direct_parts(node: Node, value: Any) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
+    parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [(one, value, ()) for one in node.all_of]
+    if node.reference is not None:
+        parts.append((node.target(), value, ()))
+    if isinstance(value, list):
+        parts += [(rule, value[n], (n,)) for n in range(len(value)) for rule in item_rules(node, n)]
+    elif isinstance(value, Mapping):
+        parts += [(rule, value[k], (k,)) for k in value for rule in member_rules(node, k)]
+    return parts
+
+
+def _failing_keyword(node: Node, value: Any) -> str:
+    kind = kind_of(value)
+    if node.kinds is not None and kind not in node.kinds:
+        return "type"
+    if node.integer_only and kind == "number" and exact(value).denominator != 1:
+        return "type"
+    if node.values is not None and key_of(value) not in node.values:
+        return "enum"
+    if isinstance(value, Mapping):
+        if any(name not in value for name in node.required):
+            return "required"
+        if node.additional is not None and node.additional.never:
+            extra = [k for k in value if not named_rules(node, k)]
+            if extra:
+                return "additionalProperties"
+    return "rules"

@@ -1,0 +1,62 @@
+"""A census of what this process holds: threads and file descriptors."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from pathlib import Path
+
+__all__ = ["Census"]
+
+_DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
+_OF_THE_CORE = "uoarm-step"
+_GLANCE_SECONDS = 0.02
+
+
+class Census:
+    """The threads and descriptors at one moment, to be compared with a later one.
+
+    The core's own idle step threads do not count: they end by themselves.
+    """
+
+    def __init__(self) -> None:
+        gc.collect()
+        self._threads = set(threading.enumerate())
+        self._descriptors = _count_descriptors()
+
+    def check(self, patience: float = 10.0) -> None:
+        """Hold that nothing is left over, giving threads and descriptors time to end.
+
+        Raises:
+            AssertionError: it names the threads, or gives the number of descriptors, that stay.
+        """
+        deadline = time.monotonic() + patience
+        for thread in self._left_over():
+            thread.join(max(0.0, deadline - time.monotonic()))
+        names = sorted(thread.name for thread in self._left_over())
+        if names:
+            raise AssertionError(f"{len(names)} threads are left over: {', '.join(names[:8])}")
+        gc.collect()
+        pause = threading.Event()
+        while (extra := _count_descriptors() - self._descriptors) > 0:
+            if time.monotonic() >= deadline:
+                raise AssertionError(f"{extra} file descriptors are left over")
+            pause.wait(_GLANCE_SECONDS)
+
+    def _left_over(self) -> list[threading.Thread]:
+        return [
+            thread
+            for thread in threading.enumerate()
+            if thread not in self._threads and thread.name != _OF_THE_CORE
+        ]
+
+
+def _count_descriptors() -> int:
+    """Return how many descriptors are open, 0 where the system does not tell."""
+    for folder in _DESCRIPTORS:
+        try:
+            return sum(1 for _ in Path(folder).iterdir())
+        except OSError:
+            continue
+    return 0

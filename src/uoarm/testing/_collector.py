@@ -1,0 +1,128 @@
+"""Collectors and background actions: how a test waits for what other threads do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Generic, TypeVar
+
+from uoarm.model import Message
+
+__all__ = ["Background", "Collector"]
+
+T = TypeVar("T")
+_PATIENCE_SECONDS = 10.0
+
+
+class Collector:
+    """A `deliver` that keeps what comes, and lets a test wait for it or hold it up.
+
+    Attributes:
+        overlaps: deliveries that began while another one of this collector was under way.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._messages: list[Message] = []
+        self._begun = 0
+        self._busy = 0
+        self.overlaps = 0
+        self._open = threading.Event()
+        self._open.set()
+
+    @property
+    def begun(self) -> int:
+        """How many deliveries have begun, those that are held up included."""
+        return self._begun
+
+    @property
+    def messages(self) -> list[Message]:
+        """What has come so far, in order."""
+        with self._changed:
+            return list(self._messages)
+
+    def deliver(self, message: Message) -> None:
+        """Keep one message, once nothing holds it up."""
+        with self._changed:
+            self._begun += 1
+            self.overlaps += self._busy > 0
+            self._busy += 1
+            self._changed.notify_all()
+        self._open.wait()
+        with self._changed:
+            self._messages.append(message)
+            self._busy -= 1
+            self._changed.notify_all()
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold up every delivery meanwhile, as a consumer does that is too slow."""
+        self._open.clear()
+        try:
+            yield
+        finally:
+            self._open.set()
+
+    def wait(self, count: int, timeout: float = _PATIENCE_SECONDS) -> list[Message]:
+        """Return the messages once there are `count` or more.
+
+        Raises:
+            AssertionError: fewer came within `timeout` seconds.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: len(self._messages) >= count, timeout):
+                came = len(self._messages)
+                raise AssertionError(f"{came} of {count} messages came within {timeout:g} s")
+            return list(self._messages)
+
+    def wait_for(self, fits: Callable[[Message], bool], timeout: float = _PATIENCE_SECONDS) -> None:
+        """Wait until a message has come that fits.
+
+        Raises:
+            AssertionError: none came within `timeout` seconds.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: any(map(fits, self._messages)), timeout):
+                raise AssertionError(f"no such message within {timeout:g} s: {self._messages}")
+
+    def wait_begun(self, count: int, timeout: float = _PATIENCE_SECONDS) -> None:
+        """Wait until `count` deliveries have begun.
+
+        Raises:
+            AssertionError: fewer began within `timeout` seconds.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._begun >= count, timeout):
+                text = f"{self._begun} of {count} deliveries began within {timeout:g} s"
+                raise AssertionError(text)
+
+
+class Background(Generic[T]):
+    """An action in a thread of its own, whose end a test waits for no longer than it says."""
+
+    def __init__(self, action: Callable[[], T]) -> None:
+        self._action = action
+        self._result: T
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="uoarm-test", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._result = self._action()
+        except BaseException as error:  # noqa: BLE001 - handed to whoever asks for the result
+            self._error = error
+
+    def result(self, timeout: float = _PATIENCE_SECONDS) -> T:
+        """Return what the action returned, or raise what it raised.
+
+        Raises:
+            AssertionError: it is still running after `timeout` seconds.
+        """
+        self._thread.join(timeout)
+        if self._thread.is_alive():
+            raise AssertionError(f"still running after {timeout:g} s: {self._action}")
+        if self._error is not None:
+            raise self._error
+        return self._result

@@ -1,0 +1,213 @@
+"""A second bridge in memory: typed on both sides, and as unlike the `python` bridge as possible.
+
+Where it is kinder than reality: nothing is lost on the way, a message arrives in the thread that
+emitted it, and a component dies only when a test says so.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from typing import TypeVar
+
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    Handler,
+    Sink,
+)
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Schema
+from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._native import PAIRS, ROWS, codec
+
+__all__ = ["MemoryBridge"]
+
+_Component = TypeVar("_Component", Emitter, Taker, Loop, Service)
+
+
+class MemoryBridge(Bridge):
+    """Components that a test plays on, behind native conversion on both sides.
+
+    An endpoint's address is one string, the name under which the test made the component with
+    `emitter`, `taker`, `loop` or `service`. Producers keep their messages as rows, consumers
+    take them as pairs (`_native.py`), and each is opened only with its own structure.
+
+    Args:
+        name: name of this instance.
+        options: none are known.
+        links: whether it connects two of its own endpoints natively.
+    """
+
+    def __init__(
+        self, name: str = "memory", options: Options | None = None, *, links: bool = False
+    ) -> None:
+        super().__init__(name, options or {})
+        self.capabilities = Capabilities(discover=True, call=True, serve=True, link=links)
+        self._components: dict[str, Emitter | Taker | Loop | Service] = {}
+
+    def emitter(self, name: str, schema: Schema) -> Emitter:
+        """Make a component with one output, from which the test emits."""
+        return self._add(name, Emitter(MessageStructure(schema, native_type=f"{name}/Row")))
+
+    def taker(self, name: str, schema: Schema, *, blocking: bool = False) -> Taker:
+        """Make a component with one input, whose messages the test reads."""
+        structure = MessageStructure(schema, native_type=f"{name}/Pairs")
+        return self._add(name, Taker(structure, blocking=blocking))
+
+    def loop(self, name: str, schema: Schema) -> Loop:
+        """Make a component that emits what it takes: one input and one output."""
+        return self._add(name, Loop(MessageStructure(schema, native_type=f"{name}/Loop")))
+
+    def service(self, name: str, request: Schema, reply: Schema, handler: Handler) -> Service:
+        """Make a component with a service that the test's function answers."""
+        return self._add(name, Service(MessageStructure(request), MessageStructure(reply), handler))
+
+    def die(self, name: str, cause: str = "the component was killed") -> None:
+        """Let a component be gone: its channels are lost and it can be found no more."""
+        component = self._components.pop(name)
+        channels = component.channels() if not isinstance(component, Service) else ()
+        for channel in channels:
+            self.report(Health.LOST, cause, channel=channel)
+
+    def _add(self, name: str, component: _Component) -> _Component:
+        if name in self._components:
+            raise ValueError(f"there is a component {name!r} already")
+        self._components[name] = component
+        return component
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        component = self._find(endpoint)
+        if isinstance(component, Service):
+            return Description(request=component.request, reply=component.reply)
+        return Description(component.structure)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        component = self._find(endpoint)
+        if not isinstance(component, (Emitter, Loop)):
+            raise _without(endpoint, "output")
+        _same(endpoint, component.structure, structure)
+        read, delivery = codec(structure.schema, ROWS).read, Delivery(deliver)
+
+        def take(row: object) -> None:
+            delivery.give(read(row))
+
+        def leave() -> None:
+            delivery.end()
+            component.leave(channel)
+
+        channel = _MemoryChannel(endpoint, leave)
+        component.join(channel, take)
+        return channel
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        component = self._find(endpoint)
+        if not isinstance(component, (Taker, Loop)):
+            raise _without(endpoint, "input")
+        _same(endpoint, component.structure, structure)
+        write = codec(structure.schema, PAIRS).write
+        sink = _MemorySink(
+            endpoint,
+            lambda message: component.take(write(message)),
+            lambda: component.leave(sink),
+        )
+        sink.blocking = component.blocking
+        component.join(sink, None)
+        return sink
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        del timeout
+        component = self._find(endpoint)
+        if not isinstance(component, Service):
+            raise _without(endpoint, "service")
+        return component.answer(message)
+
+    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+        name = endpoint.address[0]
+        anything = MessageStructure(schema=True)
+        self._add(name, Service(anything, anything, handler))
+        return _MemoryChannel(endpoint, lambda: self._withdraw(name))
+
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        producer, consumer = self._find(source), self._find(sink)
+        if not isinstance(producer, Emitter) or not isinstance(consumer, Taker):
+            return None
+        read = codec(producer.structure.schema, ROWS).read
+        write = codec(consumer.structure.schema, PAIRS).write
+        channel = _MemoryChannel(source, lambda: producer.leave(channel))
+        producer.join(channel, lambda row: consumer.take(write(read(row))))
+        return channel
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return tuple(
+            Discovered(name, tuple((one, self._describe(one)) for one in self._endpoints(name)))
+            for name in self._components
+        )
+
+    def _close(self) -> None:
+        self._components.clear()
+
+    def _withdraw(self, name: str) -> None:
+        self._components.pop(name, None)
+
+    def _endpoints(self, name: str) -> tuple[Endpoint, ...]:
+        component = self._components[name]
+        return tuple(Endpoint(self.name, name, role, (name,)) for role in component.roles)
+
+    def _find(self, endpoint: Endpoint) -> Emitter | Taker | Loop | Service:
+        name = endpoint.address[0] if len(endpoint.address) == 1 else ""
+        component = self._components.get(name)
+        if component is None:
+            close = difflib.get_close_matches(name, self._components, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            text = f"there is no component at {list(endpoint.address)}{hint}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        return component
+
+
+class _MemoryChannel(Channel):
+    def __init__(self, endpoint: Endpoint, leave: Callable[[], None]) -> None:
+        super().__init__(endpoint)
+        self._leave = leave
+
+    def _close(self) -> None:
+        self._leave()
+
+
+class _MemorySink(Sink):
+    def __init__(
+        self, endpoint: Endpoint, take: Callable[[Message], None], leave: Callable[[], None]
+    ) -> None:
+        super().__init__(endpoint)
+        self._take = take
+        self._leave = leave
+
+    def send(self, message: Message) -> None:
+        """Write the message natively and hand it to the component.
+
+        Raises:
+            BridgeError: the channel is closed, or the message does not fit the structure.
+        """
+        if self.closed:
+            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
+        self._take(message)
+
+    def _close(self) -> None:
+        self._leave()
+
+
+def _without(endpoint: Endpoint, kind: str) -> BridgeError:
+    return BridgeError(f"{endpoint} is no {kind}", FailureReason.BAD_ENDPOINT)
+
+
+def _same(endpoint: Endpoint, own: MessageStructure, given: MessageStructure) -> None:
+    """Refuse a structure that is another port's."""
+    if own.schema != given.schema:
+        text = f"{endpoint} was opened with the structure of {given.native_type or 'another port'}"
+        raise BridgeError(text, FailureReason.REFUSED)

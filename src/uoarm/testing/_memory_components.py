@@ -1,0 +1,148 @@
+"""The components of a `MemoryBridge`: a test emits from them, reads them and makes them fail."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ClassVar
+
+from uoarm.bridge import Channel, Handler
+from uoarm.model import Message, MessageStructure, Role
+from uoarm.testing._collector import Collector
+from uoarm.testing._faults import Hang
+from uoarm.testing._native import PAIRS, ROWS, codec
+
+__all__ = ["Emitter", "Loop", "Service", "Taker"]
+
+
+class _Port:
+    """What is open at a component."""
+
+    def __init__(self, structure: MessageStructure) -> None:
+        self.structure = structure
+        self._open: dict[Channel, Callable[[Any], None] | None] = {}
+        self._lock = threading.Lock()
+
+    def channels(self) -> tuple[Channel, ...]:
+        """Return the channels open now."""
+        with self._lock:
+            return tuple(self._open)
+
+    def join(self, channel: Channel, take: Callable[[Any], None] | None) -> None:
+        """Open a channel; `take` gets the native messages when it is an output's."""
+        with self._lock:
+            self._open[channel] = take
+
+    def leave(self, channel: Channel) -> None:
+        """Forget a channel."""
+        with self._lock:
+            self._open.pop(channel, None)
+
+    def _spread(self, row: object) -> None:
+        with self._lock:
+            takers = [take for take in self._open.values() if take is not None]
+        for take in takers:
+            take(row)
+
+
+class Emitter(_Port):
+    """A producer: what it emits arrives in the thread that emits."""
+
+    roles: ClassVar[tuple[Role, ...]] = (Role.OUTPUT,)
+
+    def __init__(self, structure: MessageStructure) -> None:
+        super().__init__(structure)
+        self._write = codec(structure.schema, ROWS).write
+        self._garbles = False
+
+    def emit(self, message: Message) -> None:
+        """Emit a message of the component's own structure.
+
+        Raises:
+            BridgeError: it does not fit that structure, or is garbled and cannot be read.
+        """
+        row = self._write(message)
+        self.emit_native((row, row, "garbled") if self._garbles else row)
+
+    def emit_native(self, row: object) -> None:
+        """Emit something as it is, also what no structure allows."""
+        self._spread(row)
+
+    @contextmanager
+    def garbled(self) -> Iterator[None]:
+        """Emit what no consumer can read, as a broken link does."""
+        self._garbles = True
+        try:
+            yield
+        finally:
+            self._garbles = False
+
+
+class Taker(_Port):
+    """A consumer: it reads what arrives and keeps it.
+
+    Attributes:
+        taken: the messages so far, and ways to wait for them.
+        blocking: what its sinks declare.
+    """
+
+    roles: ClassVar[tuple[Role, ...]] = (Role.INPUT,)
+
+    def __init__(self, structure: MessageStructure, *, blocking: bool) -> None:
+        super().__init__(structure)
+        self.taken = Collector()
+        self.blocking = blocking
+        self._read = codec(structure.schema, PAIRS).read
+        self._hang: Hang | None = None
+
+    def take(self, pairs: object) -> None:
+        """Read one native message and keep it."""
+        if self._hang is not None:
+            self._hang.wait()
+        self.taken.deliver(self._read(pairs))
+
+    @contextmanager
+    def stalled(self) -> Iterator[Hang]:
+        """Take nothing until released or the end of the block: every `send` hangs."""
+        self._hang = hang = Hang()
+        try:
+            yield hang
+        finally:
+            self._hang = None
+            hang.release()
+
+
+class Loop(_Port):
+    """A component that emits what it takes, from its consumer's form to its producer's."""
+
+    roles: ClassVar[tuple[Role, ...]] = (Role.INPUT, Role.OUTPUT)
+    blocking = True
+
+    def __init__(self, structure: MessageStructure) -> None:
+        super().__init__(structure)
+        self._read = codec(structure.schema, PAIRS).read
+        self._write = codec(structure.schema, ROWS).write
+
+    def take(self, pairs: object) -> None:
+        """Emit again what was taken, in the thread that sent it."""
+        self._spread(self._write(self._read(pairs)))
+
+
+class Service:
+    """A service: requests come as pairs, replies go as rows."""
+
+    roles: ClassVar[tuple[Role, ...]] = (Role.SERVICE,)
+
+    def __init__(
+        self, request: MessageStructure, reply: MessageStructure, handler: Handler
+    ) -> None:
+        self.request, self.reply = request, reply
+        self._handler = handler
+        self._ask = codec(request.schema, PAIRS)
+        self._reply = codec(reply.schema, ROWS)
+
+    def answer(self, message: Message) -> Message:
+        """Answer one request, through both native forms."""
+        request = self._ask.read(self._ask.write(message))
+        return self._reply.read(self._reply.write(self._handler(request)))

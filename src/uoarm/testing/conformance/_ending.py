@@ -1,0 +1,141 @@
+"""Does everything end when it is told to, from wherever it is told, and leave nothing behind?"""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from uoarm.bridge import Bridge, Channel
+from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.model import Message
+from uoarm.testing._census import Census
+from uoarm.testing._collector import Background, Collector
+from uoarm.testing.conformance._line import line, structure_of
+from uoarm.testing.conformance._world import World
+
+__all__ = ["Ending"]
+
+_CYCLES = 10
+
+
+class Ending:
+    """Closing channels and bridges."""
+
+    def test_closing_twice_is_closing_once(self, world: World, bridge: Bridge, kind: str) -> None:
+        with line(world, bridge, kind) as through:
+            for channel in (through.sink, through.source):
+                channel.close()
+                channel.close()
+                assert channel.closed
+
+    def test_a_closed_sink_refuses_messages(self, world: World, bridge: Bridge, kind: str) -> None:
+        with line(world, bridge, kind) as through:
+            message = through.example()
+            through.sink.close()
+            with pytest.raises(BridgeError) as caught:
+                through.send(message)
+            assert caught.value.reason is FailureReason.CLOSED
+
+    def test_nothing_is_delivered_after_closing(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as closing, line(world, bridge, kind) as witness:
+            message = witness.example()
+            witness.send(message)
+            for each in (closing, witness):
+                each.collector.wait(1, world.patience)
+            closing.source.close()
+            witness.send(message)
+            witness.collector.wait(2, world.patience)
+            assert len(closing.collector.messages) == 1
+
+    def test_a_source_can_be_closed_from_its_own_delivery(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        pair, channels, done = world.pair(kind), list[Channel](), threading.Event()
+
+        def close(_: Message) -> None:
+            channels[0].close()
+            done.set()
+
+        with line(world, bridge, kind) as through:
+            structure = structure_of(bridge, pair, incoming=False)
+            channels.append(bridge.open_source(pair.source, structure, close))
+            through.carries(through.example())
+            assert done.wait(world.patience), "closing from within a delivery did not return"
+            through.carries(through.example())
+
+    def test_closing_while_messages_flow_ends_in_time(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+            message, stop = through.example(), threading.Event()
+
+            def stream() -> None:
+                while not stop.is_set():
+                    try:
+                        through.send(message)
+                    except UoarmError:
+                        return
+
+            flowing = Background(stream)
+            try:
+                through.collector.wait(1, world.patience)
+                Background(through.source.close).result(world.patience)
+                Background(through.sink.close).result(world.patience)
+            finally:
+                stop.set()
+            flowing.result(world.patience)
+
+    def test_closing_ends_while_a_delivery_is_held_up(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through, through.collector.held():
+            sending = Background(lambda: through.send(through.example()))
+            through.collector.wait_begun(1, world.patience)
+            Background(through.source.close).result(world.patience)
+        sending.result(world.patience)
+
+    def test_a_closed_bridge_refuses_everything(self, world: World, kind: str) -> None:
+        bridge, pair = world.bridge(), world.pair(kind)
+        structure = structure_of(bridge, pair, incoming=True)
+        collector = Collector()
+        source = bridge.open_source(pair.source, structure, collector.deliver)
+        sink = bridge.open_sink(pair.sink, structure)
+        bridge.close()
+        bridge.close()
+        assert (source.closed, sink.closed, bridge.open_channels) == (True, True, 0)
+        for refused in (
+            lambda: bridge.describe(pair.sink),
+            lambda: bridge.open_sink(pair.sink, structure),
+            lambda: bridge.open_source(pair.source, structure, collector.deliver),
+        ):
+            with pytest.raises(BridgeError) as caught:
+                refused()
+            assert caught.value.reason is FailureReason.CLOSED
+
+    def test_bridges_live_side_by_side(self, world: World, kind: str) -> None:
+        first, second = world.bridge(), world.bridge()
+        try:
+            with line(world, first, kind) as through:
+                through.carries(through.example())
+            first.close()
+            with line(world, second, kind) as through:
+                through.carries(through.example())
+        finally:
+            first.close()
+            second.close()
+
+    def test_no_thread_and_no_descriptor_stays_behind(self, world: World, kind: str) -> None:
+        def cycle() -> None:
+            bridge = world.bridge()
+            with line(world, bridge, kind) as through:
+                through.carries(through.example())
+            bridge.close()
+
+        cycle()
+        census = Census()
+        for _ in range(_CYCLES):
+            cycle()
+        census.check()

@@ -1,0 +1,92 @@
+"""Does every message arrive whole, once, in order, and one at a time?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from uoarm.bridge import Bridge
+from uoarm.model import Message
+from uoarm.testing._instances import instances
+from uoarm.testing.conformance._line import line
+from uoarm.testing.conformance._world import World
+
+__all__ = ["Flow"]
+
+_MANY = 200
+_SETTINGS: dict[str, Any] = {
+    "deadline": None,
+    "report_multiple_bugs": False,
+    "suppress_health_check": (HealthCheck.too_slow, HealthCheck.data_too_large),
+}
+
+
+class Flow:
+    """Messages on their way through one bridge, in and out."""
+
+    def test_every_message_of_the_structure_survives(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+
+            @settings(**_SETTINGS)
+            @given(instances(through.structure.schema))
+            def survives(message: Message) -> None:
+                through.carries_or_refuses(message)
+
+            survives()
+
+    def test_bursts_keep_their_order(self, world: World, bridge: Bridge, kind: str) -> None:
+        with line(world, bridge, kind) as through:
+
+            @settings(max_examples=10, **_SETTINGS)
+            @given(st.lists(instances(through.structure.schema), min_size=2, max_size=8))
+            def keeps(messages: list[Message]) -> None:
+                through.carries(*(each for each in messages if world.takes(kind, each)))
+
+            keeps()
+            assert through.collector.overlaps == 0
+
+    def test_recorded_samples_survive(self, world: World, bridge: Bridge, kind: str) -> None:
+        samples = world.samples(kind)
+        if not samples:
+            pytest.skip("the world has no samples of this kind")
+        with line(world, bridge, kind) as through:
+            for message in samples:
+                through.carries(message)
+
+    def test_the_first_message_after_opening_arrives(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        for _ in range(5):
+            with line(world, bridge, kind) as through:
+                through.carries(through.example())
+
+    def test_a_line_opens_and_closes_many_times(self, world: World, kind: str) -> None:
+        bridge = world.bridge()
+        try:
+            for _ in range(20):
+                with line(world, bridge, kind) as through:
+                    assert bridge.open_channels == len({through.sink, through.source})
+                assert bridge.open_channels == 0
+        finally:
+            bridge.close()
+
+    def test_nothing_is_lost_or_doubled_in_a_stream(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+            message = through.example()
+            for _ in range(_MANY // 10):
+                through.carries(*[message] * 10)
+            assert through.collector.overlaps == 0
+            assert len(through.collector.messages) == _MANY
+
+    def test_two_receivers_get_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
+        with line(world, bridge, kind) as first, line(world, bridge, kind) as second:
+            first.send(first.example())
+            for receiver in (first, second):
+                receiver.collector.wait(1, world.patience)

@@ -1,0 +1,94 @@
+"""What a plugin knows of its own options and addresses is checked with everything else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge, BridgeType, Registry
+from uoarm.config import loads
+from uoarm.errors import ConfigurationError
+from uoarm.model import BridgeSpec
+from uoarm.testing import MemoryBridge
+
+TEXT = """\
+version: 1
+bridges:
+  lab:
+    plugin: probe
+    options: {domain: seven, colour: red}
+functions:
+  camera:
+    components:
+      - {name: one, bridge: lab, output: {endpoint: [wrong]}}
+      - {name: two, bridge: lab, priority: -1, output: {endpoint: [right]}}
+      - {name: three, bridge: lab, priority: -2, output: {endpoint: [explode]}}
+"""
+
+
+def check_endpoint(address: tuple[str, ...], options: Any) -> str:
+    assert dict(options) == {}
+    if address == ("explode",):
+        raise RuntimeError("no idea")
+    return "" if address == ("right",) else f"expected ['right'], got {list(address)}"
+
+
+def never(name: str, options: Any) -> Bridge:
+    raise AssertionError(f"{name} must not be made with {options}")
+
+
+PROBE = BridgeType(
+    "probe",
+    "for this test",
+    never,
+    options_schema={
+        "type": "object",
+        "properties": {"domain": {"type": "integer"}, "color": {}},
+        "additionalProperties": False,
+    },
+    check_endpoint=check_endpoint,
+)
+
+
+def test_every_mistake_in_options_and_endpoints_is_told_with_its_place() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        loads(TEXT, types={"probe": PROBE})
+    lines = str(caught.value).splitlines()
+    assert [line.partition(" ")[0] for line in lines] == [
+        "<text>:5:23:",
+        "<text>:5:30:",
+        "<text>:9:53:",
+        "<text>:11:69:",
+    ]
+    assert "'seven' is not of type 'integer'" in lines[0]
+    assert 'no option "colour" (did you mean "color"?)' in lines[1]
+    assert "expected ['right'], got ['wrong']" in lines[2]
+    assert "check_endpoint failed with RuntimeError: no idea" in lines[3]
+
+
+def test_a_plugin_that_is_not_installed_is_passed_over() -> None:
+    assert loads(TEXT).bridges["lab"].plugin == "probe"
+
+
+def test_a_manager_made_from_values_checks_options_when_the_bridge_starts() -> None:
+    registry = Registry([])
+    registry.add(PROBE)
+    with pytest.raises(ConfigurationError, match=r"\$\.domain: 'seven' is not of type 'integer'"):
+        registry.create(BridgeSpec("lab", "probe", {"domain": "seven"}))
+
+
+def test_a_manager_from_a_file_checks_with_its_registry(tmp_path: Any) -> None:
+    registry = Registry([])
+    registry.add(PROBE)
+    file = tmp_path / "robot.yaml"
+    file.write_text(TEXT)
+    with pytest.raises(ConfigurationError, match="colour"):
+        RobotManager.from_file(file, registry=registry)
+
+
+def test_options_that_fit_are_taken() -> None:
+    registry = Registry([])
+    registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name)))
+    registry.create(BridgeSpec("lab", "memory")).close()

@@ -1,0 +1,113 @@
+"""The pages are true: their programs run, their commands exist, their links lead somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from attrs import frozen
+
+from uoarm.cli import main
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*/README.md")])
+
+
+@frozen
+class Block:
+    """One fenced block of a page."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}"
+
+
+def blocks(page: Path) -> list[Block]:
+    text = page.read_text(encoding="utf-8")
+    found = re.finditer(r"^```(\w*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [Block(page, text[: one.start()].count("\n") + 1, one[1], one[2]) for one in found]
+
+
+EVERY = [block for page in PAGES for block in blocks(page)]
+COMMANDS = [
+    (block, line)
+    for block in EVERY
+    for line in block.text.splitlines()
+    if re.match(r"(\.venv/bin/)?uoarm \w", line)
+]
+
+
+def test_the_pages_were_found() -> None:
+    assert len(PAGES) > 8
+    assert len(COMMANDS) > 5
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+    gone = [one for one in links if "://" not in one and not (page.parent / one).exists()]
+    assert not gone
+
+
+@pytest.mark.parametrize("block", [one for one in EVERY if one.language == "python"], ids=str)
+def test_programs_are_python(block: Block) -> None:
+    compile(block.text, str(block), "exec")
+
+
+@pytest.mark.parametrize(("block", "line"), COMMANDS, ids=lambda one: str(one)[:60])
+def test_commands_and_their_options_exist(block: Block, line: str) -> None:
+    words = shlex.split(line, comments=True)[1:]
+    command: click.Command = main
+    context = click.Context(main)
+    while isinstance(command, click.Group):
+        found = command.get_command(context, words.pop(0))
+        assert found is not None, f"{block}: no such command in {line!r}"
+        command = found
+    known = {option for one in command.params for option in one.opts} | {"--help"}
+    given = {
+        word.partition("=")[0].strip("[]") for word in words if word.strip("[").startswith("-")
+    }
+    assert given <= known, f"{block}: {given - known} in {line!r}"
+
+
+def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
+    components, robot, commands, printed, program = (
+        one.text for one in blocks(ROOT / "docs" / "first-steps.md")
+    )
+    (tmp_path / "kitchen.py").write_text(components)
+    (tmp_path / "robot.yaml").write_text(robot)
+    (tmp_path / "program.py").write_text(program)
+    outputs = [run(["-m", *line.split()], tmp_path) for line in commands.splitlines()]
+    assert "no errors" in outputs[0]
+    assert "infrared" in outputs[1]
+    assert outputs[2] == printed
+    assert run(["program.py"], tmp_path) == "fire! 91.5\n"
+    (tmp_path / "kitchen.py").write_text(
+        components.replace("(reading: Reading", "(reading: Fahrenheit").replace(
+            "def too_hot", "class Fahrenheit(TypedDict):\n    fahrenheit: float\n\n\ndef too_hot"
+        )
+    )
+    refused = run(["-m", "uoarm", "request", "fireAlarm"], tmp_path, code=1)
+    assert "fahrenheit" in refused
+
+
+def run(arguments: list[str], folder: Path, code: int = 0) -> str:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    return done.stdout if code == 0 else done.stderr

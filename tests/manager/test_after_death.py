@@ -1,0 +1,90 @@
+"""What died is asked for again, not remembered: the next request gets the next candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.errors import BridgeError, ConnectionClosedError, ResolutionError
+from uoarm.model import Health
+from uoarm.testing import Collector, MemoryBridge, raising
+
+NUMBER: Any = {"type": "integer"}
+ROBOT = """
+version: 1
+bridges: {memory: {}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: memory, priority: 2, output: {endpoint: [best]}}
+      - {name: next, bridge: memory, priority: 1, output: {endpoint: [next]}}
+"""
+
+
+@pytest.fixture
+def bridge() -> MemoryBridge:
+    made = MemoryBridge()
+    made.emitter("best", NUMBER)
+    made.emitter("next", NUMBER)
+    return made
+
+
+@pytest.fixture
+def robot(bridge: MemoryBridge) -> Iterator[RobotManager]:
+    with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as made:
+        yield made
+
+
+def test_after_a_death_the_next_candidate_is_chosen(
+    robot: RobotManager, bridge: MemoryBridge
+) -> None:
+    with robot.request("camera") as camera:
+        assert camera.plan.provider.component.name == "best"
+        bridge.die("best")
+        with pytest.raises(ConnectionClosedError):
+            camera.get(10)
+    assert robot.resolve("camera").provider.component.name == "next"
+    bridge.emitter("best", NUMBER)
+    assert robot.survey()[0].provider == "best"
+
+
+def test_a_bridge_that_is_lost_is_asked_again_about_components_that_were_not_open(
+    robot: RobotManager, bridge: MemoryBridge
+) -> None:
+    robot.resolve("camera")
+    bridge._components.clear()
+    told = Collector()
+    robot.listen(told.deliver)
+    bridge.report(Health.DEGRADED, "the cable is loose")
+    told.wait(1)
+    with pytest.raises(ResolutionError, match="no component"):
+        robot.resolve("camera")
+
+
+def test_after_a_failed_opening_everything_is_asked_again(
+    robot: RobotManager, bridge: MemoryBridge
+) -> None:
+    with raising(bridge, "_open_source", OSError("unplugged")), pytest.raises(BridgeError):
+        robot.request("camera")
+    bridge.die("best")
+    with robot.request("camera") as camera:
+        assert camera.plan.provider.component.name == "next"
+
+
+def test_a_survey_says_why_a_candidate_cannot_be_had(
+    robot: RobotManager, bridge: MemoryBridge
+) -> None:
+    bridge.die("best")
+    (camera,) = robot.survey()
+    assert (camera.name, camera.provider) == ("camera", "next")
+    assert [one.component for one in camera.candidates] == ["best", "next"]
+    assert "no component" in camera.candidates[0].cause
+    assert camera.candidates[1].cause == ""
+    bridge.die("next")
+    (camera,) = robot.survey()
+    assert camera.provider is None
+    assert "no component" in camera.cause

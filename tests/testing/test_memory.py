@@ -1,0 +1,242 @@
+"""The second bridge: unlike on both sides, strict about structures, and breakable on demand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+
+from uoarm import RobotManager
+from uoarm.bridge import HealthEvent
+from uoarm.config import loads
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, ResolutionError
+from uoarm.model import Endpoint, Health, MessageStructure, Role
+from uoarm.testing import (
+    Background,
+    Census,
+    Collector,
+    ManualClock,
+    MemoryBridge,
+    hanging,
+    instances,
+    lying,
+    raising,
+)
+from uoarm.testing._native import PAIRS, ROWS, Dialect, codec
+
+
+def record(**fields: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": fields,
+        "required": sorted(fields),
+        "additionalProperties": False,
+    }
+
+
+BYTE = record(value={"type": "integer", "minimum": 0, "maximum": 255})
+SHORT = record(value={"type": "integer", "minimum": -32768, "maximum": 32767})
+MIXED = record(
+    count={"type": "integer"},
+    names={"type": "array", "items": {"type": "string"}},
+    pair={
+        "type": "array",
+        "prefixItems": [{"type": "boolean"}, {"type": "null"}],
+        "items": False,
+        "minItems": 2,
+    },
+    free={},
+)
+ROBOT = """
+version: 1
+bridges: {memory: {}}
+functions:
+  camera:
+    components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]
+  viewer:
+    components:
+      - {name: screen, bridge: memory, input: {from: camera, endpoint: [screen]},
+         output: {endpoint: [picture]}}
+"""
+
+
+def output(name: str) -> Endpoint:
+    return Endpoint("memory", name, Role.OUTPUT, (name,))
+
+
+def sink_of(name: str) -> Endpoint:
+    return Endpoint("memory", name, Role.INPUT, (name,))
+
+
+@pytest.mark.parametrize("dialect", [ROWS, PAIRS], ids=["rows", "pairs"])
+@given(message=instances(MIXED))
+def test_what_is_written_natively_reads_back(dialect: Dialect, message: object) -> None:
+    both = codec(MIXED, dialect)
+    assert both.read(both.write(message)) == message
+
+
+def test_producers_and_consumers_have_nothing_in_common() -> None:
+    message = {"value": 258}
+    assert codec(SHORT, ROWS).write(message) == ("258",)
+    assert codec(SHORT, PAIRS).write(message) == (("value", b"\x01\x02"),)
+    with pytest.raises(BridgeError, match="reading failed"):
+        codec(SHORT, PAIRS).read(codec(SHORT, ROWS).write(message))
+
+
+@pytest.mark.parametrize(
+    "message", [{}, {"value": 1, "more": 2}, {"value": True}, {"value": 1.5}, [1], None]
+)
+def test_what_does_not_fit_the_structure_is_refused(message: object) -> None:
+    with pytest.raises(BridgeError) as caught:
+        codec(BYTE, ROWS).write(message)
+    assert caught.value.reason is FailureReason.BAD_MESSAGE
+
+
+def test_a_port_is_opened_only_with_its_own_structure() -> None:
+    bridge = MemoryBridge()
+    bridge.taker("screen", SHORT)
+    with pytest.raises(BridgeError, match="another port"):
+        bridge.open_sink(sink_of("screen"), MessageStructure(BYTE))
+    assert bridge.open_channels == 0
+    bridge.close()
+
+
+def robot(bridge: MemoryBridge, text: str = ROBOT) -> RobotManager:
+    return RobotManager(loads(text), bridges={"memory": bridge})
+
+
+def test_a_chain_through_the_manager_is_opened_with_the_structure_of_each_side() -> None:
+    bridge = MemoryBridge()
+    camera, screen = bridge.emitter("camera", BYTE), bridge.taker("screen", SHORT)
+    bridge.emitter("picture", BYTE)
+    with robot(bridge) as manager, manager.request("viewer"):
+        camera.emit({"value": 255})
+        assert screen.taken.wait(1) == [{"value": 255}]
+
+
+def test_the_manager_compares_producer_with_consumer_in_this_direction_only() -> None:
+    bridge = MemoryBridge()
+    bridge.emitter("camera", SHORT)
+    bridge.taker("screen", BYTE)
+    bridge.emitter("picture", BYTE)
+    with robot(bridge) as manager, pytest.raises(ResolutionError, match="value"):
+        manager.request("viewer")
+    assert bridge.open_channels == 0
+
+
+def test_a_component_that_dies_ends_the_connections_that_need_it() -> None:
+    bridge = MemoryBridge()
+    bridge.emitter("camera", BYTE)
+    bridge.taker("screen", SHORT)
+    bridge.emitter("picture", BYTE)
+    states = Collector()
+    with robot(bridge) as manager, manager.request("viewer") as connection:
+        manager.listen(lambda event: states.deliver((event.subject, event.change)))
+        bridge.die("camera", "unplugged")
+        ended = (f"connection {connection.id}", "failed")
+        while ended not in states.messages:
+            states.wait(len(states.messages) + 1)
+        assert bridge.open_channels == 0
+
+
+def test_garbled_messages_raise_at_the_emitter_and_the_link_goes_on() -> None:
+    bridge, got = MemoryBridge(), Collector()
+    camera = bridge.emitter("camera", BYTE)
+    bridge.open_source(output("camera"), MessageStructure(BYTE), got.deliver)
+    with camera.garbled(), pytest.raises(BridgeError, match="reading failed"):
+        camera.emit({"value": 1})
+    camera.emit({"value": 2})
+    assert got.messages == [{"value": 2}]
+    bridge.close()
+
+
+def test_a_stalled_taker_holds_up_its_sender_until_released() -> None:
+    bridge = MemoryBridge()
+    screen = bridge.taker("screen", BYTE)
+    sink = bridge.open_sink(sink_of("screen"), MessageStructure(BYTE))
+    with screen.stalled() as stall:
+        sending = Background(lambda: sink.send({"value": 1}))
+        assert stall.entered.wait(10)
+        assert screen.taken.messages == []
+    sending.result()
+    assert screen.taken.messages == [{"value": 1}]
+    bridge.close()
+
+
+def test_a_natively_linked_pair_needs_no_route() -> None:
+    bridge = MemoryBridge(links=True)
+    camera, screen = bridge.emitter("camera", BYTE), bridge.taker("screen", BYTE)
+    channel = bridge.link(output("camera"), sink_of("screen"))
+    assert channel is not None
+    camera.emit({"value": 3})
+    channel.close()
+    camera.emit({"value": 4})
+    assert screen.taken.messages == [{"value": 3}]
+    bridge.close()
+
+
+def test_death_is_reported_on_every_open_channel() -> None:
+    bridge, events = MemoryBridge(), Collector()
+    bridge.watch(events.deliver)
+    bridge.emitter("camera", BYTE)
+    channel = bridge.open_source(output("camera"), MessageStructure(BYTE), Collector().deliver)
+    bridge.die("camera", "unplugged")
+    (event,) = events.messages
+    assert isinstance(event, HealthEvent)
+    assert (event.health, event.cause, event.channel) == (Health.LOST, "unplugged", channel)
+    bridge.close()
+
+
+def test_faults_replace_a_step_and_give_it_back() -> None:
+    bridge = MemoryBridge()
+    bridge.emitter("camera", BYTE)
+    with raising(bridge, "_describe", OSError("offline")), pytest.raises(BridgeError) as caught:
+        bridge.describe(output("camera"))
+    assert isinstance(caught.value.__cause__, OSError)
+    with lying(bridge, "_describe", None), pytest.raises(BridgeError, match="contract"):
+        bridge.describe(output("camera"))
+    with hanging(bridge, "_describe") as hang:
+        with pytest.raises(BridgeTimeoutError):
+            bridge.describe(output("camera"), timeout=0.02)
+        assert hang.entered.is_set()
+    assert bridge.describe(output("camera")).message is not None
+    with pytest.raises(ValueError, match="no step '_sing'"), raising(bridge, "_sing", OSError()):
+        pass
+    bridge.close()
+
+
+def test_a_manual_clock_moves_forward_only() -> None:
+    clock = ManualClock(5.0)
+    assert clock.advance(1.5) == clock.now() == clock() == 6.5
+    with pytest.raises(ValueError, match="-1"):
+        clock.advance(-1)
+
+
+def test_a_census_names_the_threads_that_stay() -> None:
+    census = Census()
+    with hanging(MemoryBridge(), "_close") as hang:
+        Background(hang.wait)
+        with pytest.raises(AssertionError, match="uoarm-test"):
+            census.check(patience=0.02)
+    census.check()
+
+
+def test_a_census_counts_the_descriptors_that_stay() -> None:
+    census = Census()
+    with open(__file__), pytest.raises(AssertionError, match="1 file descriptors"):  # noqa: PTH123
+        census.check(patience=0.0)
+    census.check()
+
+
+def test_a_collector_sees_deliveries_that_overlap() -> None:
+    got = Collector()
+    with got.held():
+        both = [Background(lambda: got.deliver(1)), Background(lambda: got.deliver(2))]
+        got.wait_begun(2)
+        assert got.messages == []
+    for one in both:
+        one.result()
+    assert got.overlaps == 1
+    with pytest.raises(AssertionError, match="2 of 3"):
+        got.wait(3, timeout=0.0)
