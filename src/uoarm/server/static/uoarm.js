@@ -233,16 +233,17 @@ export function connect(url, { token, binary = false, timeout = 10, WebSocket } 
     const fail = (text) => {
       clearTimeout(late);
       reject(new UoarmError("closed", `${url}: ${text}`));
+      socket.onerror = socket.onclose = null;
       socket.close();
     };
     const robot = new Robot(socket, binary, () => {
       clearTimeout(late);
       resolve(robot);
     });
-    const finish = socket.onclose;
+    const { onclose } = socket;
     socket.onclose = (event) => {
-      finish(event);
-      fail(event.reason || "the server refused, or is not there");
+      onclose(event);
+      if (!robot.hello) fail(event.reason || "the server refused, or is not there");
     };
     socket.onerror = () => robot.hello ?? fail("the server refused, or is not there");
   });
