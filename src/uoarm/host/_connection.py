@@ -26,7 +26,7 @@ __all__ = ["HostConnection"]
 _log = logging.getLogger("uoarm")
 _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 0.3
-_POLITE_SECONDS = 0.7
+_POLITE_SECONDS = 1.5
 _JOIN_SECONDS = 2.0
 _LEASE_SECONDS = 10.0
 

@@ -144,8 +144,11 @@ class RemoteBridge(Bridge):
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         number = next(self._numbers)
-        linked = self._ask("link", flow=number, source=to_json(source), sink=to_json(sink))
-        return RemoteChannel(source, number, self._ask_to_close) if linked else None
+        if not self._ask("link", flow=number, source=to_json(source), sink=to_json(sink)):
+            return None
+        channel = RemoteChannel(source, number, self._ask_to_close, lambda: self._drop(number))
+        self._channels[number] = channel
+        return channel
 
     def _close(self) -> None:
         self._services.close()
@@ -168,9 +171,11 @@ class RemoteBridge(Bridge):
         self._channels.pop(number, None)
 
     def _heard(self, answer: list[Any]) -> None:
-        for number, handled in answer:
+        for number, handled, facts in answer:
             channel = self._channels.get(number)
-            if isinstance(channel, RemoteSink):
+            if channel is not None:
+                channel.host_facts = facts
+            if isinstance(channel, RemoteSink) and handled is not None:
                 channel.outgoing.confirm(Handled(*handled))
 
     def _doubted(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - told, not asked

@@ -10,8 +10,8 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm.environments import environment_python
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.host._folders import environment_python
 from uoarm.model import Options
 
 __all__ = ["HostSettings"]
