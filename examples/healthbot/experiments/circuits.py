@@ -37,7 +37,7 @@ def configuration(nameserver: str, device: str, domain: int, *, hosted: bool) ->
     host = {"host": True} if hosted else {}
     bridges = {
         "python": {"options": {"path": [str(Path(__file__).parent)]}, **host},
-        "ros2": {"options": {"domain_id": domain}, **host},
+        "ros2": {"options": {"domain_id": domain, "wait": 0}, **host},
         "rtm": {"options": {"nameserver": nameserver}, **host},
         "rocos": {"options": {"devices": {"loop": {"url": device}}}, **host},
     }

@@ -19,14 +19,17 @@ from pathlib import Path
 
 from circuits import FRAMEWORKS, configuration, message, name_of
 from stage import head, table
+from uoarm_rtm._nameserver import NameServer
 
 from uoarm import RobotManager, UoarmError
-from uoarm.adapt import adapt
+from uoarm.adapt import check_edge, transfer
 from uoarm.config import loads
-from uoarm_rtm._nameserver import NameServer
+from uoarm.model import Component, Plan
+from uoarm.resolve import Resolver, Structures
 
 _LOOPS = Path(__file__).with_name("loops.py")
 _LIMIT = 30.0
+_PAPER = 0.001
 _HEAD = ("", "p50", "p95", "p99", "below 1 ms")
 
 
@@ -47,7 +50,7 @@ def row(title: str, seconds: list[float]) -> tuple[str, ...]:
     """Return quantiles in milliseconds, and how many of the samples keep to the paper's figure."""
     ordered = sorted(seconds)
     quantiles = [ordered[min(len(ordered) - 1, int(len(ordered) * q))] for q in (0.5, 0.95, 0.99)]
-    below = sum(each < 0.001 for each in ordered) / len(ordered)
+    below = sum(each < _PAPER for each in ordered) / len(ordered)
     return title, *(f"{each * 1000:.3f} ms" for each in quantiles), f"{below:.0%}"
 
 
@@ -64,11 +67,11 @@ def timed(action: Callable[[], object], count: int) -> list[float]:
 def round_trips(robot: RobotManager, first: str, second: str, count: int) -> list[float]:
     """Send messages through one framework or two, each once the one before is back."""
     taken = []
-    with robot.request(name_of(first, second)) as way:
+    with robot.request(first) as begin, robot.request(name_of(first, second)) as end:
         for number in range(count + count // 10):
             begun = time.perf_counter()
-            way.send(message(first, number))
-            while way.get(_LIMIT)["data"] != number:
+            begin.send(message(first, number))
+            while end.get(_LIMIT)["data"] != number:
                 pass
             taken.append(time.perf_counter() - begun)
     return taken[count // 10 :]
@@ -85,25 +88,39 @@ def requests(robot: RobotManager, name: str, count: int) -> list[float]:
     return taken
 
 
-def conversion(robot: RobotManager, first: str, second: str, count: int) -> list[float]:
-    """Convert a message between two frameworks as a connection does, and nothing else."""
-    steps = robot.resolve(name_of(first, second)).steps
-    source = steps[0].structures["output.default"]
-    target = steps[1].structures["input.default"]
-    rules = steps[1].component.inputs[0]
-    convert = adapt(source, target, rules.map, rules.allow_loss).convert
-    sent = message(first, 1)
-    return timed(lambda: convert(sent), count)
+class Known:
+    """The structures that the bridges told of a plan's components."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._known = {step.component.name: Structures(step.structures) for step in plan.steps}
+
+    def structures(self, component: Component) -> Structures:
+        """Return what was told of a component."""
+        return self._known[component.name]
+
+
+def functional(robot: RobotManager, name: str, count: int) -> Iterator[tuple[str, ...]]:
+    """Measure resolving, requesting and converting for one function."""
+    plan = robot.resolve(name)
+    known = Known(plan)
+
+    def search() -> None:
+        Resolver(robot.robot, known, check_edge).resolve(name)
+
+    yield row(f"{name}: resolve, every dependency checked", timed(search, count))
+    yield row(f"{name}: resolve again", timed(lambda: robot.resolve(name), count))
+    yield row(f"{name}: request, until it is open", requests(robot, name, max(20, count // 20)))
+    for edge in plan.edges:
+        make = transfer(edge)
+        if make is not None:
+            sent = message(edge.producer.partition("_")[0], 1)
+            yield row(f"{name}: convert a message", timed(lambda m=make, s=sent: m(s), count))  # type: ignore[misc]  # mypy cannot infer a lambda's default
 
 
 def measure(robot: RobotManager, count: int) -> None:
     """Print the tables of one robot."""
-    rows: list[tuple[str, ...]] = []
-    for name in ("python", "ros2_rtm", "rtm_rocos"):
-        robot.request(name).kill()  # makes the bridges
-        rows.append(row(f"resolve {name}", timed(lambda n=name: robot.resolve(n), count)))  # type: ignore[misc]  # mypy cannot infer a lambda's default
-    rows += [row(f"request {name}", requests(robot, name, 20)) for name in ("python", "ros2_rtm")]
-    table(_HEAD, rows)
+    names = ("python", "rtm_python", "rocos_rtm", "rtm_rocos")
+    table(_HEAD, [line for name in names for line in functional(robot, name, count)])
     ways = [(first, "") for first in FRAMEWORKS]
     ways += [(one, two) for one in FRAMEWORKS for two in FRAMEWORKS if one != two]
     trips = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from uoarm_vision.pixels import Picture
 
 __all__ = ["FaceFinder", "picture_of"]
 
+_SECOND = 1_000_000_000
 _SIDE = 320
 _MARGIN = 0.3
 _CUT_OUT = 160
@@ -46,7 +48,9 @@ class FaceFinder:
         boxes = sorted(self._detector.find(picture), key=lambda box: -box["width"])
         face = _around(picture, boxes[0]) if boxes else np.empty((0, 0, 3), np.uint8)
         rows, columns = face.shape[:2]
+        now = time.time_ns()
         return {
+            "tm": {"sec": now // _SECOND, "nsec": now % _SECOND},
             "width": width,
             "height": height,
             "boxes": boxes,

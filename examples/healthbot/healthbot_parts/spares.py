@@ -26,11 +26,18 @@ _LIMIT = 60.0
 
 
 class Oximetry(TypedDict):
-    """Pulse a minute and saturation in %, as far as they were measured."""
+    """Pulse a minute and saturation in %, as far as they were measured.
+
+    The structure is that of every oximeter of uoarm-rocos, with what a Nonin never sends: a spare
+    takes over in mid-stream only where it promises the same.
+    """
 
     quality: Literal["good", "weak", "artifact", "searching", "finger-out", "probe-error"]
-    pulse: NotRequired[Annotated[int, Range(0, 511)]]
-    spo2: NotRequired[Annotated[int, Range(0, 127)]]
+    pulse: NotRequired[Annotated[int, Range(1, 510)]]
+    spo2: NotRequired[Annotated[int, Range(1, 100)]]
+    waveform: NotRequired[Annotated[float, Range(0, 1)]]
+    beat: NotRequired[bool]
+    signal: NotRequired[Annotated[int, Range(0, 15)]]
 
 
 class Question(TypedDict):

@@ -55,7 +55,7 @@ class Detector:
             except ValueError as error:
                 print(f"a picture is passed over: {error}", file=sys.stderr)
                 continue
-            self._faces.write({"tm": image["tm"], **self._finder.find(picture)})
+            self._faces.write(self._finder.find(picture))
 
     def close(self) -> None:
         """Leave the naming service."""
