@@ -7,9 +7,12 @@ one only watches. Then the part is started again.
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from attrs import define, field
@@ -19,8 +22,8 @@ from uoarm.client import connect
 from uoarm.errors import UoarmError
 
 _SETTLED = 3.0
-_WINDOW = 12.0
-_RETURN = 30.0
+_WINDOW = 14.0
+_RETURN = 60.0
 _FIRST = 60.0
 _NOTHING = "nothing"
 
@@ -33,12 +36,14 @@ class Observed:
     changes: list[tuple[float, str]] = field(factory=list)
     ended: str = ""
 
-    def first_change(self, since: float) -> tuple[str, str]:
-        """Return how long until a change was told, and what it said."""
-        for moment, text in self.changes:
-            if moment >= since:
-                return f"{moment - since:.2f} s", text
-        return "never", ""
+    def told(self, since: float) -> tuple[str, str]:
+        """Return how long until the first change was told, and all that were."""
+        later = [(moment, text) for moment, text in self.changes if moment >= since]
+        noticed = f"{later[0][0] - since:.2f} s" if later else "never"
+        words = dict.fromkeys(text for _, text in later)
+        if self.ended:
+            words[f"the user: {self.ended.splitlines()[0][:60]}"] = None
+        return noticed, "; ".join(words) or "nobody"
 
     def gap(self, since: float) -> float | None:
         """Return how long the user went without a message, None while none came again."""
@@ -85,8 +90,22 @@ async def until(what: Callable[[], Awaitable[bool]], seconds: float) -> float | 
     return None
 
 
-async def stream_row(scene: Stage, part: str, name: str) -> list[str]:
-    """Kill a part behind a stream; return a row of the table."""
+def host_of(scene: Stage, library: str) -> int:
+    """Return the process of `uoarm serve` in which a bridge with this library runs.
+
+    Raises:
+        LookupError: there is none.
+    """
+    robot = scene.crew["robot"].process.pid
+    children = Path(f"/proc/{robot}/task").glob("*/children")
+    for pid in {int(word) for each in children for word in each.read_text().split()}:
+        if library in Path(f"/proc/{pid}/maps").read_text():
+            return pid
+    raise LookupError(f"no process of the robot has loaded {library}")
+
+
+async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> list[str]:
+    """Kill a part behind a stream, or the host of a bridge; return a row of the table."""
     url, seen = scene.places.robot_url, Observed()
     tasks = [asyncio.create_task(use(url, name, seen)), asyncio.create_task(watch(url, seen))]
     try:
@@ -100,31 +119,62 @@ async def stream_row(scene: Stage, part: str, name: str) -> list[str]:
         before = await using(url, name)
         rate = len(seen.arrivals) / (time.monotonic() - seen.arrivals[0])
         killed = time.monotonic()
-        scene.crew.kill(part)
+        if library:
+            os.kill(host_of(scene, library), signal.SIGKILL)
+        else:
+            scene.crew.kill(part)
         await asyncio.sleep(_WINDOW)
         after = await using(url, name)
-        noticed, told = seen.first_change(killed)
+        noticed, told = seen.told(killed)
         gap = seen.gap(killed)
         lost = f"{gap:.2f} s, about {max(0, round(gap * rate) - 1)}" if gap else "all"
-        await asyncio.to_thread(scene.crew.start, scene.parts[part])
+        if not library:
+            await asyncio.to_thread(scene.crew.start, scene.parts[part])
 
         async def returned() -> bool:
             return await using(url, name) == before
 
         back = await until(returned, _RETURN)
-        return [
-            f"{part} ({scene.parts[part].framework})",
-            name,
-            noticed,
-            told or (seen.ended and f"the user: {seen.ended}") or "nobody",
-            lost,
-            after if after != before else "itself: nothing changed",
-            f"{back:.1f} s" if back is not None else "no",
-        ]
+        title = part if library else f"{part} ({scene.parts[part].framework})"
+        same = "the same components"
+        returning = f"{back:.1f} s" if back is not None else "no"
+        went_on = after if after != before else same
+        return [title, name, noticed, told, lost, went_on, "" if went_on == same else returning]
     finally:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def robot_row(scene: Stage) -> list[str]:
+    """Kill the robot manager's own process; its users must come again."""
+    url, seen = scene.places.robot_url, Observed()
+    user = asyncio.create_task(use(url, "pulseRate", seen))
+
+    async def flows() -> bool:
+        return len(seen.arrivals) > 1
+
+    async def ended() -> bool:
+        return user.done()
+
+    await until(flows, _FIRST)
+    scene.crew.kill("robot")
+    noticed = await until(ended, _FIRST)
+    begun = time.monotonic()
+    await asyncio.to_thread(scene.crew.start, scene.parts["robot"])
+    again = Observed()
+    user = asyncio.create_task(use(url, "pulseRate", again))
+    await until(lambda: _some(again), _FIRST)
+    back = f"{again.arrivals[0] - begun:.1f} s" if again.arrivals else "no"
+    user.cancel()
+    await asyncio.gather(user, return_exceptions=True)
+    told = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "nobody"
+    soon = f"{noticed:.2f} s" if noticed is not None else "never"
+    return ["robot (uoarm)", "pulseRate", soon, told, "all until it asks again", "nothing", back]
+
+
+async def _some(seen: Observed) -> bool:
+    return bool(seen.arrivals)
 
 
 async def called(url: str, name: str, request: Any) -> tuple[str, float]:
@@ -169,9 +219,11 @@ async def main() -> None:
             await stream_row(scene, "detector", "faceDetection"),
             await stream_row(scene, "naming", "faceDetection"),
             await stream_row(scene, "clip", "pulseRate"),
-            await stream_row(scene, "clip", "bloodOxygen"),
+            await stream_row(scene, "host of the OpenRTM bridge", "faceDetection", "omnipy"),
+            await stream_row(scene, "host of the ROS 2 bridge", "faceDetection", "rclpy"),
             await call_row(scene, "cuff", "bloodPressure", {}),
             await call_row(scene, "records", "patientRecord", pulse),
+            await robot_row(scene),
         ]
     head("Dynamic monitoring")
     table(

@@ -60,6 +60,8 @@ class Crew:
     def start(self, part: Part) -> Running:
         """Start a part, or start it again, and return once it is ready.
 
+        The part ends with the thread that calls this, at the latest.
+
         Raises:
             PartError: it ended, or is not ready in time.
         """
