@@ -24,6 +24,9 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
+	@for plugin in $(PLUGINS); do \
+	  echo "== $$plugin"; (cd $$plugin && $(abspath $(BIN))/mypy) || exit 1; \
+	done
 
 docs: $(VENV)/.docs  ## the documentation site, in build/docs; every warning is an error
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
@@ -48,7 +51,7 @@ $(VENV)/.demo: pyproject.toml | $(BIN)/python
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
-	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib]' \
+	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@
 

@@ -6,7 +6,8 @@ patterns with Python's rules. Slow and direct on purpose; held to the official s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from fractions import Fraction
 from urllib.parse import unquote
 
@@ -15,6 +16,7 @@ from tests.schema._ecma import compiled
 Marks = tuple[set[str], set[int]]
 """The names and the positions that were evaluated."""
 
+_ROOM = 20_000
 _REMOTE = ("$dynamicRef", "$recursiveRef")
 
 
@@ -79,10 +81,23 @@ class Reference:
                     self._anchors[anchor] = node
 
     def accepts(self, value: object) -> bool:
-        return self._marks(self._root, value) is not None
+        """Judge a value; recursive as it is, with room for the deepest pair of the tables."""
+        before = sys.getrecursionlimit()
+        sys.setrecursionlimit(max(before, _ROOM))
+        try:
+            return self._marks(self._root, value) is not None
+        finally:
+            sys.setrecursionlimit(before)
 
     def _ok(self, schema: object, value: object) -> bool:
         return self._marks(schema, value) is not None
+
+    def _every(self, pairs: Iterable[tuple[object, object]]) -> bool:
+        """Judge pairs of schema and value in a loop: `all` would use the C stack at each level."""
+        for schema, value in pairs:  # noqa: SIM110 - a loop, for the reason above
+            if not self._ok(schema, value):
+                return False
+        return True
 
     def _target(self, reference: str) -> object:
         document, _, fragment = reference.partition("#")
@@ -108,8 +123,9 @@ class Reference:
         marks: Marks = (set(), set())
         if not _scalar_rules(schema, value):
             return None
-        if not all(self._merge(marks, part, value) for part in self._conjuncts(schema, value)):
-            return None
+        for part in self._conjuncts(schema, value):
+            if not self._merge(marks, part, value):
+                return None
         if not self._choices(schema, value, marks):
             return None
         if isinstance(value, list) and not self._array(schema, value, marks):
@@ -156,11 +172,11 @@ class Reference:
         if schema.get("uniqueItems") is True and len({frozen(v) for v in value}) < len(value):
             return False
         prefix = list(_items(schema, "prefixItems"))
-        if not all(self._ok(part, item) for part, item in zip(prefix, value, strict=False)):
+        if not self._every(zip(prefix, value, strict=False)):
             return False
         marks[1].update(range(min(len(prefix), len(value))))
         if "items" in schema:
-            if not all(self._ok(schema["items"], item) for item in value[len(prefix) :]):
+            if not self._every((schema["items"], item) for item in value[len(prefix) :]):
                 return False
             marks[1].update(range(len(value)))
         if "contains" in schema:
@@ -171,7 +187,7 @@ class Reference:
                 return False
         if "unevaluatedItems" in schema:
             rest = [item for n, item in enumerate(value) if n not in marks[1]]
-            if not all(self._ok(schema["unevaluatedItems"], item) for item in rest):
+            if not self._every((schema["unevaluatedItems"], item) for item in rest):
                 return False
             marks[1].update(range(len(value)))
         return True
@@ -184,8 +200,8 @@ class Reference:
         needs = _pairs(schema, "dependentRequired")
         if any(n in value and not set(needs[n]) <= set(value) for n in needs):  # type: ignore[call-overload] # lists of names
             return False
-        if "propertyNames" in schema and not all(
-            self._ok(schema["propertyNames"], name) for name in value
+        if "propertyNames" in schema and not self._every(
+            (schema["propertyNames"], name) for name in value
         ):
             return False
         return self._members(schema, value, marks)
@@ -198,19 +214,19 @@ class Reference:
         for name, item in value.items():
             rules = [part for text, part in patterned.items() if compiled(text).search(name)]
             rules += [named[name]] if name in named else []
-            if not all(self._ok(part, item) for part in rules):
+            if not self._every((part, item) for part in rules):
                 return False
             if rules:
                 local.add(name)
         rest = set(value) - local
         if "additionalProperties" in schema:
-            if not all(self._ok(schema["additionalProperties"], value[name]) for name in rest):
+            if not self._every((schema["additionalProperties"], value[name]) for name in rest):
                 return False
             local |= rest
         marks[0].update(local)
         if "unevaluatedProperties" in schema:
             rest = set(value) - marks[0]
-            if not all(self._ok(schema["unevaluatedProperties"], value[name]) for name in rest):
+            if not self._every((schema["unevaluatedProperties"], value[name]) for name in rest):
                 return False
             marks[0].update(value)
         return True

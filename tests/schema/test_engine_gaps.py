@@ -27,7 +27,7 @@ OBJECT: dict[str, Any] = {"type": "object"}
         {"oneOf": [GAP, {"type": "null"}]},
         {"if": True, "then": GAP},
         {"$schema": "tag:nowhere,2026:other", "type": "object"},
-        {"allOf": [{"$dynamicRef": "#x"}, {"minProperties": 0}]},
+        {"allOf": [{"$dynamicRef": "tag:nowhere,2026:other#x"}, {"minProperties": 0}]},
     ],
 )
 def test_a_gap_is_never_a_yes(consumer: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from hypothesis.errors import Flaky
 from tests.testing.test_memory_conformance import MemoryWorld
 
 from uoarm.bridge import Bridge, Channel, Sink
@@ -160,7 +161,8 @@ def run(test: Callable[..., None], spoil: Callable[[MemoryBridge], None]) -> Non
 @pytest.mark.parametrize("case", CASES)
 def test_a_bad_bridge_is_found_out(case: str) -> None:
     spoil, test = CASES[case]
-    with pytest.raises((AssertionError, pytest.fail.Exception)):
+    # A bridge that errs now and then fails two runs of one example in two ways: Flaky.
+    with pytest.raises((AssertionError, pytest.fail.Exception, Flaky)):
         run(test, spoil)
 
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+from uoarm_ros2._read import reader
 from uoarm_ros2._schema import integer_range
-from uoarm_ros2._shape import Listing, Record, Scalar, Shape, Text
+from uoarm_ros2._shape import Listing, Record, Scalar, Shape, Text, shape_of
 
 MESSAGE_TYPES = [
     f"test_msgs/msg/{name}"
@@ -29,6 +30,11 @@ MESSAGE_TYPES = [
     )
 ]
 _CHARACTERS = st.characters(exclude_categories=["Cs"], exclude_characters="\0")
+
+
+def default_of(native: type) -> Any:
+    """A message with every field as ROS 2 itself makes it."""
+    return reader(shape_of(native, native.__name__))(native())
 
 
 @st.composite

@@ -10,12 +10,14 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from redefinition import redefine
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64, String
 from std_srvs.srv import SetBool
@@ -66,6 +68,11 @@ class Doer:
     def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         self.publishers[topic] = self.node.create_publisher(native, topic, profile(**qos))
+        return {}
+
+    def redefine(self, kind: str = "Int64") -> dict[str, Any]:
+        """Define a type otherwise from now on."""
+        redefine({"Int64": Int64, "Image": Image, "String": String}[kind])
         return {}
 
     def unadvertise(self, topic: str) -> dict[str, Any]:
@@ -123,6 +130,21 @@ class Doer:
             return response
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def fail(self, name: str) -> dict[str, Any]:
+        """Serve as a node does whose callback raises: the exception ends the process."""
+
+        def answer(request: Any, response: Any) -> Any:
+            raise RuntimeError("this service is broken")
+
+        self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def echo(self, come: str, go: str) -> dict[str, Any]:
+        everything = profile(history="keep_all")
+        publisher = self.node.create_publisher(PoseStamped, go, everything)
+        self.node.create_subscription(PoseStamped, come, publisher.publish, everything)
         return {}
 
     def call(self, name: str, value: bool) -> dict[str, Any]:

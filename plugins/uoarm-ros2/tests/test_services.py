@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
+from messages import default_of
 from peers import Peer
-from uoarm_ros2._read import reader
-from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
@@ -27,8 +26,7 @@ FIBONACCI = "test_msgs/action/Fibonacci"
 
 def request(**fields: object) -> dict[str, Any]:
     native: Any = import_type(BASIC)
-    shape = shape_of(native.Request, BASIC)
-    return {**reader(shape)(native.Request()), **fields}
+    return {**default_of(native.Request), **fields}
 
 
 def service(*address: str, **options: Any) -> Any:
@@ -116,6 +114,13 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     assert answer == {"success": False, "message": "off is not possible"}
     assert events.event(Health.DEGRADED, "off is not possible").channel is channel
     assert channel.facts() == {"requests": 2, "failures": 1}
+
+
+def test_what_cannot_be_served_says_so(bridge: Bridge) -> None:
+    for address, words in ((("/navigate", FIBONACCI), "not served"), (("/x",), "needs a type")):
+        with pytest.raises(BridgeError, match=words) as caught:
+            bridge.serve(service(*address), lambda message: message)
+        assert caught.value.reason is FailureReason.UNSUPPORTED
 
 
 def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start) -> None:

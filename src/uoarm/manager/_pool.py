@@ -12,7 +12,7 @@ from uoarm.adapt import transfer
 from uoarm.bridge import Bridge, Channel
 from uoarm.errors import BridgeError, ConnectionClosedError, ResolutionError
 from uoarm.flow import Clock, Route, make_check
-from uoarm.manager._live import LiveComponent
+from uoarm.manager._live import LiveComponent, facts_of
 from uoarm.model import Edge, QueuePolicy, RouteStatus, Step, ValidationMode
 
 __all__ = ["LiveEdge", "Pool"]
@@ -51,7 +51,8 @@ class LiveEdge:
             return self.route.status()
         if self.link is None:
             return None
-        return RouteStatus(producer_name(self.edge), consumer_name(self.edge), 0, 0, native=True)
+        ends = producer_name(self.edge), consumer_name(self.edge)
+        return RouteStatus(*ends, 0, 0, native=True, facts=facts_of(self.link))
 
 
 class Pool:
@@ -139,6 +140,18 @@ class Pool:
             joined.renew_check()
         else:
             _shut(joined, producer)
+
+    def bury(self, live: LiveComponent) -> None:
+        """Share a dead component no more, nor its edges; its users still leave it as ever."""
+        with self._lock:
+            if self._components.get(live.component.name) is live:
+                del self._components[live.component.name]
+                name = live.component.name
+                self._edges = {
+                    key: joined
+                    for key, joined in self._edges.items()
+                    if name not in {joined.edge.producer, joined.edge.consumer}
+                }
 
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components open now."""

@@ -8,6 +8,7 @@ from attrs import frozen
 
 __all__ = [
     "BridgeStatus",
+    "ChannelStatus",
     "ComponentStatus",
     "ConnectionState",
     "ConnectionStatus",
@@ -53,8 +54,21 @@ class BridgeStatus:
 
 
 @frozen
+class ChannelStatus:
+    """One open channel of a component.
+
+    Attributes:
+        port: `output.default` or the like.
+        facts: what the framework knows of the link, by name: matched peers, policies, losses.
+    """
+
+    port: str
+    facts: tuple[tuple[str, object], ...] = ()
+
+
+@frozen
 class ComponentStatus:
-    """One open component and the connections that use it."""
+    """One open component, the connections that use it, and its open channels."""
 
     name: str
     function: str
@@ -62,6 +76,7 @@ class ComponentStatus:
     health: Health
     users: tuple[str, ...]
     cause: str = ""
+    channels: tuple[ChannelStatus, ...] = ()
 
 
 @frozen
@@ -79,6 +94,7 @@ class RouteStatus:
         age: seconds since the last message arrived, None before the first.
         last_error: text of the last failure on this route.
         native: the framework moves the messages itself; nothing is counted here.
+        facts: what the framework knows of a native link, by name.
     """
 
     producer: str
@@ -91,6 +107,31 @@ class RouteStatus:
     age: float | None = None
     last_error: str = ""
     native: bool = False
+    facts: tuple[tuple[str, object], ...] = ()
+
+
+@frozen
+class Gap:
+    """A change of providers behind a connection, where messages may be missing.
+
+    Attributes:
+        time: seconds of the manager's clock, when the new plan was open.
+        position: how many messages the application had been given before it.
+        seconds: how long nothing could arrive.
+        lost: messages that were under way into what died and are not known to have arrived;
+            what its framework had not handed over yet, nobody can count.
+        before: the components of the plan that ended.
+        after: the components of the plan that goes on.
+        cause: why it was replaced.
+    """
+
+    time: float
+    position: int
+    seconds: float
+    lost: int
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+    cause: str
 
 
 @frozen

@@ -6,11 +6,11 @@ from collections.abc import Generator, Iterable, Mapping
 from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._node import Node
-from uoarm.schema._regex import UnsupportedPatternError
 from uoarm.schema._trampoline import run
 from uoarm.schema._values import exact, key_of, kind_of
-from uoarm.schema._words import found_in
+from uoarm.schema._walker import found_in
 
 __all__ = ["accepts", "item_rules", "member_rules", "named_rules"]
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from uoarm.testing._choices import Choices
 
 _LANDMARKS = (0, 1, -1, 127, 128, 255, 256, -128, 2**31, 2**53, 2**53 + 1, -(2**63), 2**63, 2**64)
+_LOWER, _UPPER = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
 _STEPS = (Fraction(0), Fraction(1), Fraction(-1), Fraction(1, 2), Fraction(-1, 2), Fraction(1, 10))
 
 
@@ -48,6 +49,7 @@ def draw_number(
     value += choices.item(_STEPS)
     if chance(choices, 30):
         value += choices.integer(-12, 12)
+    value = _inside(value, schemas)
     lattice = _lattice(schemas, integer=integer)
     if lattice is not None:
         rounding = choices.item((math.floor, math.ceil))
@@ -58,9 +60,24 @@ def draw_number(
     return number
 
 
-def _bounds(schemas: Sequence[Mapping[str, object]]) -> Iterator[Fraction]:
+def _inside(value: Fraction, schemas: Sequence[Mapping[str, object]]) -> Fraction:
+    """The value mirrored at the bound that it passed: an object of 20 numbers needs all to fit."""
+    low = max(_bounds(schemas, _LOWER), default=None)
+    high = min(_bounds(schemas, _UPPER), default=None)
+    if low is not None and value < low:
+        value = 2 * low - value
+        return value if high is None else min(value, high)
+    if high is not None and value > high:
+        value = 2 * high - value
+        return value if low is None else max(value, low)
+    return value
+
+
+def _bounds(
+    schemas: Sequence[Mapping[str, object]], keywords: Sequence[str] = (*_LOWER, *_UPPER)
+) -> Iterator[Fraction]:
     for schema in schemas:
-        for keyword in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"):
+        for keyword in keywords:
             bound = schema.get(keyword)
             if isinstance(bound, (int, float)):
                 yield exact(bound)

@@ -100,6 +100,8 @@ class Action:
         if not self._graph.until(self.ready, limit):
             text = f"action {self.name} has no server"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
+        if not self._was_ready:
+            self._graph.greet(f"{self.name}/_action/send_goal", limit)
         self._was_ready = True
 
     def call(self, message: Message, timeout: float, wait: float) -> Message:

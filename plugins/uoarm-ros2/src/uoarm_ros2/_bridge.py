@@ -13,6 +13,7 @@ from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Op
 from uoarm_ros2 import _actions, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._discovery import Attendance, discovered, message_structure
+from uoarm_ros2._end import Place
 from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._link import Relay, SameTopic
 from uoarm_ros2._middleware import Participant, Station
@@ -21,7 +22,7 @@ from uoarm_ros2._services import Caller, Server
 from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._sink import TopicSink
-from uoarm_ros2._source import Place, Source
+from uoarm_ros2._source import Source
 from uoarm_ros2._types import ACTION, import_type
 from uoarm_ros2._write import writer
 
@@ -147,7 +148,10 @@ class Ros2Bridge(Bridge):
 
     def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
         address = address_of(endpoint)
-        if not address.type or address.kind == ACTION:
+        if address.kind == ACTION:
+            text = f"{endpoint}: an action can be called and followed, not served; serve a service"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        if not address.type:
             text = f"{endpoint}: serving needs a type package/srv/Name in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._station.node.resolve_service_name(address.name)

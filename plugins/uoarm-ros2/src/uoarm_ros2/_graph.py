@@ -73,6 +73,14 @@ class Graph:
         fresh = max((_FRESH_SECONDS - (time.monotonic() - at) for at in met), default=0.0)
         self.until(given_up, max(seconds, fresh))
 
+    def greet(self, service: str, seconds: float) -> None:
+        """Give servers that are newcomers the time to match us, no longer than `seconds`.
+
+        A server that has not matched the client's reader yet drops the reply.
+        """
+        end = time.monotonic() + seconds
+        self.settle(self._station.servers(service), 0.0, lambda: time.monotonic() > end)
+
     def _meet(self, peers: Iterable[Peer]) -> list[float]:
         if len(self._met) > _MOST_PARTICIPANTS:
             self._met.clear()

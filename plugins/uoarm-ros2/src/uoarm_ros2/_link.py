@@ -8,8 +8,9 @@ from attrs import evolve
 
 from uoarm.bridge import Channel
 from uoarm.model import Health
+from uoarm_ros2._end import Place
 from uoarm_ros2._sink import TopicSink
-from uoarm_ros2._source import Place, Source
+from uoarm_ros2._source import Source
 
 __all__ = ["Relay", "SameTopic"]
 

@@ -62,6 +62,8 @@ class Caller:
         native = import_type(type_name)
         request, reply = _records(native, type_name)
         self._what = f"service {name}"
+        self._name = name
+        self._greeted = False
         self._graph = graph
         self._write = writer(request)
         self._read = reader(reply)
@@ -81,13 +83,20 @@ class Caller:
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
-        if not self._graph.until(self.ready, min(wait, timeout)):
-            raise BridgeError(f"{self._what} has no server", FailureReason.UNAVAILABLE)
+        if not (self._greeted and self.ready()):
+            self._meet(timeout, wait)
         future = self._client.call_async(request)
         try:
             return self._read(answered(future, deadline, self.ready, self._what))
         finally:
             self._client.remove_pending_request(future)
+
+    def _meet(self, timeout: float, wait: float) -> None:
+        """Wait for a server, and until it has met us too."""
+        if not self._graph.until(self.ready, min(wait, timeout)):
+            raise BridgeError(f"{self._what} has no server", FailureReason.UNAVAILABLE)
+        self._graph.greet(self._name, timeout / 2)
+        self._greeted = True
 
 
 class Server(Channel):

@@ -8,17 +8,51 @@ from typing import Any
 
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Health, Message
+from uoarm.model import Message
+from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
 from uoarm_ros2._qos import Policies, clashes, for_writing
-from uoarm_ros2._source import Place
 
 __all__ = ["TopicSink"]
 
-_ANSWER_TICKS = 5
 _BLOCK_SECONDS = 10.0
 _FULL = "cannot publish data"
+
+
+class _Publisher(End):
+    """The writing end of a topic."""
+
+    peer_word = "subscription"
+
+    def peers_on(self, topic: str) -> tuple[Peer, ...]:
+        return self._place.station.subscriptions(topic)
+
+    def count(self) -> int:
+        return int(self.native.get_subscription_count())
+
+    def clashes_with(self, peer: Policies) -> tuple[str, ...]:
+        return clashes(self.policies, peer)
+
+    def told(self, peer: Peer) -> str:
+        return (
+            f"subscription {peer.node} asks ({peer.policies}), "
+            f"this publisher offers ({self.policies})"
+        )
+
+    def all_matched(self) -> bool:
+        """Whether every subscription on the graph that fits is matched, and one at least."""
+        fitting = [peer for peer in self.peers() if not self.clashes_with(peer.policies)]
+        return self.count() >= max(1, len(fitting))
+
+    def _fitting(self) -> Policies:
+        return for_writing(self._place.settings.qos, [peer.policies for peer in self.peers()])
+
+    def _create(self) -> Any:
+        place = self._place
+        return place.station.advertise(
+            place.native, place.topic.name, self.policies, events=self.events()
+        )
 
 
 class TopicSink(Sink):
@@ -38,26 +72,24 @@ class TopicSink(Sink):
         self._place = place
         self._write = write
         self.pulse = Pulse(lambda health, cause: place.report(self, health, cause))
-        self._unanswered = 0
-        self._policies = for_writing(place.settings.qos, self._requests())
-        self.blocking = self._policies.history == "keep_all"
-        self._publisher = self._advertise()
+        self._end = _Publisher(place, self.pulse)
+        self.blocking = self._end.policies.history == "keep_all"
 
     def send(self, message: Message) -> None:
         """Publish one message.
 
         Raises:
             MessageError: it does not fit the native type; the text names the field.
-            BridgeError: the channel is closed.
+            BridgeError: the channel is closed, also while it sends.
         """
         if self._closed:
-            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
-            raise BridgeError(text, FailureReason.CLOSED)
+            raise self._gone()
         native = self._write(message)
-        if self.blocking:
-            self._publish_patiently(native)
-        else:
-            self._publisher.publish(native)
+        publisher = self._end.native
+        try:
+            publisher.publish(native)
+        except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
+            self._publish_anyway(native, publisher, error)
         self.pulse.count += 1
 
     def wait(self) -> None:
@@ -66,118 +98,46 @@ class TopicSink(Sink):
         Raises:
             BridgeError: none was matched within the limit although one is required.
         """
-        place = self._place
-        limit = place.graph.limit(place.settings) if self._expects_peers() else 0.0
-        place.graph.until(self._matched, limit)
-        if self._publisher.get_subscription_count() == 0:
-            if place.settings.peer_required:
-                raise BridgeError(self._why_unmatched(limit), FailureReason.UNAVAILABLE)
-        elif any(asked.reliability == "best_effort" for asked in self._requests()):
+        place, end = self._place, self._end
+        expects_peers = place.settings.peer_required or bool(end.peers())
+        limit = place.graph.limit(place.settings) if expects_peers else 0.0
+        place.graph.until(lambda: self.closed or end.all_matched(), limit)
+        end.require(limit)
+        if end.count() and any(peer.policies.reliability == "best_effort" for peer in end.peers()):
             # A reader that does not ask for repeats must have matched us before the first message.
-            place.graph.settle(self._peers(), place.settle, lambda: self.closed)
+            place.graph.settle(end.peers(), place.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""
-        self.pulse.tick()
-        if self._unanswered and not self._closed:
-            self._unanswered -= 1
-            self._answer_clash()
+        self._end.tick()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched subscriptions and the policies in force."""
-        return {**self.pulse.facts(), "qos": str(self._policies)}
+        return self._end.facts()
 
-    def _publish_patiently(self, native: Any) -> None:
-        """Publish once the history has room; the rmw itself waits a tenth of a second only."""
+    def _publish_anyway(self, native: Any, publisher: Any, error: Exception) -> None:
+        """Publish with the publisher that took the place of one, or once the history has room.
+
+        The rmw itself waits for room a tenth of a second only.
+        """
         deadline = time.monotonic() + _BLOCK_SECONDS
-        while not self._closed:
+        while True:
+            if self._closed:
+                raise self._gone() from error
+            waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
+            if publisher is self._end.native and not waits:
+                raise error
+            publisher = self._end.native
             try:
-                self._publisher.publish(native)
-            except Exception as error:
-                if _FULL not in str(error) or time.monotonic() > deadline:
-                    raise
+                publisher.publish(native)
+            except Exception as another:  # noqa: BLE001 - looked at in the next round
+                error = another
             else:
                 return
 
+    def _gone(self) -> BridgeError:
+        text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+        return BridgeError(text, FailureReason.CLOSED)
+
     def _close(self) -> None:
-        self._place.station.discard(self._publisher)
-
-    def _advertise(self) -> Any:
-        place, pulse = self._place, self.pulse
-        required = place.settings.peer_required
-        return place.station.advertise(
-            place.native,
-            place.topic.name,
-            self._policies,
-            events={
-                "matched": lambda info: pulse.peers(
-                    info.current_count, f"subscription of {place.topic.name}", required=required
-                ),
-                "incompatible_qos": self._clash,
-                **(
-                    {
-                        "deadline": lambda info: pulse.deadline(
-                            info.total_count, f"topic {place.topic.name}"
-                        )
-                    }
-                    if self._policies.deadline is not None
-                    else {}
-                ),
-            },
-        )
-
-    def _expects_peers(self) -> bool:
-        return self._place.settings.peer_required or bool(self._peers())
-
-    def _matched(self) -> bool:
-        fitting = [each for each in self._requests() if not clashes(self._policies, each)]
-        return self._closed or self._publisher.get_subscription_count() >= max(1, len(fitting))
-
-    def _peers(self) -> list[Peer]:
-        place = self._place
-        known = place.station.subscriptions(place.topic.name)
-        return [peer for peer in known if peer.type == place.topic.type]
-
-    def _requests(self) -> list[Policies]:
-        return [peer.policies for peer in self._peers()]
-
-    def _clash(self, info: Any) -> None:
-        """Take note of a subscription that does not fit; in the station's thread."""
-        self.pulse.incompatible = info.total_count
-        self._unanswered = _ANSWER_TICKS
-        self._answer_clash()
-
-    def _answer_clash(self) -> None:
-        """Adapt while nobody is matched who would lose by it, else say what clashes."""
-        alone = self._publisher.get_subscription_count() == 0
-        fitting = for_writing(self._place.settings.qos, self._requests())
-        if alone and fitting != self._policies and not self._closed:
-            before, self._policies = self._publisher, fitting
-            self._publisher = self._advertise()
-            self._place.station.discard(before)
-            self._unanswered = 0
-            return
-        text = self._clashes()
-        if self._unanswered and (not text or "UNKNOWN" in text):
-            return  # the graph learns of a peer, then of its node, a moment after the event
-        self._unanswered = 0
-        if text:
-            lost = alone and self._place.settings.peer_required
-            self.pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
-
-    def _clashes(self) -> str:
-        sentences = []
-        for peer in self._peers():
-            found = clashes(self._policies, peer.policies)
-            if found:
-                sentences.append(
-                    f"subscription {peer.node} asks ({peer.policies}), this publisher offers "
-                    f"({self._policies}): they clash on {'; '.join(found)}"
-                )
-        if not sentences:
-            return ""
-        return f"incompatible QoS on topic {self._place.topic.name}: {' / '.join(sentences)}"
-
-    def _why_unmatched(self, limit: float) -> str:
-        name = self._place.topic.name
-        return self._clashes() or f"no subscription of {name} was matched within {limit:g} s"
+        self._end.close()

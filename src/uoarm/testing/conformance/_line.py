@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import pytest
 from attrs import frozen
 
 from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm.schema import check
 from uoarm.testing._collector import Collector
@@ -36,6 +38,14 @@ class Line:
     def example(self) -> Message:
         """Return a simple message of the structure."""
         return example_of(self.structure)
+
+    def carries_or_refuses(self, message: Message) -> None:
+        """Hold that a message comes out, or is refused in words where it cannot be sent."""
+        if self.world.takes(self.kind, message):
+            self.carries(message)
+            return
+        with pytest.raises(MessageError):
+            self.send(message)
 
     def carries(self, *messages: Message) -> None:
         """Send messages and hold that they come out, each once and in order."""

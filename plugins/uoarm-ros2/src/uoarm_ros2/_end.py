@@ -1,0 +1,200 @@
+"""One end of a topic: a publisher or subscription whose policies are kept fitting its peers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.bridge import Channel
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Health
+from uoarm_ros2._graph import Graph, Topic
+from uoarm_ros2._middleware import Peer, Station
+from uoarm_ros2._pulse import Pulse
+from uoarm_ros2._qos import Policies
+from uoarm_ros2._settings import Settings
+
+__all__ = ["End", "Place"]
+
+_ANSWER_TICKS = 5
+Events = dict[str, Callable[[Any], None]]
+
+
+@frozen
+class Place:
+    """Everything that one topic channel stands on."""
+
+    station: Station
+    graph: Graph
+    endpoint: Endpoint
+    topic: Topic
+    native: type
+    settings: Settings
+    settle: float
+    report: Callable[[Channel, Health, str], None]
+
+
+class End(ABC):
+    """A native endpoint, made anew with other policies when all peers that are left ask for such.
+
+    Must implement: the steps below that differ between reading and writing. Everything but
+    `close` happens in the opening thread, then in the station's.
+
+    Args:
+        place: where it is.
+        pulse: told of peers and clashes.
+    """
+
+    peer_word: str
+
+    def __init__(self, place: Place, pulse: Pulse) -> None:
+        self._place = place
+        self._pulse = pulse
+        self._unanswered = 0
+        self._unlooked = False
+        self._strange = False
+        self._closed = False
+        self.policies = self._fitting()
+        self.native = self._create()
+
+    @abstractmethod
+    def peers_on(self, topic: str) -> tuple[Peer, ...]:
+        """Return what is on the other side of a topic, of any type."""
+
+    @abstractmethod
+    def count(self) -> int:
+        """Return how many peers are matched now."""
+
+    @abstractmethod
+    def clashes_with(self, peer: Policies) -> tuple[str, ...]:
+        """Return the policies on which this end and a peer cannot meet, in words."""
+
+    @abstractmethod
+    def told(self, peer: Peer) -> str:
+        """Return the sentence that sets the policies of both sides side by side."""
+
+    @abstractmethod
+    def _fitting(self) -> Policies:
+        """Return the policies that the settings and the peers of now call for."""
+
+    @abstractmethod
+    def _create(self) -> Any:
+        """Create the native endpoint with the policies of now."""
+
+    def peers(self) -> list[Peer]:
+        """Return the peers of our type that are on the graph, matched or not."""
+        topic = self._place.topic
+        return [peer for peer in self.peers_on(topic.name) if peer.type == topic.type]
+
+    def require(self, limit: float) -> None:
+        """Raise BridgeError when a peer must be there and none is matched or speaks our language.
+
+        The text says what is in the way.
+        """
+        if not self._place.settings.peer_required:
+            return
+        name = self._place.topic.name
+        if self.count() == 0:
+            text = f"no {self.peer_word} of {name} was matched within {limit:g} s"
+            raise BridgeError(self._clashes() or text, FailureReason.UNAVAILABLE)
+        strangers = self._strangers()
+        if strangers and len(strangers) == len(self.peers()):
+            raise BridgeError(self._strangeness(strangers), FailureReason.UNAVAILABLE)
+
+    def tick(self) -> None:
+        """Look after the end a few times a second, in the station's thread."""
+        self._pulse.tick()
+        if self._closed:
+            return
+        if self._unanswered:
+            self._unanswered -= 1
+            self._answer_clash()
+        if self._unlooked:
+            self._unlooked = False
+            self._look_for_strangers()
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters, the matched peers and the policies in force."""
+        return {**self._pulse.facts(), "qos": str(self.policies)}
+
+    def close(self) -> None:
+        """Put the native endpoint away."""
+        self._closed = True
+        self._place.station.discard(self.native)
+
+    def events(self) -> Events:
+        """Return the callbacks that both kinds of end have."""
+        where, pulse = self._place.topic.name, self._pulse
+        required = self._place.settings.peer_required
+
+        def matched(info: Any) -> None:
+            self._unlooked = True
+            pulse.peers(info.current_count, f"{self.peer_word} of {where}", required=required)
+
+        common: Events = {"matched": matched, "incompatible_qos": self._clash}
+        if self.policies.deadline is not None:
+            common["deadline"] = lambda info: pulse.deadline(info.total_count, f"topic {where}")
+        return common
+
+    def _strangers(self) -> list[Peer]:
+        """Return the peers whose type has our name and another definition: DDS matches by name."""
+        topic = self._place.topic
+        own = self._place.station.own_definition(topic.name, topic.type)
+        return [peer for peer in self.peers() if own and peer.definition not in {"", own}]
+
+    def _strangeness(self, strangers: list[Peer]) -> str:
+        topic = self._place.topic
+        own = self._place.station.own_definition(topic.name, topic.type)
+        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in strangers)
+        return (
+            f"topic {topic.name}: {topic.type} is defined otherwise there than here: {theirs}, "
+            f"this process has {own}"
+        )
+
+    def _look_for_strangers(self) -> None:
+        strangers = self._strangers()
+        if strangers:
+            alone = len(strangers) == len(self.peers()) and self._place.settings.peer_required
+            health = Health.LOST if alone else Health.DEGRADED
+            self._pulse.tell(health, self._strangeness(strangers))
+        elif self._strange and self.count():
+            self._pulse.tell(Health.OK, "every peer has our definition of the type")
+        self._strange = bool(strangers)
+
+    def _clash(self, info: Any) -> None:
+        """Take note of a peer that does not fit; in the station's thread, as messages are."""
+        self._pulse.incompatible = info.total_count
+        self._unanswered = _ANSWER_TICKS
+        self._answer_clash()
+
+    def _answer_clash(self) -> None:
+        """Adapt while nobody is matched who would lose by it, else say what clashes."""
+        alone = self.count() == 0
+        fitting = self._fitting()
+        if alone and fitting != self.policies and not self._closed:
+            before, self.policies = self.native, fitting
+            self.native = self._create()
+            self._place.station.discard(before)
+            self._unanswered = 0
+            return
+        text = self._clashes()
+        if self._unanswered and (not text or "UNKNOWN" in text):
+            return  # the graph learns of a peer, then of its node, a moment after the event
+        self._unanswered = 0
+        if text:
+            lost = alone and self._place.settings.peer_required
+            self._pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
+
+    def _clashes(self) -> str:
+        clashing = ((peer, self.clashes_with(peer.policies)) for peer in self.peers())
+        sentences = [
+            f"{self.told(peer)}: they clash on {'; '.join(found)}"
+            for peer, found in clashing
+            if found
+        ]
+        if not sentences:
+            return ""
+        return f"incompatible QoS on topic {self._place.topic.name}: {' / '.join(sentences)}"

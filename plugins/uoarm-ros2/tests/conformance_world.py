@@ -1,0 +1,134 @@
+"""The world of the conformance kit: loops through topics, and nodes in processes of their own."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from messages import default_of
+from peers import DOMAIN, Peer
+from uoarm_ros2._types import import_type
+
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing.conformance import Pair, Served, Victim, World
+
+KINDS = {
+    "scalars": "test_msgs/msg/BasicTypes",
+    "strings": "test_msgs/msg/Strings",
+    "arrays": "test_msgs/msg/BoundedPlainSequences",
+    "image": "sensor_msgs/msg/Image",
+    "echoed": "geometry_msgs/msg/PoseStamped",  # by way of a node in another process
+}
+BOUND_OCTETS = 22  # of test_msgs/msg/Strings
+WAIT_SECONDS = 1.0  # a fifth of it would do with the discovery of these tests
+SILENT_SECONDS = 3.0
+SERVICE = "test_msgs/srv/BasicTypes"
+
+
+class RosWorld(World):
+    """Topics of this domain, and the nodes of other processes.
+
+    Args:
+        lasting: a node that serves every test.
+        start: starts a node for one test alone.
+    """
+
+    def __init__(self, lasting: Peer, start: Callable[..., Peer]) -> None:
+        self._lasting = lasting
+        self._start = start
+
+    def bridge(self) -> Bridge:
+        return Registry().create(
+            BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS})
+        )
+
+    def pair(self, kind: str) -> Pair:
+        topic, native = f"/conformance/{kind}", KINDS[kind]
+        if kind == "echoed":
+            return Pair(at(Role.INPUT, "/asked", native), at(Role.OUTPUT, "/echoed", native))
+        return Pair(
+            at(Role.INPUT, topic, native, peer="optional"),
+            at(Role.OUTPUT, topic, native, peer="optional", wait=0),
+        )
+
+    def missing(self) -> Endpoint:
+        return at(Role.OUTPUT, "/nowhere", "std_msgs/msg/Int64")
+
+    def carried(self, kind: str, message: Message) -> Message:
+        return rounded(KINDS[kind], message)
+
+    def takes(self, kind: str, message: Message) -> bool:
+        """ROS 2 counts the octets of a bounded string."""
+        return kind != "strings" or all(
+            len(text.encode()) <= BOUND_OCTETS
+            for name, text in message.items()
+            if name.startswith("bounded")
+        )
+
+    def samples(self, kind: str) -> Sequence[Message]:
+        if kind == "scalars":
+            return [special(value) for value in (math.nan, math.inf, -math.inf, 0.1)]
+        return [large_image()] if kind == "image" else []
+
+    def victim(self) -> Victim:
+        talker = self._start("victim")
+        talker.do("advertise", topic="/mortal")
+        return Victim(at(Role.OUTPUT, "/mortal", "std_msgs/msg/Int64"), talker.kill)
+
+    def served(self) -> Served:
+        mortal = self._start("failing")
+        mortal.do("fail", name="/failing")
+        native: Any = import_type(SERVICE)
+        request = {**default_of(native.Request), "int64_value": 2**62, "string_value": "abc"}
+        reply = {**default_of(native.Response), "int64_value": 2**62 + 1, "string_value": "cba"}
+        service, failing, silent = (
+            at(Role.SERVICE, name, SERVICE) for name in ("/add", "/failing", "/silent")
+        )
+        return Served(service, request, reply, failing, silent)
+
+    def servable(self) -> tuple[Endpoint, Endpoint]:
+        offered = at(Role.SERVICE, "/offered", SERVICE)
+        return offered, offered
+
+    def linkable(self) -> Pair:
+        image = KINDS["image"]
+        options = {"peer": "optional", "wait": 0}
+        return Pair(
+            at(Role.INPUT, "/linked", image, **options), at(Role.OUTPUT, "/from", image, **options)
+        )
+
+
+def at(role: Role, name: str, native: str, **options: object) -> Endpoint:
+    return Endpoint("ros", name.strip("/"), role, (name, native), options=options)
+
+
+def special(value: float) -> Message:
+    message = default_of(import_type(KINDS["scalars"]))
+    return {**message, "float32_value": value, "float64_value": value}
+
+
+def large_image() -> Message:
+    message = default_of(import_type(KINDS["image"]))
+    pixels = bytes(range(256)) * 4096
+    return {**message, "height": 1024, "width": 1024, "step": 1024, "data": pixels}
+
+
+def rounded(native: str, message: Message) -> Message:
+    """The message with every number as the float32 or float64 of its field has it."""
+    fields: dict[str, str] = import_type(native).get_fields_and_field_types()  # type: ignore[attr-defined]  # generated
+    return {name: _rounded(kind, message[name]) for name, kind in fields.items()}
+
+
+def _rounded(kind: str, value: Any) -> Any:
+    element = kind.removeprefix("sequence<").split(",")[0].split("[")[0].rstrip(">")
+    if isinstance(value, list):
+        return [_rounded(element, each) for each in value]
+    if isinstance(value, dict):
+        package, name = element.split("/")
+        return rounded(f"{package}/msg/{name}", value)
+    if element == "float":
+        return struct.unpack("f", struct.pack("f", value))[0]
+    return float(value) if element == "double" else value
