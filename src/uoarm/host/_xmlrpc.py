@@ -38,17 +38,12 @@ class XmlRpcFace:
     """
 
     def __init__(self, bridge: Bridge, endpoints: Iterable[Endpoint], port: int = 0) -> None:
-        self._bridge = bridge
-        self._endpoints = {(one.component, one.port): one for one in endpoints}
         try:
             self._server = _Server((_LOOPBACK, port), _Handler, logRequests=False)
         except OSError as error:
             text = f"XML-RPC cannot listen on port {port} of {_LOOPBACK}: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-        self._server.register_function(self.components)
-        self._server.register_function(self.ports)
-        self._server.register_function(self.structure)
-        self._server.register_function(self.discover)
+        self._server.register_instance(_Database(bridge, endpoints))
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.1,), name="uoarm-xmlrpc", daemon=True
         )
@@ -59,6 +54,20 @@ class XmlRpcFace:
         """The port that it listens on."""
         port: int = self._server.server_address[1]
         return port
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+
+
+class _Database:
+    """Exactly the methods that can be called."""
+
+    def __init__(self, bridge: Bridge, endpoints: Iterable[Endpoint]) -> None:
+        self._bridge = bridge
+        self._endpoints = {(one.component, one.port): one for one in endpoints}
 
     def components(self) -> list[str]:
         """Return the components of the configuration that this bridge reaches."""
@@ -79,12 +88,6 @@ class XmlRpcFace:
     def discover(self) -> str:
         """Return the components that are visible now as JSON text."""
         return json.dumps(to_json(list(self._bridge.discover(timeout=_DESCRIBE_SECONDS))))
-
-    def close(self) -> None:
-        """Answer no more."""
-        self._server.shutdown()
-        self._thread.join()
-        self._server.server_close()
 
 
 class _Handler(SimpleXMLRPCRequestHandler):
