@@ -134,7 +134,8 @@ def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: 
     browser.click(".form .button.main", "Call")
     browser.until(says(".problem", "at most 10"))
     assert browser.js("document.querySelector('#field-x').getAttribute('aria-invalid')") == "true"
-    browser.js("document.querySelector('#field-x').select()")
+    browser.until("document.activeElement.id === 'field-x'")
+    browser.js("document.activeElement.select()")
     browser.write("-2.5")
     browser.until("!document.querySelector('.problem')")
     browser.click('[id="field-hurry"]')

@@ -18,6 +18,7 @@ from uoarm.bridge import (
     Handler,
     Sink,
 )
+from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm.host._connection import HostConnection
@@ -163,9 +164,13 @@ class RemoteBridge(Bridge):
 
     def _ask_to_close(self, operation: str, **values: Any) -> Any:
         """Ask about an open channel; one of a dead host is closed already."""
-        if self._host.dead:
-            return None
-        return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        try:
+            if not self._host.dead:
+                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        except UoarmError:
+            if not self._host.dead:
+                raise
+        return None
 
     def _drop(self, number: int) -> None:
         self._channels.pop(number, None)
