@@ -53,7 +53,7 @@ $(VENV)/.demo: pyproject.toml | $(BIN)/python
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
-	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib]' \
+	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@
 

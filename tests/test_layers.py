@@ -18,20 +18,28 @@ LAYERS = [
     {"errors", "_version"},
     {"schema"},
     {"model"},
+    {"wire"},
     {"_bounded"},
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"environments"},
+    {"host"},
     {"flow"},
     {"config"},
     {"resolve"},
     {"manager"},
     {"__init__"},
     {"testing"},
+    {"server", "client"},
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-ALONE = {"schema": {"schema"}, "local": {"local", "bridge", "model", "errors"}}
+ALONE = {
+    "schema": {"schema"},
+    "wire": {"wire", "model", "errors"},
+    "local": {"local", "bridge", "model", "errors"},
+}
 
 
 def _layer(path: Path) -> str:
@@ -78,7 +86,22 @@ def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
-    heavy = ["rich", "click", "jsonschema", "numpy", "cv2", "rclpy", "omniORB", "hypothesis"]
+    heavy = [
+        "rich",
+        "click",
+        "jsonschema",
+        "numpy",
+        "cv2",
+        "rclpy",
+        "omniORB",
+        "hypothesis",
+        "zenoh",
+        "msgpack",
+        "websockets",
+        "orjson",
+        "cbor2",
+        "prometheus_client",
+    ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

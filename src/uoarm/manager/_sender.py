@@ -44,6 +44,10 @@ class Sender:
             self._check(message)
         self._route.deliver(message)
 
+    def flush(self, timeout: float) -> bool:
+        """Wait until the component has taken what was sent; False when time ran out."""
+        return self._route.drain(timeout)
+
     def status(self) -> RouteStatus:
         """Return what the status map shows."""
         return self._route.status()

@@ -1,0 +1,87 @@
+"""`uoarm serve` puts a robot on a WebSocket; `uoarm token` makes what lets a client in."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from uoarm.cli._shared import configuration_option, open_robot
+from uoarm.errors import PluginError
+
+if TYPE_CHECKING:
+    from uoarm.server import Server, Settings
+
+__all__ = ["serve", "token"]
+
+_USED = 5
+_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+
+@click.command()
+@click.argument("robot", required=False, type=click.Path(dir_okay=False))
+@configuration_option
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), default=9080, show_default=True)
+@click.option(
+    "--rosbridge-port",
+    type=click.IntRange(0, 65535),
+    help="A second port for rosbridge clients, such as 9090.",
+)
+@click.option("--access", type=_FILE, help="Access file with roles and tokens.")
+@click.option(
+    "--origin", "origins", multiple=True, help="Origin of web pages that may connect; * for all."
+)
+@click.option(
+    "--allow-host", "hosts", multiple=True, help="A further name of this server on loopback."
+)
+@click.option("--certificate", type=_FILE, help="PEM file of the certificate, for TLS.")
+@click.option("--key", type=_FILE, help="PEM file of its key.")
+@click.option("--client-authority", type=_FILE, help="PEM file that client certificates rest on.")
+def serve(robot: str | None, file: str, **settings: Any) -> None:
+    """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM.
+
+    Endpoints: / speaks the native protocol, /rosbridge speaks rosbridge v2; /healthz and
+    /metrics answer over HTTP.
+    """
+    with open_robot(robot or file) as manager:
+        try:
+            from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
+        except ImportError as error:
+            raise PluginError(
+                f"serving needs the package {error.name!r}: pip install 'uoarm[server]'"
+            ) from error
+        chosen = Settings(**settings)
+        try:
+            run(manager, chosen, lambda server: _say(server, chosen))
+        except OSError as error:
+            click.echo(f"error: {chosen.host}: cannot listen: {error.strerror or error}", err=True)
+            sys.exit(_USED)
+
+
+@click.command()
+@click.argument("name")
+@click.option("--role", required=True, help="Role of the access file that the token has.")
+def token(name: str, role: str) -> None:
+    """Make a token for the client NAME and the line of the access file that lets it in.
+
+    The token is shown once and kept nowhere; the line holds its hash only.
+    """
+    from uoarm.server import hash_token, make_token  # noqa: PLC0415 - an extra, and slow
+
+    made = make_token()
+    click.echo(f"token: {made}", err=True)
+    click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
+
+
+def _say(server: Server, settings: Settings) -> None:
+    scheme = "ws" if settings.certificate is None else "wss"
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    main, *more = server.ports
+    click.echo(f"serving {scheme}://{host}:{main}/ and {scheme}://{host}:{main}/rosbridge")
+    for port in more:
+        click.echo(f"serving {scheme}://{host}:{port}/ for rosbridge clients")
+    if not settings.local and settings.certificate is None:
+        click.echo("warning: without TLS, tokens and data can be read on the network", err=True)

@@ -1,0 +1,50 @@
+"""The audit log: who was let in, and what each was allowed and denied."""
+
+from __future__ import annotations
+
+import logging
+
+import orjson
+
+from uoarm.server._role import Operation, Role
+
+__all__ = ["Audit"]
+
+_log = logging.getLogger("uoarm.audit")
+
+
+class Audit:
+    """Writes one JSON line for each decision to the logger `uoarm.audit`.
+
+    Denials are warnings. What was allowed is information, except that each message sent would
+    drown the rest: those are for debugging.
+    """
+
+    def note(
+        self, session: str, role: Role, operation: Operation, function: str, *, allowed: bool
+    ) -> None:
+        """Record one decision about an operation on a function."""
+        level = logging.DEBUG if operation is Operation.SEND else logging.INFO
+        if not allowed:
+            level = logging.WARNING
+        if _log.isEnabledFor(level):
+            self._write(
+                level,
+                session=session,
+                role=role.name,
+                operation=operation.value,
+                function=function[:200],
+                allowed=allowed,
+            )
+
+    def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
+        """Record a client that was let in, or, with a cause, that was not."""
+        level = logging.WARNING if cause else logging.INFO
+        self._write(level, address=address, session=session, role=role, refused=cause)
+
+    def departure(self, session: str) -> None:
+        """Record that a client has gone."""
+        self._write(logging.INFO, session=session, gone=True)
+
+    def _write(self, level: int, **facts: object) -> None:
+        _log.log(level, "%s", orjson.dumps(facts).decode())

@@ -1,0 +1,120 @@
+"""One WebSocket connection: read at a fair pace, written from its outbox, cut off when stuck."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from typing import Protocol
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+
+from uoarm.server._limits import Limits
+from uoarm.server._outbox import Outbox
+from uoarm.server._role import Role
+
+__all__ = ["Client", "Session"]
+
+_log = logging.getLogger("uoarm.server")
+_TURN = 32
+
+
+class Session(Protocol):
+    """What a protocol does with a client's frames. Called in the loop's thread; never waits."""
+
+    def handle(self, frame: str | bytes) -> None:
+        """Take one frame; answers go to the outbox."""
+
+    def close(self) -> None:
+        """Give back everything that only this client used."""
+
+
+class Client:
+    """Transport of one client, the same for every protocol.
+
+    Args:
+        socket: after its handshake.
+        identity: name of the session, for logs and the client itself.
+        role: its rights.
+        limits: bounds.
+    """
+
+    def __init__(self, socket: ServerConnection, identity: str, role: Role, limits: Limits) -> None:
+        self.identity = identity
+        self.role = role
+        self.limits = limits
+        self.outbox = Outbox(limits.queue_bytes, limits.control_messages)
+        self.received = 0
+        self.sent = 0
+        self.sent_bytes = 0
+        self.is_cut = False
+        self._socket = socket
+        self._writing_since: float | None = None
+        self._closing: set[asyncio.Task[None]] = set()
+
+    @property
+    def address(self) -> str:
+        """Where the client is, `host:port`."""
+        name = self._socket.remote_address
+        return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"
+
+    async def run(self, session: Session) -> None:
+        """Serve until the client or the server ends the connection."""
+        writer = asyncio.ensure_future(self._write())
+        try:
+            await self._read(session)
+        except ConnectionClosed:
+            pass
+        finally:
+            session.close()
+            writer.cancel()
+            with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
+                await writer
+
+    def check(self, now: float) -> None:
+        """Cut the client off when it has not read for too long, or left too many replies."""
+        since = self._writing_since
+        if self.outbox.overflowed:
+            self.cut("it does not read its replies")
+        elif since is not None and now - since > self.limits.stall_seconds:
+            self.cut(f"it has read nothing for {now - since:.0f} s")
+
+    def dismiss(self, cause: str) -> None:
+        """Close properly, with a closing handshake that is not waited for here."""
+        self.is_cut = True
+        closing = asyncio.ensure_future(self._socket.close(CloseCode.POLICY_VIOLATION, cause))
+        self._closing.add(closing)
+        closing.add_done_callback(self._closing.discard)
+
+    def cut(self, cause: str) -> None:
+        """End the connection at once, without a closing handshake."""
+        _log.warning("client %s at %s is cut off: %s", self.identity, self.address, cause)
+        self.is_cut = True
+        self._socket.transport.abort()
+
+    async def _read(self, session: Session) -> None:
+        allowance = rate = self.limits.messages_per_second
+        before = time.monotonic()
+        async for frame in self._socket:
+            self.received += 1
+            session.handle(frame)
+            if self.outbox.overflowed:
+                self.cut("it does not read its replies")
+                return
+            if self.received % _TURN == 0:
+                now = time.monotonic()
+                allowance = min(rate, allowance + (now - before) * rate) - _TURN
+                before = now
+                await asyncio.sleep(0 if allowance > 0 else -allowance / rate)
+
+    async def _write(self) -> None:
+        while True:
+            frame, text = await self.outbox.next()
+            self._writing_since = time.monotonic()
+            await self._socket.send(frame, text=text)
+            self._writing_since = None
+            self.sent += 1
+            self.sent_bytes += len(frame)

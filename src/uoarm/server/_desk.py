@@ -1,0 +1,256 @@
+"""The desk: what all clients share. Feeds, the manager's blocking calls, and its events."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import TypeAlias
+
+from attrs import frozen
+
+from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
+from uoarm.manager import Connection, RobotManager
+from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
+from uoarm.server._feed import Feed
+from uoarm.server._hop import Hop
+from uoarm.server._limits import Limits
+from uoarm.server._workers import Workers
+
+__all__ = ["Desk", "Wanted", "Watcher"]
+
+_log = logging.getLogger("uoarm.server")
+Read: TypeAlias = Callable[[MessageStructure, Message], Message]
+Watcher: TypeAlias = Callable[[StatusEvent, str], None]
+"""Hears of a change and of the function concerned, empty where it is not known."""
+
+_REMEMBERED = 200
+_ENDS = frozenset({"closed", "failed"})
+
+
+@frozen
+class Wanted:
+    """What makes two requests the same feed.
+
+    Attributes:
+        name: function, or function.output.
+        validate: how many messages are checked.
+        receive: False where the client only sends.
+    """
+
+    name: str
+    validate: ValidationMode = ValidationMode.OFF
+    receive: bool = True
+
+    @property
+    def function(self) -> str:
+        """The function's name alone."""
+        return self.name.partition(".")[0]
+
+
+class Desk:
+    """Everything here runs in the loop's thread; what waits goes to the workers.
+
+    Args:
+        robot: the manager; it is not closed here.
+        limits: bounds.
+    """
+
+    def __init__(self, robot: RobotManager, limits: Limits) -> None:
+        self.robot = robot
+        self.limits = limits
+        self.hop = Hop(asyncio.get_running_loop())
+        self.workers = Workers(limits.workers, self.hop)
+        self._feeds: dict[Wanted, Feed] = {}
+        self._by_id: dict[str, Feed] = {}
+        self._claims: dict[Feed, int] = {}
+        self._openings: dict[Feed, asyncio.Task[None]] = {}
+        self._closings: set[asyncio.Task[None]] = set()
+        self._watchers: dict[Watcher, None] = {}
+        self._names: dict[str, str] = {}
+        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
+        self._functions = {
+            component.name: function.name
+            for function in robot.robot.functions.values()
+            for component in function.components
+        }
+        self._stop_listening = robot.listen(
+            lambda event: self.hop.put(functools.partial(self._heard, event))
+        )
+
+    @property
+    def feeds(self) -> tuple[Feed, ...]:
+        """The feeds that are open or opening."""
+        return tuple(self._feeds.values())
+
+    def past(self) -> list[tuple[float, StatusEvent, str]]:
+        """Return the last changes: seconds ago, the change, the function concerned."""
+        now = time.monotonic()
+        return [(now - heard, event, function) for heard, event, function in self._past]
+
+    async def join(self, wanted: Wanted) -> Feed:
+        """Return the open feed, opening it for the first. Give it back with `leave`.
+
+        Its messages wait until a listener is added.
+
+        Raises:
+            UoarmError: as `RobotManager.request`, and BusyError.
+        """
+        feed = self._feeds.get(wanted)
+        if feed is None:
+            feed = self._feeds[wanted] = Feed(self.hop, self.limits.feed_messages)
+            opening = asyncio.ensure_future(self._open(wanted, feed))
+            opening.add_done_callback(lambda done: done.cancelled() or done.exception())
+            self._openings[feed] = opening
+        self._claims[feed] = self._claims.get(feed, 0) + 1
+        try:
+            if feed in self._openings:
+                await asyncio.shield(self._openings[feed])
+        except BaseException:
+            self.leave(feed)
+            raise
+        return feed
+
+    def leave(self, feed: Feed) -> None:
+        """Give a feed back; the last one closes it, without waiting."""
+        self._claims[feed] -= 1
+        if not self._claims[feed]:
+            del self._claims[feed]
+            self._forget(feed)
+            if feed.connection is not None and not feed.connection.ended:
+                closing = asyncio.ensure_future(self._kill(feed.connection))
+                self._closings.add(closing)
+                closing.add_done_callback(self._closings.discard)
+
+    def feed_of(self, connection: str) -> Feed | None:
+        """Return the running feed of a connection's id."""
+        return self._by_id.get(connection)
+
+    async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
+        """Call a service in a worker.
+
+        Args:
+            name: a function.
+            message: the request as it came.
+            read: makes its logical value, by the service's structure.
+            timeout: seconds; the limit for all clients holds as well.
+
+        Raises:
+            UsageError: the function is a stream.
+            UoarmError: as `RobotManager.call`, and BusyError.
+        """
+        limit = min(timeout, self.limits.call_seconds)
+
+        def work() -> Message:
+            structure = self.robot.resolve(name).provider.structures.get("request")
+            if structure is None:
+                raise UsageError(f"function {name!r} is a stream, not a service")
+            return self.robot.call(name, read(structure, message), timeout=limit)
+
+        return await self.workers.start(work)
+
+    async def resolve(self, name: str) -> Plan:
+        """Find a plan in a worker; raises as `RobotManager.resolve`, and BusyError."""
+        return await self.workers.start(lambda: self.robot.resolve(name))
+
+    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
+        """Return the structures of a function's ports; of one that nothing provides, none."""
+        try:
+            return (await self.resolve(function)).provider.structures
+        except (ResolutionError, BridgeError, PluginError):
+            return {}
+
+    def watch(self, watcher: Watcher) -> None:
+        """Tell a watcher every change and the function that it concerns, from now on."""
+        self._watchers[watcher] = None
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Tell a watcher nothing more."""
+        self._watchers.pop(watcher, None)
+
+    async def close(self) -> None:
+        """Kill what is open, as far as it can be done while the server closes."""
+        self._stop_listening()
+        for feed in list(self._claims):
+            self._claims[feed] = 1
+            self.leave(feed)
+        if self._closings:
+            await asyncio.wait(self._closings, timeout=self.limits.stop_seconds / 2)
+        self.workers.close()
+
+    async def _open(self, wanted: Wanted, feed: Feed) -> None:
+        take = feed.take if wanted.receive else _ignore
+        try:
+            connection = await self.workers.start(
+                lambda: _request(self.robot, wanted, take, self.limits.request_seconds)
+            )
+        except BaseException:
+            self._forget(feed)
+            raise
+        finally:
+            self._openings.pop(feed, None)
+        feed.connection = connection
+        if feed not in self._claims:  # everyone who asked has gone meanwhile
+            await self._kill(connection)
+            return
+        self._by_id[connection.id] = feed
+        if connection.ended:
+            self._ended(feed)
+
+    async def _kill(self, connection: Connection) -> None:
+        try:
+            await asyncio.shield(self.workers.start(connection.kill, always=True))
+        except UoarmError as error:
+            _log.warning("closing connection %s: %s", connection.id, error)
+
+    def _heard(self, event: StatusEvent) -> None:
+        kind, _, name = event.subject.partition(" ")
+        function = self._functions.get(name, "") if kind == "component" else ""
+        if kind == "connection":
+            function = self._function_of(name)
+            if event.change in _ENDS:
+                self._names.pop(name, None)
+                if name in self._by_id:
+                    self._ended(self._by_id[name])
+        self._past.append((time.monotonic(), event, function))
+        for watcher in tuple(self._watchers):
+            watcher(event, function)
+
+    def _function_of(self, connection: str) -> str:
+        """Return the function of a connection, also of one that the application itself opened."""
+        if connection not in self._names:
+            statuses = self.robot.status().connections
+            self._names |= {one.id: one.function for one in statuses}
+        return self._names.get(connection, "")
+
+    def _ended(self, feed: Feed) -> None:
+        assert feed.connection is not None, "only an opened feed can end"
+        self._forget(feed)
+        feed.finish(feed.connection.state.value, feed.connection.cause)
+
+    def _forget(self, feed: Feed) -> None:
+        for wanted, one in list(self._feeds.items()):
+            if one is feed:
+                del self._feeds[wanted]
+        if feed.connection is not None:
+            self._by_id.pop(feed.connection.id, None)
+
+
+def _request(
+    robot: RobotManager, wanted: Wanted, take: Callable[[Message], None], timeout: float
+) -> Connection:
+    has_output = bool(robot.resolve(wanted.name).provider.component.outputs)
+    return robot.request(
+        wanted.name,
+        validate=wanted.validate,
+        on_message=take if has_output else None,
+        timeout=timeout,
+    )
+
+
+def _ignore(message: Message) -> None:
+    """Take the messages of a connection that is open for sending only."""
+    del message

@@ -1,0 +1,199 @@
+"""What happens before a WebSocket is open: pages over HTTP, and who is let in where."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from http import HTTPStatus
+from pathlib import Path
+from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
+
+import orjson
+from attrs import frozen
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.exceptions import NegotiationError
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from uoarm.server._admission import Admission, Pass, RefusedError
+from uoarm.server._audit import Audit
+from uoarm.server._limits import Limits
+from uoarm.server._role import Operation
+from uoarm.wire import FORMS
+
+__all__ = ["NATIVE_PATHS", "ROSBRIDGE_PATH", "Doors", "Entry"]
+
+NATIVE_PATHS = frozenset({"/", "/uoarm"})
+ROSBRIDGE_PATH = "/rosbridge"
+_VERSIONS = "uoarm.v"
+_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".mjs": "text/javascript; charset=utf-8",
+    ".ts": "text/plain; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+    ".json": "application/json",
+}
+# A page served here may load what is served here, and talk to this server only.
+_PAGE_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-cache",
+}
+
+
+@frozen
+class Entry:
+    """A handshake that was let in.
+
+    Attributes:
+        shown: what the client showed.
+        rosbridge: which protocol the path asks for.
+    """
+
+    shown: Pass
+    rosbridge: bool
+
+
+class Doors:
+    """Answers requests before the handshake; one for each port.
+
+    Args:
+        admission: decides who is let in.
+        audit: hears of refusals.
+        limits: bounds of connections.
+        connected: addresses of the clients connected now, shared between ports.
+        health: makes the answer of `/healthz`.
+        metrics: makes the answer of `/metrics`.
+        only_rosbridge: whether every path is the rosbridge endpoint.
+    """
+
+    def __init__(
+        self,
+        admission: Admission,
+        audit: Audit,
+        limits: Limits,
+        connected: Counter[str],
+        *,
+        health: Callable[[], Mapping[str, object]],
+        metrics: Callable[[], bytes],
+        only_rosbridge: bool = False,
+    ) -> None:
+        self._admission = admission
+        self._audit = audit
+        self._limits = limits
+        self._connected = connected
+        self._health = health
+        self._metrics = metrics
+        self._only_rosbridge = only_rosbridge
+        self._entries: WeakKeyDictionary[ServerConnection, Entry] = WeakKeyDictionary()
+        self.refused = 0
+
+    def entry(self, connection: ServerConnection) -> Entry:
+        """Return what was decided about a connection whose handshake is done."""
+        return self._entries[connection]
+
+    def process_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer a page or a refusal; None lets the handshake go on."""
+        path = urlsplit(request.path).path
+        try:
+            self._admission.check_page(request.headers)
+            if not self._only_rosbridge and "Upgrade" not in request.headers:
+                return self._page(connection, path, request)
+            self._enter(connection, path, request)
+        except RefusedError as error:
+            self.refused += 1
+            self._audit.arrival(_address(connection), "", "", str(error))
+            response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
+            if error.status is HTTPStatus.UNAUTHORIZED:
+                response.headers["WWW-Authenticate"] = 'Bearer realm="uoarm"'
+            return response
+        return None
+
+    def select_subprotocol(
+        self, connection: ServerConnection, offered: Sequence[Subprotocol]
+    ) -> Subprotocol | None:
+        """Choose a form; a client that offers none of any version gets JSON of this one.
+
+        Raises:
+            NegotiationError: it speaks other versions of the native protocol only.
+        """
+        chosen = next((one for one in offered if one in FORMS), None)
+        entry = self._entries.get(connection)
+        if chosen is None and entry is not None and not entry.rosbridge:
+            others = [one for one in offered if one.startswith(_VERSIONS)]
+            if others:
+                raise NegotiationError(f"this server speaks {', '.join(FORMS)}, not {others[0]}")
+        return chosen
+
+    def _enter(self, connection: ServerConnection, path: str, request: Request) -> None:
+        rosbridge = self._only_rosbridge or path == ROSBRIDGE_PATH
+        if not rosbridge and path not in NATIVE_PATHS:
+            raise RefusedError(
+                HTTPStatus.NOT_FOUND, f"there is no endpoint here; try / or {ROSBRIDGE_PATH}"
+            )
+        address = _host(connection)
+        if self._connected.total() >= self._limits.connections:
+            raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected")
+        if self._connected[address] >= self._limits.connections_per_address:
+            raise RefusedError(
+                HTTPStatus.TOO_MANY_REQUESTS, "too many clients of this address are connected"
+            )
+        self._entries[connection] = Entry(self._shown(connection, request), rosbridge)
+
+    def _shown(self, connection: ServerConnection, request: Request) -> Pass:
+        certificate = connection.transport.get_extra_info("peercert") or {}
+        return self._admission.admit(request.path, request.headers, certificate)
+
+    def _page(self, connection: ServerConnection, path: str, request: Request) -> Response:
+        if path == "/healthz":
+            return _response(HTTPStatus.OK, _TYPES[".json"], orjson.dumps(self._health()))
+        if path == "/metrics":
+            role = self._admission.role(self._shown(connection, request))
+            if role is None or not role.allows(Operation.SEE, "*"):
+                raise RefusedError(HTTPStatus.FORBIDDEN, "metrics need a role that may see all")
+            return _response(HTTPStatus.OK, "text/plain; version=0.0.4", self._metrics())
+        found = _static_files().get("index.html" if path == "/" else path.removeprefix("/"))
+        if found is None:
+            raise RefusedError(HTTPStatus.NOT_FOUND, "there is no such page")
+        return _response(HTTPStatus.OK, *found)
+
+
+@cache
+def _static_files() -> Mapping[str, tuple[str, bytes]]:
+    """Return the pages that ship with the server: only these names can ever be asked for."""
+    folder = Path(__file__).parent / "static"
+    return {
+        one.relative_to(folder).as_posix(): (_TYPES[one.suffix], one.read_bytes())
+        for one in folder.rglob("*")
+        if one.suffix in _TYPES
+    }
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+            **_PAGE_HEADERS,
+        }
+    )
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _host(connection: ServerConnection) -> str:
+    name = connection.remote_address
+    return str(name[0]) if isinstance(name, tuple) else "unknown"
+
+
+def _address(connection: ServerConnection) -> str:
+    name = connection.remote_address
+    return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"

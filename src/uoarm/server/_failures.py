@@ -1,0 +1,44 @@
+"""Errors as clients are told of them: a code to branch on and a text to read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeAlias
+
+from uoarm import errors
+from uoarm.server._role import DeniedError
+from uoarm.server._workers import BusyError
+
+__all__ = ["LimitError", "UnknownError", "code_of"]
+
+
+class LimitError(errors.UoarmError):
+    """A client wants more than it may have at one time."""
+
+
+class UnknownError(errors.UoarmError):
+    """There is nothing of that name among what this client may see."""
+
+
+_Kinds: TypeAlias = Mapping[type[Exception], str]
+
+# The first that fits holds: subclasses stand before their bases.
+_CODES: _Kinds = {
+    errors.ControlMessageError: "unreadable",
+    UnknownError: "unknown",
+    DeniedError: "denied",
+    errors.ResolutionError: "resolution",
+    errors.BridgeTimeoutError: "timeout",
+    errors.BridgeError: "bridge",
+    errors.PluginError: "bridge",
+    errors.MessageError: "message",
+    errors.UsageError: "usage",
+    errors.ConnectionClosedError: "closed",
+    LimitError: "limit",
+    BusyError: "busy",
+}
+
+
+def code_of(error: BaseException) -> str:
+    """Return the code of an error; `internal` for one that nobody foresaw."""
+    return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")

@@ -1,0 +1,177 @@
+"""The connections that one client holds: opened, sent to, killed, and given back when it goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from uoarm.errors import MessageError, UsageError
+from uoarm.manager import Connection
+from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
+from uoarm.server._desk import Desk, Wanted
+from uoarm.server._failures import LimitError, UnknownError
+from uoarm.server._feed import Feed
+from uoarm.server._limits import Limits
+from uoarm.server._outbox import Outbox
+from uoarm.server._sending import Done, Sending
+from uoarm.server._stream import Stream
+from uoarm.wire import Form
+
+__all__ = ["Holdings", "wanted_by"]
+
+
+class Holdings:
+    """Streams and sendings of one client by connection id, in the loop's thread.
+
+    Args:
+        desk: where feeds are shared.
+        outbox: the client's.
+        form: in which its messages are.
+        limits: bounds.
+        on_refused: hears the connection and why one of its messages could not be written.
+    """
+
+    def __init__(
+        self,
+        desk: Desk,
+        outbox: Outbox,
+        form: Form,
+        limits: Limits,
+        on_refused: Callable[[str, MessageError], None],
+    ) -> None:
+        self._desk = desk
+        self._outbox = outbox
+        self._form = form
+        self._limits = limits
+        self._on_refused = on_refused
+        self._streams: dict[str, Stream] = {}
+        self._sendings: dict[str, Sending] = {}
+        self._opening = 0
+
+    async def open(self, wanted: Wanted, options: Mapping[str, Any]) -> Stream:
+        """Open a function. Its messages wait until `begin`.
+
+        Raises:
+            LimitError: the client holds as many as it may.
+            UsageError: it holds this one already.
+            UoarmError: as `RobotManager.request`.
+        """
+        if len(self._streams) + self._opening >= self._limits.streams:
+            raise LimitError(f"{self._limits.streams} connections are open; kill one first")
+        self._opening += 1
+        try:
+            feed = await self._desk.join(wanted)
+        finally:
+            self._opening -= 1
+        connection = feed.connection
+        assert connection is not None, "join returns feeds that are open"
+        if connection.id in self._streams:
+            self._desk.leave(feed)
+            raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
+        stream = self._streams[connection.id] = self._stream(feed, connection, options)
+        return stream
+
+    def begin(self, stream: Stream) -> None:
+        """Let the messages of a stream come, first those that wait."""
+        stream.feed.add(stream)
+
+    def own(self, identity: str) -> Stream:
+        """Return the client's stream of a connection.
+
+        Raises:
+            UnknownError: it has none of this id; others' are not told apart from none at all.
+        """
+        stream = self._streams.get(identity)
+        if stream is None:
+            raise UnknownError(f"this client has no connection {identity[:100]!r}")
+        return stream
+
+    def send(self, stream: Stream, message: Message, port: str | None, done: Done) -> None:
+        """Hand one message to an input; raises as `Sending.send`."""
+        identity = stream.connection.id
+        sending = self._sendings.get(identity)
+        if sending is None:
+            sending = self._sendings[identity] = Sending(
+                stream.connection,
+                self._form,
+                self._desk.workers,
+                limit=self._limits.queue_messages,
+            )
+        sending.send(message, port, done)
+
+    def kill(self, stream: Stream, done: Callable[[], None]) -> None:
+        """Give a connection back after what was sent to it; what waits of it is discarded."""
+        identity = stream.connection.id
+
+        def end() -> None:
+            self._remove(identity)
+            self._outbox.discard(stream.lane)
+            done()
+
+        sending = self._sendings.get(identity)
+        if sending is None:
+            end()
+        else:
+            sending.after(end)
+
+    def close(self) -> None:
+        """Give everything back."""
+        for identity in list(self._streams):
+            self._remove(identity)
+
+    def counters(self) -> list[dict[str, object]]:
+        """Return what came and what was lost, for each connection."""
+        return [
+            {
+                "connection": identity,
+                "received": stream.feed.number,
+                "sent": stream.lane.sent,
+                "waiting": len(stream.lane.waiting),
+                "dropped": stream.lane.dropped,
+                "left_out": stream.skipped,
+            }
+            for identity, stream in self._streams.items()
+        ]
+
+    def _stream(self, feed: Feed, connection: Connection, options: Mapping[str, Any]) -> Stream:
+        return Stream(
+            feed,
+            self._outbox,
+            self._form,
+            _queue(options.get("queue", {}), self._limits.queue_messages),
+            every=options.get("every", 0),
+            clock=time.monotonic,
+            on_refused=lambda error: self._on_refused(connection.id, error),
+            on_end=lambda state, cause: self._ended(connection.id, state, cause),
+        )
+
+    def _ended(self, identity: str, state: str, cause: str) -> None:
+        """Tell the end after the last message, and free the name."""
+        stream = self._remove(identity)
+        if stream is not None:
+            told = {"connection": identity, "state": state, "cause": cause}
+            frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": told})
+            self._outbox.finish(stream.lane, frame)
+
+    def _remove(self, identity: str) -> Stream | None:
+        stream = self._streams.pop(identity, None)
+        self._sendings.pop(identity, None)
+        if stream is not None:
+            stream.feed.remove(stream)
+            self._desk.leave(stream.feed)
+        return stream
+
+
+def wanted_by(name: str, options: Mapping[str, Any]) -> Wanted:
+    """Return what a Request with these options asks for."""
+    return Wanted(
+        name, ValidationMode(options.get("validate", "off")), options.get("receive", True)
+    )
+
+
+def _queue(options: Mapping[str, Any], most: int) -> QueuePolicy:
+    return QueuePolicy(
+        min(options.get("length", most), most),
+        OverflowPolicy(options.get("policy", OverflowPolicy.DROP_OLDEST.value)),
+    )

@@ -1,0 +1,36 @@
+"""The one way from other threads into the server's loop: one wake-up, whatever has come."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+__all__ = ["Hop"]
+
+
+class Hop:
+    """Runs actions of other threads in the loop's thread, in order.
+
+    However many come before the loop gets to them, it is woken once.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._actions: deque[Callable[[], None]] = deque()
+        self._woken = False
+
+    def put(self, action: Callable[[], None]) -> None:
+        """Have an action run in the loop. From any thread; after the loop's end it is lost."""
+        self._actions.append(action)
+        if not self._woken:
+            self._woken = True
+            try:
+                self._loop.call_soon_threadsafe(self._run)
+            except RuntimeError:  # the loop is closed: nobody is left to be told
+                self._actions.clear()
+
+    def _run(self) -> None:
+        self._woken = False
+        for _ in range(len(self._actions)):
+            self._actions.popleft()()

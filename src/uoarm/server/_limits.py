@@ -1,0 +1,53 @@
+"""What the server allows one client, and all of them together, to use."""
+
+from __future__ import annotations
+
+from attrs import field, frozen
+from attrs.validators import ge, gt
+
+__all__ = ["Limits"]
+
+
+@frozen
+class Limits:
+    """Bounds of everything that a client can make grow.
+
+    Attributes:
+        message_bytes: longest message taken from a client.
+        depth: deepest nesting of a message taken from a client.
+        connections: clients connected at one time.
+        connections_per_address: of these, from one address.
+        streams: functions, topics and services that one client holds open.
+        calls: requests of one client that are being worked on at one time.
+        workers: threads for requests of all clients together.
+        messages_per_second: a client that sends more is read more slowly.
+        queue_messages: data messages that wait for one client, at most.
+        queue_bytes: bytes that wait for one client, at most.
+        control_messages: replies and events that wait for one client; with more it is cut off.
+        feed_messages: messages of one function that wait for the server's loop.
+        handshake_seconds: for the whole opening handshake.
+        ping_seconds: between two pings of a silent client.
+        stall_seconds: without a sign of life, or without reading, before a client is cut off.
+        request_seconds: for resolving and opening what a client asked for.
+        call_seconds: for a service call that names no limit of its own; also the longest.
+        stop_seconds: for closing when the server is stopped.
+    """
+
+    message_bytes: int = field(default=16_777_216, validator=ge(1024))
+    depth: int = field(default=64, validator=ge(4))
+    connections: int = field(default=4096, validator=ge(1))
+    connections_per_address: int = field(default=4096, validator=ge(1))
+    streams: int = field(default=256, validator=ge(1))
+    calls: int = field(default=32, validator=ge(1))
+    workers: int = field(default=64, validator=ge(1))
+    messages_per_second: float = field(default=20_000.0, validator=gt(0))
+    queue_messages: int = field(default=1024, validator=ge(1))
+    queue_bytes: int = field(default=16_777_216, validator=ge(1024))
+    control_messages: int = field(default=4096, validator=ge(16))
+    feed_messages: int = field(default=1024, validator=ge(1))
+    handshake_seconds: float = field(default=5.0, validator=gt(0))
+    ping_seconds: float = field(default=5.0, validator=gt(0))
+    stall_seconds: float = field(default=10.0, validator=gt(0))
+    request_seconds: float = field(default=30.0, validator=gt(0))
+    call_seconds: float = field(default=60.0, validator=gt(0))
+    stop_seconds: float = field(default=1.5, validator=gt(0))

@@ -1,0 +1,104 @@
+"""Figures of the server in Prometheus' text format, read when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from attrs import define
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+
+from uoarm.model import StatusMap
+from uoarm.server._client import Client
+from uoarm.server._desk import Desk
+
+__all__ = ["Metrics", "Totals"]
+
+
+@define
+class Totals:
+    """Counts over the server's whole life, clients that have gone included."""
+
+    clients: int = 0
+    refused: int = 0
+    cut_off: int = 0
+    received: int = 0
+    sent: int = 0
+    sent_bytes: int = 0
+
+    def add(self, client: Client) -> None:
+        """Keep the counts of a client that goes."""
+        self.received += client.received
+        self.sent += client.sent
+        self.sent_bytes += client.sent_bytes
+        self.cut_off += client.is_cut
+
+
+class Metrics:
+    """Collects from the living objects; holds no counts of its own.
+
+    Args:
+        desk: feeds and workers.
+        totals: of clients that have gone.
+        clients: those connected now.
+    """
+
+    def __init__(self, desk: Desk, totals: Totals, clients: Callable[[], Iterable[Client]]) -> None:
+        self._desk = desk
+        self._totals = totals
+        self._clients = clients
+        self._registry = CollectorRegistry(auto_describe=False)
+        self._registry.register(self)
+
+    def text(self) -> bytes:
+        """Return everything in the text format, version 0.0.4."""
+        return generate_latest(self._registry)
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the figures as they are now."""
+        clients = list(self._clients())
+        totals = self._totals
+        yield _gauge("clients", "clients connected", len(clients))
+        yield _count("arrivals", "clients that connected", totals.clients)
+        yield _count("refused", "handshakes that were refused", totals.refused)
+        yield _count("cut_off", "clients that were cut off", totals.cut_off)
+        received = totals.received + sum(one.received for one in clients)
+        yield _count("received_messages", "messages from clients", received)
+        sent = totals.sent + sum(one.sent for one in clients)
+        yield _count("sent_messages", "messages to clients", sent)
+        octets = totals.sent_bytes + sum(one.sent_bytes for one in clients)
+        yield _count("sent_bytes", "bytes of messages to clients", octets)
+        waiting = sum(one.outbox.waiting_bytes for one in clients)
+        yield _gauge("waiting_bytes", "bytes that wait for clients", waiting)
+        dropped = sum(one.outbox.dropped for one in clients)
+        yield _gauge("dropped_messages", "messages lost to slow clients now connected", dropped)
+        yield _gauge("workers_busy", "requests that wait for the robot", self._desk.workers.busy)
+        feeds = self._desk.feeds
+        yield _gauge("feeds", "functions that clients have open", len(feeds))
+        lost = sum(feed.lost for feed in feeds)
+        yield _gauge("feed_lost", "messages lost before the loop got to them", lost)
+        yield from _routes(self._desk.robot.status())
+
+
+def _routes(status: StatusMap) -> Iterator[Metric]:
+    labels = ["producer", "consumer"]
+    received = CounterMetricFamily("uoarm_route_received", "messages that arrived", labels=labels)
+    delivered = CounterMetricFamily("uoarm_route_delivered", "messages taken", labels=labels)
+    dropped = CounterMetricFamily(
+        "uoarm_route_dropped", "messages lost", labels=[*labels, "reason"]
+    )
+    for route in status.routes:
+        ends = [route.producer, route.consumer]
+        received.add_metric(ends, route.received)
+        delivered.add_metric(ends, route.delivered)
+        for reason, count in route.dropped:
+            dropped.add_metric([*ends, reason], count)
+    yield from (received, delivered, dropped)
+
+
+def _gauge(name: str, text: str, value: float) -> Metric:
+    return GaugeMetricFamily(f"uoarm_serve_{name}", text, value=value)
+
+
+def _count(name: str, text: str, value: float) -> Metric:
+    return CounterMetricFamily(f"uoarm_serve_{name}", text, value=value)

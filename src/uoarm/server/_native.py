@@ -1,0 +1,237 @@
+"""The native protocol: one answer for every message, in order where order matters."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from uoarm._version import __version__
+from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
+from uoarm.resolve import NoPlanError
+from uoarm.server._audit import Audit
+from uoarm.server._client import Client
+from uoarm.server._desk import Desk
+from uoarm.server._failures import LimitError, UnknownError, code_of
+from uoarm.server._holdings import Holdings, wanted_by
+from uoarm.server._role import Operation
+from uoarm.server._sending import read_message
+from uoarm.server._view import list_functions, show_plan, visible_status
+from uoarm.wire import Form, check_asked, salvage_id, write_or_tell
+
+__all__ = ["NativeSession"]
+
+_log = logging.getLogger("uoarm.server")
+
+
+class NativeSession:
+    """One client that speaks the native protocol.
+
+    Messages are begun in the order in which they come. Data to one connection stays in order, and
+    a Kill waits for the Data before it; everything else runs side by side, so that a slow call
+    holds up nothing.
+    """
+
+    def __init__(self, client: Client, desk: Desk, form: Form, audit: Audit) -> None:
+        self._client = client
+        self._desk = desk
+        self._form = form
+        self._audit = audit
+        self._holdings = Holdings(
+            desk,
+            client.outbox,
+            form,
+            client.limits,
+            lambda connection, error: self._fail(None, connection, error),
+        )
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
+            Op.DATA: self._send,
+            Op.KILL: self._kill,
+            Op.LIST: self._list,
+            Op.STATUS: self._status,
+        }
+        self._slow: Mapping[Op, Callable[[ControlMessage], Awaitable[None]]] = {
+            Op.REQUEST: self._request,
+            Op.CALL: self._call,
+            Op.RESOLVE: self._resolve,
+        }
+        self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
+
+    def handle(self, frame: str | bytes) -> None:
+        """Answer one frame, now or later."""
+        fields: Mapping[str, Any] = {}
+        try:
+            fields = self._form.read(frame, self._client.limits.depth)
+            asked = check_asked(fields)
+        except ControlMessageError as error:
+            self._fail(salvage_id(fields), "", error)
+            return
+        try:
+            if asked.op in self._quick:
+                self._quick[asked.op](asked)
+            else:
+                self._begin(asked)
+        except Exception as error:  # noqa: BLE001 - every message gets its answer
+            self._failed(asked, error)
+
+    def close(self) -> None:
+        """Give back everything that only this client used."""
+        self._desk.unwatch(self._changed)
+        for task in self._tasks:
+            task.cancel()
+        self._holdings.close()
+
+    def _begin(self, asked: ControlMessage) -> None:
+        if len(self._tasks) >= self._client.limits.calls:
+            raise LimitError(
+                f"{self._client.limits.calls} requests are under way; wait for an answer first"
+            )
+        task = asyncio.ensure_future(self._answer(asked))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _answer(self, asked: ControlMessage) -> None:
+        try:
+            await self._slow[asked.op](asked)
+        except Exception as error:  # noqa: BLE001 - every message gets its answer
+            self._failed(asked, error)
+
+    async def _request(self, asked: ControlMessage) -> None:
+        options = asked.jsonMessage or {}
+        wanted = wanted_by(str(asked.type), options)
+        self._require(Operation.REQUEST if wanted.receive else Operation.SEND, wanted.function)
+        stream = await self._holdings.open(wanted, options)
+        plan = stream.connection.plan
+        opened = {
+            "connection": stream.connection.id,
+            "function": plan.function,
+            "components": [step.component.name for step in plan.steps],
+            "inputs": [one.name for one in plan.provider.component.inputs if one.source is None],
+            "warnings": list(plan.warnings),
+        }
+        self._reply(asked, opened)
+        self._holdings.begin(stream)
+
+    async def _call(self, asked: ControlMessage) -> None:
+        name = str(asked.type)
+        self._require(Operation.CALL, name)
+        limit = asked.extensions.get("x-timeout", self._client.limits.call_seconds)
+        assert isinstance(limit, int | float), "the schema says so"
+        read = functools.partial(read_message, self._form)
+        self._reply(asked, await self._desk.call(name, asked.jsonMessage, read, float(limit)))
+
+    async def _resolve(self, asked: ControlMessage) -> None:
+        name = str(asked.type)
+        self._require(Operation.SEE, name.partition(".")[0])
+        self._reply(asked, show_plan(await self._desk.resolve(name), self._form))
+
+    def _list(self, asked: ControlMessage) -> None:
+        functions = list_functions(self._desk.robot.robot, self._client.role)
+        self._reply(asked, {"functions": functions})
+
+    def _status(self, asked: ControlMessage) -> None:
+        if asked.type == "watch":
+            self._desk.watch(self._changed)
+        elif asked.type == "unwatch":
+            self._desk.unwatch(self._changed)
+        status = visible_status(self._desk.robot.status(), self._client.role)
+        told = {**status, "own": self._holdings.counters()}
+        if asked.type == "watch":
+            told["past"] = [
+                {**to_json(event), "age": age}
+                for age, event, function in self._desk.past()
+                if self._client.role.allows(Operation.SEE, function)
+            ]
+        self._reply(asked, told)
+
+    def _send(self, asked: ControlMessage) -> None:
+        identity, _, port = str(asked.type).partition(".")
+        stream = self._holdings.own(identity)
+        self._require(Operation.SEND, stream.connection.plan.function)
+        self._holdings.send(
+            stream, asked.jsonMessage, port or None, lambda error: self._done(asked, error)
+        )
+
+    def _kill(self, asked: ControlMessage) -> None:
+        if (asked.jsonMessage or {}).get("everyone"):
+            self._kill_for_everyone(asked)
+        else:
+            stream = self._holdings.own(str(asked.type))
+            self._holdings.kill(stream, lambda: self._reply(asked, None))
+
+    def _kill_for_everyone(self, asked: ControlMessage) -> None:
+        feed = self._desk.feed_of(str(asked.type))
+        connection = None if feed is None else feed.connection
+        seen = connection is not None and self._client.role.allows(
+            Operation.SEE, connection.plan.function
+        )
+        if connection is None or not seen:
+            raise UnknownError(f"there is no connection {asked.type!r:.100}")
+        self._require(Operation.KILL, connection.plan.function)
+        killing = self._desk.workers.start(connection.kill, always=True)
+        killing.add_done_callback(lambda done: self._done(asked, done.exception()))
+
+    def _changed(self, event: StatusEvent, function: str) -> None:
+        if self._client.role.allows(Operation.SEE, function):
+            self._tell({"op": "Status", "type": "change", "jsonMessage": to_json(event)})
+
+    def _require(self, operation: Operation, function: str) -> None:
+        role = self._client.role
+        allowed = role.allows(operation, function)
+        self._audit.note(self._client.identity, role, operation, function, allowed=allowed)
+        role.require(operation, function)
+
+    def _hello(self) -> Message:
+        return {
+            "protocol": 1,
+            "server": f"uoarm {__version__}",
+            "session": self._client.identity,
+            "role": self._client.role.name,
+            "message_bytes": self._client.limits.message_bytes,
+            "depth": self._client.limits.depth,
+        }
+
+    def _done(self, asked: ControlMessage, error: BaseException | None) -> None:
+        if error is None:
+            self._reply(asked, None)
+        else:
+            self._failed(asked, error)
+
+    def _failed(self, asked: ControlMessage, error: BaseException) -> None:
+        if not isinstance(error, UoarmError):
+            text = "%s of client %s failed"
+            _log.error(text, asked.op.value, self._client.identity, exc_info=error)
+        more: dict[str, Any] = {}
+        if asked.op is Op.RESOLVE and isinstance(error, NoPlanError):
+            more["rejected"] = to_json(error.rejections)
+        self._fail(asked.id, str(asked.type), error, more)
+
+    def _reply(self, asked: ControlMessage, message: Message) -> None:
+        reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
+        if message is not None:
+            reply["jsonMessage"] = message
+        self._tell(reply)
+
+    def _fail(
+        self,
+        identity: str | None,
+        kind: str,
+        error: BaseException,
+        more: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
+        code = code_of(error)
+        text = "the server failed; its log says more" if code == "internal" else str(error)
+        told: dict[str, Any] = {"op": "Error", "jsonMessage": {"code": code, "text": text, **more}}
+        if kind:
+            told["type"] = kind
+        if identity is not None:
+            told["id"] = identity
+        self._tell(told)
+
+    def _tell(self, message: Mapping[str, Any]) -> None:
+        self._client.outbox.tell(write_or_tell(self._form, message), text=self._form.text)

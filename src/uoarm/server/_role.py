@@ -1,0 +1,57 @@
+"""Roles: which operations on which functions a client may use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from fnmatch import fnmatchcase
+
+from attrs import field, frozen
+
+from uoarm.errors import UoarmError
+
+__all__ = ["EVERYTHING", "DeniedError", "Operation", "Role"]
+
+
+class DeniedError(UoarmError):
+    """The client's role does not allow what it asked."""
+
+
+class Operation(Enum):
+    """What a role allows or does not.
+
+    SEE names functions and their status, REQUEST opens and receives, SEND publishes to an input,
+    CALL calls a service, KILL ends what other clients hold. One's own connections may always be
+    killed.
+    """
+
+    SEE = "see"
+    REQUEST = "request"
+    SEND = "send"
+    CALL = "call"
+    KILL = "kill"
+
+
+@frozen
+class Role:
+    """A named set of rights; whatever is not named is denied.
+
+    Attributes:
+        name: as the audit log and the client's hello show it.
+        rules: patterns of function names by operation, `*` and `?` as in file names.
+    """
+
+    name: str
+    rules: Mapping[Operation, tuple[str, ...]] = field(hash=False)
+
+    def allows(self, operation: Operation, function: str) -> bool:
+        """Say whether an operation on a function is allowed."""
+        return any(fnmatchcase(function, one) for one in self.rules.get(operation, ()))
+
+    def require(self, operation: Operation, function: str) -> None:
+        """Raise DeniedError when an operation on a function is not allowed."""
+        if not self.allows(operation, function):
+            raise DeniedError(f"role {self.name!r} may not {operation.value} {function[:100]!r}")
+
+
+EVERYTHING = Role("local", dict.fromkeys(Operation, ("*",)))

@@ -1,0 +1,116 @@
+"""Running a server: as the main work of a process, or in a thread beside other work."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import signal
+import threading
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from uoarm.manager import RobotManager
+from uoarm.server._server import Server
+from uoarm.server._settings import Settings
+
+__all__ = ["run", "serve_in_thread"]
+
+_START_SECONDS = 10.0
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run(
+    robot: RobotManager, settings: Settings, ready: Callable[[Server], None] | None = None
+) -> None:
+    """Serve until SIGTERM or Ctrl-C, then close properly. Only in the main thread.
+
+    Args:
+        robot: the manager; it stays open.
+        settings: where, and for whom.
+        ready: called once it listens.
+
+    Raises:
+        ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
+        OSError: a port is taken.
+    """
+    server = Server(robot, settings)
+    _run_loop(_new_loop(), _until_signal(server, ready))
+
+
+@contextmanager
+def serve_in_thread(robot: RobotManager, settings: Settings) -> Iterator[Server]:
+    """Serve in a thread of its own while the block runs; the robot stays open after it.
+
+    Raises:
+        ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
+        OSError: a port is taken.
+    """
+    server = Server(robot, settings)
+    loop = _new_loop()
+    stop = asyncio.Event()
+    started = threading.Event()
+    failures: list[BaseException] = []
+
+    async def serve() -> None:
+        try:
+            await server.start()
+        except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits
+            failures.append(error)
+            return
+        finally:
+            started.set()
+        await stop.wait()
+        await server.stop()
+
+    work = functools.partial(_run_loop, loop, serve())
+    thread = threading.Thread(target=work, name="uoarm-serve", daemon=True)
+    thread.start()
+    try:
+        started.wait(_START_SECONDS)
+        if failures:
+            raise failures[0]
+        yield server
+    finally:
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(stop.set)
+        thread.join(settings.limits.stop_seconds + _START_SECONDS)
+
+
+async def _until_signal(server: Server, ready: Callable[[Server], None] | None) -> None:
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for one in _SIGNALS:
+        loop.add_signal_handler(one, stop.set)
+    await server.start()
+    try:
+        if ready is not None:
+            ready(server)
+        await stop.wait()
+    finally:
+        await server.stop()
+
+
+def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) -> None:
+    """Run one piece of work in a loop, and end whatever it has left there."""
+    try:
+        loop.run_until_complete(work)
+    finally:
+        left = asyncio.all_tasks(loop)
+        for task in left:
+            task.cancel()
+        if left:
+            loop.run_until_complete(asyncio.wait(left))
+        loop.run_until_complete(loop.shutdown_asyncgens())
+        loop.close()
+
+
+def _new_loop() -> asyncio.AbstractEventLoop:
+    """Return a loop, uvloop's where it is installed: the same behaviour with less time."""
+    try:
+        import uvloop  # noqa: PLC0415 - an optional package
+    except ImportError:
+        return asyncio.new_event_loop()
+    loop: asyncio.AbstractEventLoop = uvloop.new_event_loop()
+    return loop

@@ -1,0 +1,79 @@
+"""One client's share in a feed: how often, in which form, through which queue."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+from uoarm.errors import MessageError
+from uoarm.flow import Clock
+from uoarm.model import QueuePolicy
+from uoarm.server._feed import Feed, Parcel
+from uoarm.server._outbox import Lane, Outbox
+from uoarm.wire import Form
+
+__all__ = ["Stream"]
+
+
+class Stream:
+    """Hands the messages of a feed to one client.
+
+    Args:
+        feed: an open feed.
+        outbox: the client's.
+        form: in which messages are written.
+        queue: the client's own queue for this feed.
+        every: least seconds between two messages; those between are left out.
+        clock: seconds.
+        on_refused: hears once of each reason for which a message could not be written.
+        on_end: called when the feed has ended, with state and cause.
+    """
+
+    def __init__(
+        self,
+        feed: Feed,
+        outbox: Outbox,
+        form: Form,
+        queue: QueuePolicy,
+        *,
+        every: float,
+        clock: Clock,
+        on_refused: Callable[[MessageError], None],
+        on_end: Callable[[str, str], None],
+    ) -> None:
+        assert feed.connection is not None, "a stream is made when its feed is open"
+        self.feed = feed
+        self.connection = feed.connection
+        self.lane = Lane(queue, form.text)
+        self.skipped = 0
+        self._outbox = outbox
+        self._key = form.name
+        self._write = functools.partial(form.write_data, feed.connection.id)
+        self._every = every
+        self._clock = clock
+        self._due = 0.0
+        self._on_refused = on_refused
+        self._on_end = on_end
+        self._told: set[str] = set()
+
+    def offer(self, parcel: Parcel) -> None:
+        """Take one message unless it comes too soon after the last."""
+        if self._every:
+            now = self._clock()
+            if now < self._due:
+                self.skipped += 1
+                return
+            self._due = now + self._every
+        self._outbox.put(self.lane, parcel.written(self._key, self._write))
+
+    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+        """Count a message that has no form, and tell each reason once."""
+        del parcel
+        self.lane.dropped += 1
+        if str(error) not in self._told:
+            self._told = {str(error)}
+            self._on_refused(error)
+
+    def ended(self, state: str, cause: str) -> None:
+        """Pass the end on."""
+        self._on_end(state, cause)

@@ -1,0 +1,83 @@
+"""What a role may see of the robot: its functions and the status map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
+from uoarm.resolve import tell_plan
+from uoarm.server._role import Operation, Role
+from uoarm.wire import Form
+
+__all__ = ["list_functions", "show_plan", "visible_status"]
+
+
+def list_functions(robot: Robot, role: Role) -> list[dict[str, Any]]:
+    """Return the functions that a role may see, as List tells them."""
+    return [
+        _describe(function)
+        for function in robot.functions.values()
+        if role.allows(Operation.SEE, function.name)
+    ]
+
+
+def _describe(function: Function) -> dict[str, Any]:
+    outputs: dict[str, None] = {}
+    inputs: dict[str, None] = {}
+    for component in function.components:
+        outputs |= dict.fromkeys(one.name for one in component.outputs)
+        inputs |= dict.fromkeys(one.name for one in component.inputs if one.source is None)
+    return {
+        "name": function.name,
+        "description": function.description,
+        "service": any(one.service is not None for one in function.components),
+        "outputs": list(outputs),
+        "inputs": list(inputs),
+        "components": [
+            {
+                "name": one.name,
+                "bridge": one.bridge,
+                "priority": one.priority,
+                "uses": _uses(one),
+            }
+            for one in function.components
+        ],
+    }
+
+
+def _uses(component: Component) -> list[str]:
+    """Return the functions that a component takes its inputs from."""
+    sources = (one.source.function for one in component.inputs if one.source is not None)
+    return list(dict.fromkeys(sources))
+
+
+def show_plan(plan: Plan, form: Form) -> dict[str, Any]:
+    """Return a plan as Resolve tells it: data, with structures as the form carries them; text."""
+    data = to_json(plan)
+    for step in data["steps"]:
+        for structure in step["structures"].values():
+            structure["schema"] = form.schema(structure["schema"])
+    for edge in data["edges"]:
+        del edge["producer_structure"], edge["consumer_structure"]
+    return {"plan": data, "text": tell_plan(plan)}
+
+
+def visible_status(status: StatusMap, role: Role) -> dict[str, Any]:
+    """Return the part of the status map that concerns functions which a role may see."""
+    components = [one for one in status.components if role.allows(Operation.SEE, one.function)]
+    connections = [one for one in status.connections if role.allows(Operation.SEE, one.function)]
+    names = {one.name for one in components} | {one.id for one in connections}
+    routes = [
+        one
+        for one in status.routes
+        if one.producer.rpartition(".")[0] in names or one.producer in names
+    ]
+    bridges = {one.bridge for one in components}
+    shown = StatusMap(
+        bridges=tuple(one for one in status.bridges if one.name in bridges),
+        components=tuple(components),
+        connections=tuple(connections),
+        routes=tuple(routes),
+    )
+    data: dict[str, Any] = to_json(shown)
+    return data

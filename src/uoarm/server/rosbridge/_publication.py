@@ -1,0 +1,102 @@
+"""What one client publishes into one function: opened with the first message, kept in order."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+from uoarm.errors import UoarmError
+from uoarm.model import Message
+from uoarm.server._desk import Desk, Wanted
+from uoarm.server._feed import Feed
+from uoarm.server._sending import Done, Sending
+from uoarm.server._workers import BusyError
+from uoarm.server.rosbridge._names import Place
+from uoarm.wire import TEXT_FORM
+
+__all__ = ["Publication"]
+
+
+class Publication:
+    """Messages of one client on their way into one input; all in the loop's thread.
+
+    Args:
+        place: the function and its input.
+        desk: where the function is opened.
+        on_failed: hears why it could not be opened, or that it ended.
+    """
+
+    def __init__(
+        self, place: Place, desk: Desk, on_failed: Callable[[BaseException], None]
+    ) -> None:
+        self._place = place
+        self._desk = desk
+        self._on_failed = on_failed
+        self._limit = desk.limits.queue_messages
+        self._waiting: deque[tuple[Message, Done]] = deque()
+        self._feed: Feed | None = None
+        self._sending: Sending | None = None
+        self._closing = False
+        self._opening = asyncio.ensure_future(self._open())
+
+    def publish(self, message: Message, done: Done) -> None:
+        """Send one message after those before it; `done` hears how it went.
+
+        Raises:
+            BusyError: too many wait.
+        """
+        if self._sending is not None:
+            self._sending.send(message, self._place.port or None, done)
+        elif len(self._waiting) >= self._limit:
+            raise BusyError(f"{self._limit} messages to {self._place.name} wait already")
+        else:
+            self._waiting.append((message, done))
+
+    def close(self) -> None:
+        """Let go of the function after what was published."""
+        self._closing = True
+        if self._sending is not None:
+            self._sending.after(self._leave)
+
+    def abandon(self) -> None:
+        """Let go of the function now."""
+        self._opening.cancel()
+        self._leave()
+
+    async def _open(self) -> None:
+        try:
+            feed = await self._desk.join(Wanted(self._place.function, receive=False))
+        except UoarmError as error:
+            self._on_failed(error)
+            while self._waiting:
+                self._waiting.popleft()[1](error)
+            return
+        assert feed.connection is not None, "join returns feeds that are open"
+        self._feed = feed
+        self._sending = Sending(feed.connection, TEXT_FORM, self._desk.workers, limit=self._limit)
+        feed.add(self)
+        while self._waiting:
+            message, done = self._waiting.popleft()
+            try:
+                self.publish(message, done)
+            except BusyError as error:
+                done(error)
+        if self._closing:
+            self._sending.after(self._leave)
+
+    def offer(self, parcel: object) -> None:
+        """Take nothing: this connection only sends."""
+
+    def refuse(self, parcel: object, error: Exception) -> None:
+        """Take nothing: this connection only sends."""
+
+    def ended(self, state: str, cause: str) -> None:
+        """Hear that the function's provider has gone."""
+        self._on_failed(UoarmError(f"{self._place.name} has {state}: {cause or 'killed'}"))
+
+    def _leave(self) -> None:
+        if self._feed is not None:
+            self._feed.remove(self)
+            self._desk.leave(self._feed)
+            self._feed = None

@@ -1,0 +1,134 @@
+"""Services of one rosbridge client: those it calls and those it provides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from uoarm.errors import BridgeError, UsageError
+from uoarm.model import Message, MessageStructure
+from uoarm.server._client import Client
+from uoarm.server._desk import Desk
+from uoarm.server._failures import LimitError
+from uoarm.server._role import Operation
+from uoarm.server._sending import read_message
+from uoarm.server.rosbridge._hub import Hub
+from uoarm.server.rosbridge._names import find_place
+from uoarm.server.rosbridge._rosapi import PREFIX, Rosapi
+from uoarm.wire import TEXT_FORM
+
+__all__ = ["Services"]
+
+Fields = Mapping[str, Any]
+
+
+class Services:
+    """Calls and answers of one client, in the loop's thread.
+
+    Args:
+        client: its limits and its role.
+        desk: where functions are called.
+        hub: where clients call one another.
+        require: raises DeniedError for what the client may not do.
+        tell: sends one message to the client.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        desk: Desk,
+        hub: Hub,
+        require: Callable[[Operation, str], None],
+        tell: Callable[[Fields], None],
+    ) -> None:
+        self._limits = client.limits
+        self._desk = desk
+        self._hub = hub
+        self._require = require
+        self._tell = tell
+        self._rosapi = Rosapi(desk, hub, client.role)
+        self._provided: set[str] = set()
+
+    async def call(self, fields: Fields) -> None:
+        """Call a service and send its response."""
+        arguments = fields.get("args")
+        limit, most = fields.get("timeout"), self._limits.call_seconds
+        timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
+        values = await self._answer(str(fields["service"]), arguments, timeout)
+        response = {
+            "op": "service_response",
+            "service": fields["service"],
+            "values": values,
+            "result": True,
+        }
+        if fields.get("id") is not None:
+            response["id"] = fields["id"]
+        self._tell(response)
+
+    def advertise(self, fields: Fields) -> None:
+        """Provide a service to other clients."""
+        place = find_place(fields["service"])
+        self._require(Operation.SEND, place.right)
+        if place.function or place.name.startswith(PREFIX):
+            raise UsageError(f"{place.name!r} belongs to the server")
+        if len(self._provided) >= self._limits.streams:
+            raise LimitError(f"{self._limits.streams} services are provided; withdraw one first")
+        self._hub.provide(place.name, fields["type"], self)
+        self._provided.add(place.name)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Provide a service no more."""
+        name = find_place(fields["service"]).name
+        if name not in self._provided:
+            raise UsageError(f"this client does not provide {name!r}")
+        self._provided.discard(name)
+        self._hub.withdraw(name, self)
+
+    def respond(self, fields: Fields) -> None:
+        """Pass on the client's answer to a request."""
+        values = fields.get("values")
+
+        def conclude(future: Any) -> None:
+            if fields["result"] is True:
+                future.set_result({} if values is None else values)
+            else:
+                future.set_exception(BridgeError(f"the service said no: {values!r:.500}"))
+
+        self._hub.answer(str(fields["id"]), self, conclude)
+
+    def ask(self, identity: str, service: str, message: Message) -> None:
+        """Send another client's request to this one, which provides the service."""
+        self._tell({"op": "call_service", "id": identity, "service": service, "args": message})
+
+    def close(self) -> None:
+        """Withdraw everything."""
+        self._hub.forget(self)
+
+    async def _answer(self, service: str, arguments: Message, timeout: float) -> Message:
+        place = find_place(service)
+        if place.name.startswith(PREFIX):
+            given = arguments if isinstance(arguments, dict) else {}
+            return await self._rosapi.call(place.name.removeprefix(PREFIX), given)
+        self._require(Operation.CALL, place.right)
+        if not place.function:
+            given = {} if arguments is None else arguments
+            return await self._hub.call(place.name, given, timeout)
+        return await self._desk.call(place.wanted, arguments, _read, timeout)
+
+
+def _read(structure: MessageStructure, arguments: Message) -> Message:
+    return read_message(TEXT_FORM, structure, _named(arguments, structure))
+
+
+def _named(arguments: Message, structure: MessageStructure) -> Message:
+    """Return arguments by name; a list stands for the fields in their order."""
+    schema = structure.schema
+    if arguments is None:
+        return {}
+    if isinstance(arguments, list) and isinstance(schema, Mapping):
+        names = schema.get("properties")
+        if isinstance(names, Mapping):
+            if len(arguments) > len(names):
+                raise UsageError(f"expected at most {len(names)} arguments, got {len(arguments)}")
+            return dict(zip(names, arguments, strict=False))
+    return arguments

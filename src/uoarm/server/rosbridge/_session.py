@@ -1,0 +1,177 @@
+"""One rosbridge client: each operation, and a status message where something is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any
+
+import orjson
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.model import Message
+from uoarm.server._audit import Audit
+from uoarm.server._client import Client
+from uoarm.server._desk import Desk
+from uoarm.server._failures import LimitError, code_of
+from uoarm.server._role import Operation
+from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.server.rosbridge._hub import Hub
+from uoarm.server.rosbridge._services import Services
+from uoarm.server.rosbridge._topics import Topics
+from uoarm.server.rosbridge._wire import check_fields, read_operation, write_ros
+
+__all__ = ["RosbridgeSession"]
+
+_log = logging.getLogger("uoarm.server")
+_LEVELS = ("info", "warning", "error", "none")
+_REFUSED = {
+    "png": "png is not served: ask for compression none or cbor",
+    "auth": "auth is not served: show a token in the handshake",
+    **dict.fromkeys(
+        (
+            "send_action_goal", "cancel_action_goal", "advertise_action", "unadvertise_action",
+            "action_feedback", "action_result",
+        ),
+        "actions are not served yet",
+    ),
+}  # fmt: skip
+
+
+@frozen
+class _Operation:
+    needed: tuple[str, ...]
+    act: Callable[[Mapping[str, Any]], Coroutine[Any, Any, None] | None]
+
+
+class RosbridgeSession:
+    """One client that speaks rosbridge v2.
+
+    Operations are begun in the order in which they come; service calls run side by side. What
+    rosbridge answers with silence is answered here with a `status` message of level `error`.
+    """
+
+    def __init__(self, client: Client, desk: Desk, hub: Hub, audit: Audit) -> None:
+        self._client = client
+        self._audit = audit
+        self._level = _LEVELS.index("error")
+        self._fragments = Fragments(client.limits.message_bytes)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._topics = Topics(client, desk, hub, self._require, self._fail)
+        self._services = Services(client, desk, hub, self._require, self.tell)
+        topics, services = self._topics, self._services
+        self._operations = {
+            "advertise": _Operation(("topic", "type"), topics.advertise),
+            "unadvertise": _Operation(("topic",), topics.unadvertise),
+            "publish": _Operation(("topic", "msg"), topics.publish),
+            "subscribe": _Operation(("topic",), topics.subscribe),
+            "unsubscribe": _Operation(("topic",), topics.unsubscribe),
+            "call_service": _Operation(("service",), services.call),
+            "advertise_service": _Operation(("service", "type"), services.advertise),
+            "unadvertise_service": _Operation(("service",), services.unadvertise),
+            "service_response": _Operation(("id", "result"), services.respond),
+            "fragment": _Operation(("id", "data", "num", "total"), self._collect),
+            "set_level": _Operation(("level",), self._set_level),
+            "status": _Operation((), _ignore),
+        }
+
+    def handle(self, frame: str | bytes) -> None:
+        """Act on one frame, now or later."""
+        fields: Mapping[str, Any] = {}
+        try:
+            fields = read_operation(frame, self._client.limits.depth)
+            self._act(fields)
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            self._fail(fields, error)
+
+    def close(self) -> None:
+        """Give back everything that only this client used."""
+        for task in self._tasks:
+            task.cancel()
+        self._topics.close()
+        self._services.close()
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Send one message; raises MessageError when it has no form."""
+        self._client.outbox.tell(write_ros(message), text=True)
+
+    def _act(self, fields: Mapping[str, Any]) -> None:
+        op = fields.get("op")
+        if not isinstance(op, str):
+            raise ControlMessageError("the field 'op' is missing or no text")
+        if op in _REFUSED:
+            raise ControlMessageError(_REFUSED[op])
+        operation = self._operations.get(op)
+        if operation is None:
+            known = ", ".join(self._operations)
+            raise ControlMessageError(f"unknown op {op[:60]!r}; expected one of {known}")
+        check_fields(fields, operation.needed)
+        later = operation.act(fields)
+        if later is not None:
+            self._begin(fields, later)
+
+    def _begin(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
+        if len(self._tasks) >= self._client.limits.calls:
+            work.close()
+            raise LimitError(f"{self._client.limits.calls} calls are under way; wait for an answer")
+        task = asyncio.ensure_future(self._finish(fields, work))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _finish(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
+        try:
+            await work
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            self._fail(fields, error)
+
+    def _collect(self, fields: Mapping[str, Any]) -> None:
+        whole = self._fragments.add(fields)
+        if whole is not None:
+            inner = read_operation(whole, self._client.limits.depth)
+            if inner.get("op") == "fragment":
+                raise ControlMessageError("fragment: a fragment of fragments")
+            self._act(inner)
+
+    def _set_level(self, fields: Mapping[str, Any]) -> None:
+        if fields["level"] not in _LEVELS:
+            raise ControlMessageError(f"set_level: level: expected one of {', '.join(_LEVELS)}")
+        self._level = _LEVELS.index(fields["level"])
+
+    def _require(self, operation: Operation, name: str) -> None:
+        role = self._client.role
+        allowed = role.allows(operation, name)
+        self._audit.note(self._client.identity, role, operation, name, allowed=allowed)
+        role.require(operation, name)
+
+    def _fail(self, fields: Mapping[str, Any], error: BaseException, level: str = "error") -> None:
+        text = str(error)
+        if not isinstance(error, UoarmError):
+            _log.error("rosbridge client %s failed", self._client.identity, exc_info=error)
+            text = "the server failed; its log says more"
+        if fields.get("op") == "call_service":
+            self._client.outbox.tell(_failed_call(fields, text), text=True)
+        elif _LEVELS.index(level) >= self._level:
+            status = {"op": "status", "level": level, "msg": f"{code_of(error)}: {text}"}
+            if isinstance(fields.get("id"), str):
+                status["id"] = fields["id"]
+            self._client.outbox.tell(write_ros(status), text=True)
+
+
+def _failed_call(fields: Mapping[str, Any], text: str) -> bytes:
+    service, identity = fields.get("service"), fields.get("id")
+    response: dict[str, Message] = {
+        "op": "service_response",
+        "service": service if isinstance(service, str) else "",
+        "values": text,
+        "result": False,
+    }
+    if isinstance(identity, str):
+        response["id"] = identity
+    return orjson.dumps(response)
+
+
+def _ignore(fields: Mapping[str, Any]) -> None:
+    """Take what clients say about themselves."""
+    del fields

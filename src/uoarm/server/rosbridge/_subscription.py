@@ -1,0 +1,204 @@
+"""One client's subscription to one topic: its rate, its queue, its compression."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import orjson
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError, MessageError
+from uoarm.flow import Clock
+from uoarm.model import QueuePolicy
+from uoarm.server._feed import Parcel
+from uoarm.server._outbox import Lane, Outbox
+from uoarm.server.rosbridge._wire import write_publish, write_publish_cbor
+
+__all__ = ["Subscription", "Wish", "read_wish"]
+
+_COMPRESSIONS = ("none", "cbor")
+_SMALLEST_FRAGMENT = 64
+_MOST = 100_000
+
+
+@frozen
+class Wish:
+    """What one subscribe message asks for.
+
+    Attributes:
+        every: least seconds between two messages.
+        length: messages kept while the client must not have them yet; 0: only the newest goes.
+        fragment: longest text of one frame in characters; 0: any.
+        compression: `none` or `cbor`.
+    """
+
+    every: float = 0.0
+    length: int = 0
+    fragment: int = 0
+    compression: str = "none"
+
+
+def read_wish(fields: Mapping[str, Any]) -> Wish:
+    """Return what a subscribe message asks for.
+
+    Raises:
+        ControlMessageError: it asks for a compression that is not served.
+    """
+    compression = fields.get("compression") or "none"
+    if compression not in _COMPRESSIONS:
+        raise ControlMessageError(
+            f"subscribe: compression {compression!r:.60} is not served; use none or cbor"
+        )
+    fragment = int(fields.get("fragment_size") or 0)
+    return Wish(
+        every=float(fields.get("throttle_rate") or 0) / 1000,
+        length=min(int(fields.get("queue_length") or 0), _MOST),
+        fragment=max(fragment, _SMALLEST_FRAGMENT) if fragment else 0,
+        compression=compression,
+    )
+
+
+class Subscription:
+    """Hands a topic's messages to one client, as its wishes together ask.
+
+    Several subscriptions of one client to one topic are one here: the highest rate and the longest
+    queue hold; the compression is that of the first.
+
+    Args:
+        topic: as the client named it.
+        wish: of the first subscribe message.
+        outbox: the client's.
+        most: messages that may wait for the client.
+        clock: seconds.
+        on_refused: hears once of each reason for which a message could not be written.
+        on_end: hears why no more will come.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        wish: Wish,
+        outbox: Outbox,
+        *,
+        most: int,
+        clock: Clock,
+        on_refused: Callable[[MessageError], None],
+        on_end: Callable[[str, str], None],
+    ) -> None:
+        self.wishes: dict[str, Wish] = {}
+        self._outbox = outbox
+        self._clock = clock
+        self._on_refused = on_refused
+        self._on_end = on_end
+        self._told: set[str] = set()
+        self._due = -math.inf
+        self._held: deque[Parcel] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        text = wish.compression == "none"
+        self.lane = Lane(QueuePolicy(most), text=text)
+        self._key = f"ros-{wish.compression}:{topic}"
+        write = write_publish if text else write_publish_cbor
+        self._write = functools.partial(_numberless, functools.partial(write, topic))
+        self._every = wish.every
+        self._length = wish.length
+        self._fragment = wish.fragment if text else 0
+
+    def wish(self, identity: str, wish: Wish) -> None:
+        """Add or replace a wish."""
+        self.wishes[identity] = wish
+        self._settle()
+
+    def drop(self, identity: str | None) -> bool:
+        """Take a wish back, or all; True when none is left."""
+        if identity is None:
+            self.wishes.clear()
+        else:
+            self.wishes.pop(identity, None)
+        self._settle()
+        return not self.wishes
+
+    def close(self) -> None:
+        """Send nothing more."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._held.clear()
+        self._outbox.discard(self.lane)
+
+    def offer(self, parcel: Parcel) -> None:
+        """Take one message: to the client, into the hold, or nowhere."""
+        now = self._clock()
+        if now >= self._due and not self._held:
+            self._due = now + self._every
+            self._send(parcel)
+        elif self._length:
+            self._held.append(parcel)
+            while len(self._held) > self._length:
+                self._held.popleft()
+                self.lane.dropped += 1
+            self._set_timer(now)
+        else:
+            self.lane.dropped += 1
+
+    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+        """Count a message that has no form, and tell each reason once."""
+        del parcel
+        self.lane.dropped += 1
+        if str(error) not in self._told:
+            self._told = {str(error)}
+            self._on_refused(error)
+
+    def ended(self, state: str, cause: str) -> None:
+        """Pass the end on."""
+        self._on_end(state, cause)
+
+    def _settle(self) -> None:
+        wishes = self.wishes.values()
+        self._every = min((one.every for one in wishes), default=0.0)
+        self._length = max((one.length for one in wishes), default=0)
+
+    def _set_timer(self, now: float) -> None:
+        if self._timer is None:
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(max(0.0, self._due - now), self._release)
+
+    def _release(self) -> None:
+        self._timer = None
+        if self._held:
+            now = self._clock()
+            self._due = now + self._every
+            parcel = self._held.popleft()
+            try:
+                self._send(parcel)
+            except MessageError as error:
+                self.refuse(parcel, error)
+            if self._held:
+                self._set_timer(now)
+
+    def _send(self, parcel: Parcel) -> None:
+        frame = parcel.written(self._key, self._write)
+        if self._fragment and len(frame) > self._fragment:
+            self._outbox.put(self.lane, *_fragments(frame, self._fragment, parcel.number))
+        else:
+            self._outbox.put(self.lane, frame)
+
+
+def _numberless(write: Callable[[Any], bytes], number: int, message: Any) -> bytes:
+    del number
+    return write(message)
+
+
+def _fragments(frame: bytes, size: int, number: int) -> list[bytes]:
+    text = frame.decode()
+    pieces = [text[at : at + size] for at in range(0, len(text), size)]
+    return [
+        orjson.dumps(
+            {"op": "fragment", "id": f"uoarm{number}", "data": piece, "num": place,
+             "total": len(pieces)}
+        )
+        for place, piece in enumerate(pieces)
+    ]  # fmt: skip

@@ -1,0 +1,199 @@
+"""Topics of one rosbridge client: those it publishes and those it listens to."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import define
+
+from uoarm.errors import ControlMessageError, UoarmError, UsageError
+from uoarm.model import Message
+from uoarm.server._client import Client
+from uoarm.server._desk import Desk, Wanted
+from uoarm.server._failures import LimitError
+from uoarm.server._feed import Feed
+from uoarm.server._role import Operation
+from uoarm.server.rosbridge._hub import Hub
+from uoarm.server.rosbridge._names import Place, find_place
+from uoarm.server.rosbridge._publication import Publication
+from uoarm.server.rosbridge._subscription import Subscription, Wish, read_wish
+
+__all__ = ["Topics"]
+
+Fields = Mapping[str, Any]
+
+
+@define
+class _Listening:
+    """A subscription and where its messages come from."""
+
+    subscription: Subscription
+    feed: Feed | None = None
+    opening: asyncio.Task[None] | None = None
+
+
+class Topics:
+    """Publications and subscriptions of one client by topic, in the loop's thread.
+
+    Args:
+        client: its limits and its outbox.
+        desk: where functions are opened.
+        hub: where clients publish to one another.
+        require: raises DeniedError for what the client may not do.
+        fail: tells the client what went wrong with a message of its.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        desk: Desk,
+        hub: Hub,
+        require: Callable[[Operation, str], None],
+        fail: Callable[[Fields, BaseException], None],
+    ) -> None:
+        self._client = client
+        self._desk = desk
+        self._hub = hub
+        self._require = require
+        self._fail = fail
+        self._publications: dict[str, Publication | None] = {}
+        self._latched: set[str] = set()
+        self._listening: dict[str, _Listening] = {}
+
+    def advertise(self, fields: Fields) -> None:
+        """Open a topic for publishing; a function's input, or a topic between clients."""
+        self._open(find_place(fields["topic"]), fields)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Close a topic that was advertised, after what was published."""
+        place = find_place(fields["topic"])
+        if place.name not in self._publications:
+            raise UsageError(f"this client does not publish {place.name!r}")
+        publication = self._publications.pop(place.name)
+        self._latched.discard(place.name)
+        if publication is None:
+            self._hub.unadvertise(place.name, self)
+        else:
+            publication.close()
+
+    def publish(self, fields: Fields) -> None:
+        """Publish one message; a topic that was not advertised is opened."""
+        place, message = find_place(fields["topic"]), fields["msg"]
+        if place.name not in self._publications:
+            self._open(place, fields)
+        publication = self._publications[place.name]
+        if publication is None:
+            self._publish_between_clients(place, fields, message)
+        else:
+            publication.publish(message, lambda error: self._done(fields, error))
+
+    def subscribe(self, fields: Fields) -> None:
+        """Listen to a topic, or add a wish to a subscription that there is."""
+        place, wish = find_place(fields["topic"]), read_wish(fields)
+        self._require(Operation.REQUEST, place.right)
+        identity = str(fields.get("id") or place.name)
+        listening = self._listening.get(place.name)
+        if listening is None:
+            if len(self._listening) >= self._client.limits.streams:
+                raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
+            listening = self._listen(place, wish, fields)
+        if len(listening.subscription.wishes) >= self._client.limits.streams:
+            raise LimitError(f"{place.name!r} has {self._client.limits.streams} subscriptions")
+        listening.subscription.wish(identity, wish)
+
+    def unsubscribe(self, fields: Fields) -> None:
+        """End one subscription of a topic by its id, or all without one."""
+        place = find_place(fields["topic"])
+        listening = self._listening.get(place.name)
+        if listening is None:
+            raise UsageError(f"this client has not subscribed {place.name!r}")
+        if listening.subscription.drop(fields.get("id")):
+            self._stop(place)
+
+    def close(self) -> None:
+        """Give everything back."""
+        for name, publication in self._publications.items():
+            if publication is None:
+                self._hub.unadvertise(name, self)
+            else:
+                publication.abandon()
+        self._publications.clear()
+        for name in list(self._listening):
+            self._stop(find_place(name))
+
+    def _open(self, place: Place, fields: Fields) -> None:
+        self._require(Operation.SEND, place.right)
+        if place.name in self._publications:
+            return
+        if len(self._publications) >= self._client.limits.streams:
+            raise LimitError(f"{self._client.limits.streams} topics are published already")
+        if place.function:
+            if place.function not in self._desk.robot.robot.functions:
+                raise UsageError(f"there is no function {place.function!r}")
+            failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
+            self._publications[place.name] = Publication(place, self._desk, failed)
+        else:
+            self._hub.advertise(place.name, str(fields.get("type") or ""), self)
+            self._publications[place.name] = None
+        if fields.get("latch") is True:
+            self._latched.add(place.name)
+
+    def _publish_between_clients(self, place: Place, fields: Fields, message: Message) -> None:
+        if not isinstance(message, dict):
+            raise ControlMessageError("publish: msg: expected an object")
+        latch = fields.get("latch") is True or place.name in self._latched
+        self._hub.publish(place.name, message, latch=latch)
+
+    def _publication_failed(self, place: Place, fields: Fields, error: BaseException) -> None:
+        self._publications.pop(place.name, None)
+        self._fail(fields, error)
+
+    def _listen(self, place: Place, wish: Wish, fields: Fields) -> _Listening:
+        subscription = Subscription(
+            place.name if fields["topic"].startswith("/") else fields["topic"],
+            wish,
+            self._client.outbox,
+            most=self._client.limits.queue_messages,
+            clock=time.monotonic,
+            on_refused=lambda error: self._fail(fields, error),
+            on_end=lambda state, cause: self._ended(place, fields, f"{state}: {cause or 'killed'}"),
+        )
+        listening = self._listening[place.name] = _Listening(subscription)
+        if place.function:
+            listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
+        else:
+            self._hub.listen(place.name, str(fields.get("type") or ""), subscription)
+        return listening
+
+    async def _join(self, place: Place, listening: _Listening, fields: Fields) -> None:
+        try:
+            feed = await self._desk.join(Wanted(place.wanted))
+        except UoarmError as error:
+            self._listening.pop(place.name, None)
+            self._fail(fields, error)
+            return
+        listening.feed, listening.opening = feed, None
+        feed.add(listening.subscription)
+
+    def _ended(self, place: Place, fields: Fields, how: str) -> None:
+        if place.name in self._listening:
+            self._stop(place)
+            self._fail(fields, UoarmError(f"{place.name} has {how}"))
+
+    def _stop(self, place: Place) -> None:
+        listening = self._listening.pop(place.name)
+        listening.subscription.close()
+        if not place.function:
+            self._hub.leave(place.name, listening.subscription)
+        elif listening.opening is not None:
+            listening.opening.cancel()
+        elif listening.feed is not None:
+            listening.feed.remove(listening.subscription)
+            self._desk.leave(listening.feed)
+
+    def _done(self, fields: Fields, error: BaseException | None) -> None:
+        if error is not None:
+            self._fail(fields, error)

@@ -1,0 +1,78 @@
+"""Message structures as rosapi describes message types: fields, their types, array lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm.model import MessageStructure
+
+__all__ = ["type_name", "typedefs"]
+
+_MOST = 200
+_VARIABLE, _SINGLE = 0, -1
+_INTEGERS = (
+    ("uint8", 0, 2**8 - 1), ("int8", -(2**7), 2**7 - 1), ("uint16", 0, 2**16 - 1),
+    ("int16", -(2**15), 2**15 - 1), ("uint32", 0, 2**32 - 1), ("int32", -(2**31), 2**31 - 1),
+    ("uint64", 0, 2**64 - 1),
+)  # fmt: skip
+_BASIC = {"boolean": "bool", "string": "string", "number": "float64"}
+
+
+def type_name(structure: MessageStructure, function: str) -> str:
+    """Return the native name of a type, or one made of the function's name."""
+    return structure.native_type or f"uoarm/{function}"
+
+
+def typedefs(structure: MessageStructure, function: str) -> list[dict[str, Any]]:
+    """Return the definitions of a message type and the types within it, outermost first."""
+    found: list[dict[str, Any]] = []
+    waiting: list[tuple[str, object]] = [(type_name(structure, function), structure.schema)]
+    while waiting and len(found) < _MOST:
+        name, schema = waiting.pop(0)
+        definition: dict[str, Any] = {
+            "type": name,
+            "fieldnames": [],
+            "fieldtypes": [],
+            "fieldarraylen": [],
+            "examples": [],
+            "constnames": [],
+            "constvalues": [],
+        }
+        for field, inner in _properties(schema).items():
+            kind, length, element = _field(f"{name}/{field}", inner)
+            definition["fieldnames"].append(field)
+            definition["fieldtypes"].append(kind)
+            definition["fieldarraylen"].append(length)
+            definition["examples"].append("[]" if length != _SINGLE else "{}")
+            if _properties(element):
+                waiting.append((kind, element))
+        found.append(definition)
+    return found
+
+
+def _field(name: str, schema: object) -> tuple[str, int, object]:
+    """Return the type of a field, its length as an array, and the schema of one element."""
+    if not isinstance(schema, Mapping):
+        return name, _SINGLE, schema
+    if schema.get("type") == "array":
+        fixed = schema.get("minItems")
+        length = fixed if fixed == schema.get("maxItems") and isinstance(fixed, int) else _VARIABLE
+        kind, _, element = _field(name, schema.get("items"))
+        return kind, length, element
+    native = schema.get("x-native-type")
+    if isinstance(native, str):
+        return native, _SINGLE, schema
+    if schema.get("type") == "integer":
+        return _integer(schema), _SINGLE, schema
+    return _BASIC.get(str(schema.get("type")), name), _SINGLE, schema
+
+
+def _integer(schema: Mapping[str, Any]) -> str:
+    bounds = schema.get("minimum"), schema.get("maximum")
+    return next((name for name, low, high in _INTEGERS if bounds == (low, high)), "int64")
+
+
+def _properties(schema: object) -> Mapping[str, object]:
+    found = schema.get("properties") if isinstance(schema, Mapping) else None
+    return found if isinstance(found, Mapping) else {}

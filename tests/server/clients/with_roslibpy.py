@@ -1,0 +1,124 @@
+"""An ordinary roslibpy program, run against the server: each step fails loudly or passes."""
+
+from __future__ import annotations
+
+import base64
+import sys
+import threading
+from queue import SimpleQueue
+from typing import Any
+
+import roslibpy
+
+SECONDS = 20
+
+
+def main(url: str) -> None:
+    ros = roslibpy.Ros(url)
+    ros.run(timeout=SECONDS)
+    look_around(ros)
+    receive(ros)
+    publish(ros)
+    call(ros)
+    provide(ros)
+    fail(ros)
+    ros.close()
+    print("done")  # noqa: T201 - the test waits for it
+
+
+def look_around(ros: Any) -> None:
+    topics = ros.get_topics()
+    assert "/uoarm/numbers" in topics, topics
+    assert ros.get_topic_type("/uoarm/numbers") == "Number"
+    assert "/uoarm/numbers" in ros.get_topics_for_type("Number")
+    assert "/uoarm/add" in ros.get_services()
+    assert ros.get_service_type("/uoarm/add") == "Pair"
+    assert "/uoarm/add" in ros.get_services_for_type("Pair")
+    assert "/adder" in ros.get_nodes()
+    assert ros.get_node_details("/adder")["services"] == ["/uoarm/add"]
+    assert ros.get_message_details("Picture")["typedefs"][0]["fieldnames"] == ["width", "data"]
+    assert ros.get_service_request_details("Pair")["typedefs"]
+    assert ros.get_service_response_details("Pair")["typedefs"]
+    assert ros.get_time()["secs"] > 1_600_000_000
+    assert ros.get_params() == []
+    replies: SimpleQueue[Any] = SimpleQueue()
+    ros.get_action_servers(replies.put)
+    assert replies.get(timeout=SECONDS)["action_servers"] == []
+
+
+def receive(ros: Any) -> None:
+    """Subscribe; the test plays numbers as soon as the topic is open."""
+    numbers: list[int] = []
+    enough = threading.Event()
+
+    def take(message: Any) -> None:
+        numbers.append(message["value"])
+        if len(numbers) == 3:
+            enough.set()
+
+    topic = roslibpy.Topic(ros, "/uoarm/doubled", "any/Type", queue_length=10)
+    topic.subscribe(take)
+    assert enough.wait(SECONDS), numbers
+    assert numbers == [2, 4, 6], numbers
+    topic.unsubscribe()
+    picture = roslibpy.Topic(ros, "/uoarm/picture", "any/Type")
+    seen: SimpleQueue[Any] = SimpleQueue()
+    picture.subscribe(seen.put)
+    assert base64.b64decode(seen.get(timeout=SECONDS)["data"]) == bytes(range(256))
+    picture.unsubscribe()
+
+
+def publish(ros: Any) -> None:
+    heard: list[int] = []
+    all_heard = threading.Event()
+
+    def take(message: Any) -> None:
+        heard.append(message["value"])
+        if message["value"] == 20:
+            all_heard.set()
+
+    listener = roslibpy.Topic(ros, "/uoarm/echo", "any/Type")
+    listener.subscribe(take)
+    ros.get_time()
+    talker = roslibpy.Topic(ros, "/uoarm/echo", "any/Type")
+    for value in range(21):
+        talker.publish(roslibpy.Message({"value": value}))
+    assert all_heard.wait(SECONDS), heard
+    talker.unadvertise()
+    listener.unsubscribe()
+
+
+def call(ros: Any) -> None:
+    service = roslibpy.Service(ros, "/uoarm/add", "any/Type")
+    reply = service.call(roslibpy.ServiceRequest({"a": 2, "b": 3}), timeout=SECONDS)
+    assert reply["value"] == 5, reply
+
+
+def provide(ros: Any) -> None:
+    """Provide a service to oneself, through the server."""
+
+    def half(request: Any, response: Any) -> bool:
+        response["x"] = request["x"] / 2
+        return True
+
+    service = roslibpy.Service(ros, "/half", "any/Half")
+    service.advertise(half)
+    client = roslibpy.Service(ros, "/half", "any/Half")
+    answers: SimpleQueue[Any] = SimpleQueue()
+    client.call(roslibpy.ServiceRequest({"x": 8}), callback=answers.put, errback=answers.put)
+    assert answers.get(timeout=SECONDS)["x"] == 4
+    service.unadvertise()
+
+
+def fail(ros: Any) -> None:
+    service = roslibpy.Service(ros, "/uoarm/broken", "any/Type")
+    try:
+        service.call(roslibpy.ServiceRequest({"value": 6}), timeout=SECONDS)
+    except roslibpy.core.ServiceException as error:
+        assert "cannot do 6" in str(error), error
+    else:
+        raise AssertionError("a broken service answered")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,57 @@
+"""A robot of plain Python components, and servers before it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.server.robot import CONFIGURATION, script
+from tests.server.talk import Talk
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Limits, Server, Settings, serve_in_thread
+
+Serve = Callable[..., Server]
+Connect = Callable[..., Talk]
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    script.reset()
+    manager = RobotManager(loads(CONFIGURATION, origin=str(Path(__file__).parent / "robot.yaml")))
+    yield manager
+    script.release()
+    manager.close()
+
+
+@pytest.fixture
+def serve(robot: RobotManager) -> Iterator[Serve]:
+    """Start a server; settings and limits by name."""
+    with ExitStack() as stack:
+
+        def start(limits: Limits | None = None, **settings: Any) -> Server:
+            chosen = Settings(port=0, limits=limits or Limits(), **settings)
+            return stack.enter_context(serve_in_thread(robot, chosen))
+
+        yield start
+
+
+@pytest.fixture
+def server(serve: Serve) -> Server:
+    return serve()
+
+
+@pytest.fixture
+def talk(server: Server) -> Iterator[Connect]:
+    """Connect a client to the server."""
+    with ExitStack() as stack:
+
+        def connect(path: str = "/", **options: Any) -> Talk:
+            url = f"ws://127.0.0.1:{server.ports[0]}{path}"
+            return stack.enter_context(Talk(url, **options))
+
+        yield connect

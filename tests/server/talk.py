@@ -1,0 +1,142 @@
+"""A plain client for tests: one blocking WebSocket, answers by id, everything else in order."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import socket
+import time
+from collections import deque
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from typing_extensions import Self
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from uoarm.wire import protocol_schema, read_binary, write_binary
+
+SECONDS = 20.0
+# The server's thread makes random ping payloads while hypothesis draws in this one.
+BESIDE = pytest.mark.filterwarnings("ignore:Do not use the .random. module")
+TOLD = {
+    op: Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/tell.{op}"})
+    for op in ("Reply", "Error", "Data", "Status")
+}
+
+
+class Talk:
+    """Speaks the native protocol and checks each message of the server against the schema."""
+
+    def __init__(self, url: str, *, binary: bool = False, **options: Any) -> None:
+        self.binary = binary
+        protocols = [Subprotocol("uoarm.v1.cbor" if binary else "uoarm.v1.json")]
+        options = {"subprotocols": protocols, "max_size": None, "compression": None} | options
+        self._open = ExitStack()
+        self.socket: ClientConnection = self._open.enter_context(connect(url, **options))
+        self._ids = itertools.count(1)
+        self._answers: dict[str | None, dict[str, Any]] = {}
+        self._others: deque[dict[str, Any]] = deque()
+        self.hello = self.next("hello")["jsonMessage"]
+
+    def raw(self, frame: str | bytes) -> None:
+        self.socket.send(frame)
+
+    def send(self, op: str, kind: str = "", message: object = None, **more: object) -> str:
+        identity = str(next(self._ids))
+        fields: dict[str, Any] = {"op": op, "id": identity, **more}
+        if kind:
+            fields["type"] = kind
+        if message is not None:
+            fields["jsonMessage"] = message
+        self.raw(write_binary(fields) if self.binary else json.dumps(fields))
+        return identity
+
+    def answer(self, identity: str | None) -> dict[str, Any]:
+        while identity not in self._answers:
+            self._receive()
+        return self._answers.pop(identity)
+
+    def ask(self, op: str, kind: str = "", message: object = None, **more: object) -> Any:
+        """Return the reply's message, or fail with the error."""
+        reply = self.answer(self.send(op, kind, message, **more))
+        assert reply["op"] == "Reply", reply
+        return reply.get("jsonMessage")
+
+    def refused(self, op: str, kind: str = "", message: object = None, **more: object) -> Any:
+        """Return code and text of the error."""
+        reply = self.answer(self.send(op, kind, message, **more))
+        assert reply["op"] == "Error", reply
+        return reply["jsonMessage"]
+
+    def open(self, name: str, **options: object) -> str:
+        connection: str = self.ask("Request", name, options or None)["connection"]
+        return connection
+
+    def next(self, kind: str) -> dict[str, Any]:
+        """Return the next message that is no answer and has this type."""
+        while True:
+            for one in self._others:
+                if one["type"] == kind:
+                    self._others.remove(one)
+                    return one
+            self._receive()
+
+    def data(self, connection: str, count: int) -> list[Any]:
+        return [self.next(connection)["jsonMessage"] for _ in range(count)]
+
+    def close(self) -> None:
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _receive(self) -> None:
+        frame = self.socket.recv(timeout=SECONDS)
+        assert isinstance(frame, bytes) == self.binary
+        told = read_binary(frame, depth=64) if isinstance(frame, bytes) else json.loads(frame)
+        TOLD[told["op"]].validate(told)
+        if told["op"] in {"Reply", "Error"}:
+            assert told.get("id") not in self._answers, "a second answer"
+            self._answers[told.get("id")] = told
+        else:
+            self._others.append(told)
+
+
+def eventually(condition: Any, what: str) -> None:
+    """Wait until something is so; fail with its name when it does not come about."""
+    deadline = time.monotonic() + SECONDS
+    while not condition():
+        assert time.monotonic() < deadline, f"never: {what}"
+        time.sleep(0.005)
+
+
+def open_socket(port: int) -> socket.socket:
+    """Return a socket after its handshake, without anything that would read from it."""
+    plain = socket.create_connection(("127.0.0.1", port), timeout=20)
+    plain.sendall(
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    answer = b""
+    while b"\r\n\r\n" not in answer:
+        answer += plain.recv(1)
+    assert answer.startswith(b"HTTP/1.1 101")
+    return plain
+
+
+def frame(data: bytes, opcode: Opcode = Opcode.TEXT) -> bytes:
+    return Frame(opcode, data).serialize(mask=True)

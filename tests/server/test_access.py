@@ -1,0 +1,295 @@
+"""Who is let in and what each may do: deny by default, seen from outside."""
+
+from __future__ import annotations
+
+import logging
+import ssl
+import subprocess
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.server.conftest import Serve
+from tests.server.talk import Talk, eventually
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.typing import Origin, Subprotocol
+
+from uoarm.errors import ConfigurationError
+from uoarm.server import Server, hash_token, make_token
+from uoarm.server._role import Operation, Role
+from uoarm.server._tokens import AccessBook, Grant, read_access
+
+Write = Callable[..., Path]
+JSON = Subprotocol("uoarm.v1.json")
+
+ACCESS = """
+version: 1
+roles:
+  viewer: {{see: ["*"], request: ["num*"]}}
+  driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
+  operator: {{see: ["*"], kill: ["numbers"]}}
+  nobody: {{}}
+tokens:
+  - {{name: screen, role: viewer, sha256: {viewer}}}
+  - {{name: pad, role: driver, sha256: {driver}}}
+  - {{name: desk, role: operator, sha256: {operator}}}
+  - {{name: dummy, role: nobody, sha256: {nobody}}}
+  - {{name: old, role: viewer, sha256: {old}, expires: 2020-01-01T00:00:00Z}}
+"""
+TOKENS = {name: make_token() for name in ("viewer", "driver", "operator", "nobody", "old")}
+
+
+@pytest.fixture
+def access(tmp_path: Path) -> Path:
+    path = tmp_path / "access.yaml"
+    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
+    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def guarded(serve: Serve, access: Path) -> Server:
+    return serve(access=access)
+
+
+def url(server: Server, path: str = "/") -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}{path}"
+
+
+def enter(server: Server, name: str) -> Talk:
+    return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
+
+
+def status_of(action: Callable[[], object]) -> int:
+    with pytest.raises(InvalidStatus) as refused:
+        action()
+    return refused.value.response.status_code
+
+
+def test_without_a_token_nobody_comes_in(guarded: Server) -> None:
+    assert status_of(lambda: Talk(url(guarded))) == 401
+    headers = {"Authorization": f"Bearer {make_token()}"}
+    assert status_of(lambda: Talk(url(guarded), additional_headers=headers)) == 401
+    assert status_of(lambda: Talk(url(guarded, "/?token=guess"))) == 401
+    assert status_of(lambda: enter(guarded, "old")) == 401
+
+
+def test_a_token_can_be_shown_in_three_places(guarded: Server) -> None:
+    with enter(guarded, "viewer") as client:
+        assert client.hello["role"] == "viewer"
+    with Talk(url(guarded, f"/?token={TOKENS['driver']}")) as client:
+        assert client.hello["role"] == "driver"
+    offers = [JSON, Subprotocol(f"uoarm.token.{TOKENS['nobody']}")]
+    with Talk(url(guarded), subprotocols=offers) as client:
+        assert client.hello["role"] == "nobody"
+        assert client.socket.subprotocol == JSON
+
+
+def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
+    with enter(guarded, "viewer") as viewer, enter(guarded, "driver") as driver:
+        numbers = viewer.open("numbers")
+        assert viewer.refused("Request", "echo")["code"] == "denied"
+        assert viewer.refused("Call", "add", {"a": 1, "b": 1})["code"] == "denied"
+        assert viewer.refused("Kill", numbers, {"everyone": True})["code"] == "denied"
+        echo = driver.open("echo")
+        driver.ask("Data", echo, {"value": 1})
+        assert driver.ask("Call", "add", {"a": 1, "b": 1}) == {"value": 2}
+        assert driver.refused("Request", "numbers")["code"] == "denied"
+        assert driver.refused("Resolve", "numbers")["code"] == "denied"
+        assert [one["name"] for one in driver.ask("List")["functions"]] == ["echo"]
+        shown = driver.ask("Status")
+        assert {one["function"] for one in shown["connections"]} == {"echo"}
+        assert "numbers" not in str(shown)
+        assert driver.refused("Kill", numbers, {"everyone": True})["code"] == "unknown"
+
+
+def test_a_role_without_rules_may_do_nothing(guarded: Server) -> None:
+    with enter(guarded, "nobody") as client:
+        assert client.ask("List") == {"functions": []}
+        for op in ("Request", "Resolve", "Call"):
+            assert client.refused(op, "numbers")["code"] == "denied"
+
+
+def test_changes_of_what_one_may_not_see_are_not_told(guarded: Server) -> None:
+    with enter(guarded, "driver") as driver, enter(guarded, "viewer") as viewer:
+        driver.ask("Status", "watch")
+        viewer.open("numbers")
+        echo = driver.open("echo")
+        driver.ask("Kill", echo)
+        assert driver.next("change")["jsonMessage"]["subject"] == f"connection {echo}"
+
+
+def test_an_operator_may_kill_what_others_hold(guarded: Server) -> None:
+    with enter(guarded, "viewer") as viewer, enter(guarded, "operator") as operator:
+        numbers = viewer.open("numbers")
+        operator.ask("Kill", numbers, {"everyone": True})
+        assert viewer.next("connection")["jsonMessage"]["state"] == "closed"
+
+
+def test_a_token_taken_back_ends_its_sessions_without_a_restart(
+    guarded: Server, access: Path
+) -> None:
+    with enter(guarded, "viewer") as client, enter(guarded, "driver") as other:
+        text = access.read_text(encoding="utf-8")
+        fresh = make_token()
+        replaced = text.replace(hash_token(TOKENS["viewer"]), hash_token(fresh))
+        _replace(access, replaced)
+        with pytest.raises(ConnectionClosed) as closed:
+            client.answer(None)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        assert status_of(lambda: enter(guarded, "viewer")) == 401
+        with Talk(url(guarded, f"/?token={fresh}")) as again:
+            assert again.hello["role"] == "viewer"
+        assert other.open("echo")
+
+
+def test_rights_that_change_end_the_sessions_that_had_them(guarded: Server, access: Path) -> None:
+    with enter(guarded, "viewer") as client, enter(guarded, "driver") as other:
+        client.open("numbers")
+        text = access.read_text(encoding="utf-8")
+        _replace(access, text.replace('request: ["num*"]', 'request: ["echo"]'))
+        with pytest.raises(ConnectionClosed) as closed:
+            client.answer(None)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1008
+        assert other.open("echo")
+    with enter(guarded, "viewer") as client:
+        assert client.refused("Request", "numbers")["code"] == "denied"
+        assert client.open("echo")
+
+
+def test_an_access_file_with_mistakes_changes_nothing(
+    guarded: Server, access: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    _replace(access, "version: 2\nroles: 5\n")
+    eventually(lambda: "expected 1" in caplog.text, "the mistake is logged")
+    with enter(guarded, "viewer") as client:
+        assert client.open("numbers")
+
+
+def test_metrics_need_a_role_that_sees_all(guarded: Server) -> None:
+    from tests.server.test_serving import page
+
+    assert page(guarded, "/healthz")[0] == 200
+    assert page(guarded, "/metrics")[0] == 401
+    assert page(guarded, "/metrics", Authorization=f"Bearer {TOKENS['driver']}")[0] == 403
+    assert page(guarded, "/metrics", Authorization=f"Bearer {TOKENS['viewer']}")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1", "http://", "http://[", "x"]
+)
+def test_strange_web_pages_may_not_connect(serve: Serve, origin: str) -> None:
+    server = serve()
+    assert status_of(lambda: Talk(url(server), origin=Origin(origin))) == 403
+
+
+def test_own_pages_and_listed_ones_may_connect(serve: Serve) -> None:
+    server = serve(origins=("https://panel.example",))
+    for origin in (f"http://127.0.0.1:{server.ports[0]}", "https://panel.example"):
+        with Talk(url(server), origin=Origin(origin)) as client:
+            assert client.ask("List")
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
+def test_a_strange_name_for_this_machine_is_refused(serve: Serve, host: str) -> None:
+    from tests.server.test_serving import page
+
+    server = serve()
+    assert page(server, "/healthz", Host=host)[0] == 403
+    assert page(server, "/healthz", Host="localhost")[0] == 200
+    assert page(serve(hosts=("robot",)), "/healthz", Host="robot:1")[0] == 200
+
+
+def test_a_client_of_another_version_is_refused_with_those_that_are_spoken(serve: Serve) -> None:
+    server = serve()
+    with pytest.raises(InvalidHandshake):
+        Talk(url(server), subprotocols=[Subprotocol("uoarm.v9.json")])
+    with Talk(url(server), subprotocols=[Subprotocol("uoarm.v9.json"), JSON]) as client:
+        assert client.socket.subprotocol == JSON
+    with Talk(url(server), subprotocols=None) as client:
+        assert client.ask("List")
+
+
+def test_what_is_denied_is_in_the_audit_log(
+    guarded: Server, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "uoarm.audit")
+    with enter(guarded, "nobody") as client:
+        client.refused("Call", "add")
+    text = caplog.text
+    assert '"operation":"call","function":"add","allowed":false' in text
+    assert status_of(lambda: Talk(url(guarded))) == 401
+    assert "refused" in caplog.text
+    assert not any(token in caplog.text for token in TOKENS.values())
+
+
+def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path) -> None:
+    certificate, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-keyout", key, "-out", certificate, "-days", "1", "-subj", "/CN=localhost",
+         "-addext", "subjectAltName=IP:127.0.0.1"],
+        check=True, capture_output=True, timeout=60,
+    )  # fmt: skip
+    server = serve(certificate=certificate, key=key)
+    trust = ssl.create_default_context(cafile=certificate)
+    with Talk(f"wss://127.0.0.1:{server.ports[0]}/", ssl=trust) as client:
+        assert client.ask("Call", "add", {"a": 1, "b": 1}) == {"value": 2}
+    with pytest.raises(ConfigurationError, match="TLS"):
+        serve(certificate=certificate, key=certificate)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[]", "the file: expected names"),
+        ("version: 1\nroles: {a: {fly: ['*']}}", "roles.a.fly: expected one of see"),
+        ("version: 1\nroles: {a: {see: '*'}}", "expected a list"),
+        ("version: 1\ntokens: [{role: x, sha256: ab}]", r"tokens\[0\].sha256: expected 64"),
+        ("version: 1\ntokens: [{role: x}]", r"tokens\[0\].role: expected one of the roles"),
+        ("version: 1\nrolls: {}", "rolls: unknown"),
+        ("{", "cannot be read"),
+    ],
+)
+def test_mistakes_of_the_access_file_are_told_with_their_place(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    path = tmp_path / "access.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=said):
+        read_access(path)
+
+
+@given(st.binary(max_size=80))
+def test_no_access_file_at_all_crashes_the_reader(data: bytes) -> None:
+    import tempfile
+
+    with tempfile.NamedTemporaryFile(suffix=".yaml") as file:
+        file.write(data)
+        file.flush()
+        try:
+            book = read_access(Path(file.name))
+        except ConfigurationError:
+            return
+        assert not book.tokens
+
+
+def test_a_grant_ends_when_it_expires() -> None:
+    role = Role("r", {Operation.SEE: ("*",)})
+    end = datetime(2030, 1, 1, tzinfo=timezone.utc)
+    book = AccessBook({hash_token("t"): Grant("g", role, end)})
+    assert book.grant_of(hash_token("t"), end - timedelta(seconds=1)) is not None
+    assert book.grant_of(hash_token("t"), end) is None
+    assert book.grant_of(hash_token("u"), end - timedelta(days=1)) is None
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a new file in the old one's place, as careful editors do."""
+    fresh = path.with_suffix(".new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(path)

@@ -1,0 +1,149 @@
+"""The queues of one client: replies first, streams in turn, everything bounded and counted."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uoarm.model import OverflowPolicy, QueuePolicy
+from uoarm.server._outbox import Lane, Outbox
+
+
+def run(work: Coroutine[Any, Any, None]) -> None:
+    asyncio.run(asyncio.wait_for(work, 10))
+
+
+def lane(length: int = 100, policy: OverflowPolicy = OverflowPolicy.DROP_OLDEST) -> Lane:
+    return Lane(QueuePolicy(length, policy), text=True)
+
+
+async def drain(outbox: Outbox) -> list[bytes]:
+    frames = []
+    while not outbox.empty:
+        frames.append((await outbox.next())[0])
+    return frames
+
+
+def test_replies_overtake_data_and_streams_take_turns() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        one, two = lane(), lane()
+        for frame in (b"a1", b"a2", b"a3"):
+            outbox.put(one, frame)
+        outbox.put(two, b"b1")
+        outbox.tell(b"reply", text=True)
+        assert await drain(outbox) == [b"reply", b"a1", b"b1", b"a2", b"a3"]
+        assert (one.sent, two.sent) == (3, 1)
+
+    run(work())
+
+
+@pytest.mark.parametrize(
+    ("policy", "length", "kept"),
+    [(OverflowPolicy.LATEST, 5, [b"4"]), (OverflowPolicy.DROP_OLDEST, 3, [b"2", b"3", b"4"])],
+)
+def test_a_full_stream_drops_its_oldest_and_counts(
+    policy: OverflowPolicy, length: int, kept: list[bytes]
+) -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        stream = lane(length, policy)
+        for number in range(5):
+            outbox.put(stream, b"%d" % number)
+        assert stream.dropped == 5 - len(kept)
+        assert await drain(outbox) == kept
+        assert outbox.waiting_bytes == 0
+
+    run(work())
+
+
+def test_a_fat_stream_does_not_push_out_a_thin_one() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        fat, thin = lane(), lane()
+        outbox.put(thin, b"t")
+        for _ in range(50):
+            outbox.put(fat, bytes(300))
+        assert outbox.waiting_bytes <= 1000
+        assert thin.dropped == 0
+        assert fat.dropped == 47
+
+    run(work())
+
+
+def test_one_message_larger_than_the_limit_still_goes() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        outbox.put(lane(), bytes(5000))
+        assert len(await drain(outbox)) == 1
+
+    run(work())
+
+
+def test_too_many_replies_are_not_dropped_but_told() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        for _ in range(10):
+            outbox.tell(b"r", text=True)
+        assert not outbox.overflowed
+        outbox.tell(b"r", text=True)
+        assert outbox.overflowed
+
+    run(work())
+
+
+def test_a_killed_stream_leaves_nothing_behind() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        gone, stays = lane(), lane()
+        outbox.put(gone, b"g")
+        outbox.put(stays, b"s")
+        outbox.discard(gone)
+        assert await drain(outbox) == [b"s"]
+
+    run(work())
+
+
+def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        pieces, other = lane(1), lane()
+        outbox.put(pieces, b"x1", b"x2", b"x3")
+        outbox.put(pieces, b"y1", b"y2")
+        outbox.put(other, b"o")
+        assert await drain(outbox) == [b"y1", b"y2", b"o"]
+        assert (pieces.dropped, pieces.sent) == (1, 1)
+
+    run(work())
+
+
+steps = st.lists(
+    st.tuples(st.sampled_from(["puttwo", "next", "reply"]), st.integers(1, 400)), max_size=60
+)
+
+
+@given(steps)
+def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 1000)
+        lanes = [lane(4), lane(1, OverflowPolicy.LATEST)]
+        put = [0, 0]
+        for step, number in plan:
+            if step == "puttwo":
+                outbox.put(lanes[number % 2], bytes(number))
+                put[number % 2] += 1
+            elif step == "reply":
+                outbox.tell(b"r", text=False)
+            elif not outbox.empty:
+                await outbox.next()
+        for count, one in zip(put, lanes, strict=True):
+            assert count == one.sent + one.dropped + len(one.waiting)
+        waiting = [len(frame) for one in lanes for frames in one.waiting for frame in frames]
+        assert sum(waiting) <= 1000 or all(len(one.waiting) <= 1 for one in lanes)
+
+    run(work())

@@ -1,0 +1,151 @@
+"""`uoarm serve` as a process of its own: it starts, answers, and ends when it is told to."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.server.conftest import Connect, Serve
+from tests.server.robot import CONFIGURATION, script
+from tests.server.talk import Talk, frame, open_socket
+from websockets.exceptions import ConnectionClosed, ConnectionClosedError
+
+from uoarm import RobotManager
+from uoarm.errors import ConfigurationError
+from uoarm.server import Server, Settings, serve_in_thread
+
+ROOT = Path(__file__).parents[2]
+Start = Callable[..., tuple[subprocess.Popen[str], int]]
+
+
+def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
+    url = f"http://127.0.0.1:{server.ports[0]}{path}"
+    request = urllib.request.Request(url, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode()
+
+
+def test_health_and_pages(server: Server) -> None:
+    assert page(server, "/healthz") == (200, '{"status":"ok","clients":0}')
+    assert "uoarm serve" in page(server, "/")[1]
+    assert "export function connect" in page(server, "/uoarm.js")[1]
+    assert "export function decode" in page(server, "/uoarm-cbor.js")[1]
+    assert "export function connect" in page(server, "/uoarm.d.ts")[1]
+    for path in ("/nowhere", "/../pyproject.toml", "/%2e%2e/__init__.py", "/static/index.html"):
+        assert page(server, path)[0] == 404
+
+
+def test_metrics_count_what_happens(server: Server, talk: Connect) -> None:
+    client = talk()
+    connection = client.open("numbers")
+    script.put({"value": 1}, {"value": 2})
+    client.data(connection, 2)
+    text = page(server, "/metrics")[1]
+    assert "uoarm_serve_clients 1.0" in text
+    assert "uoarm_serve_received_messages_total 1.0" in text
+    assert re.search(r"uoarm_serve_sent_messages_total [34]\.0", text)  # the last is being written
+    ends = f'consumer="{connection}",producer="numbers.default"'
+    assert f"uoarm_route_received_total{{{ends}}} 2.0" in text
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start `uoarm serve`; whatever is left is killed."""
+    processes: list[subprocess.Popen[str]] = []
+    file = tmp_path / "robot.yaml"
+    file.write_text(CONFIGURATION, encoding="utf-8")
+
+    def begin(*arguments: str) -> tuple[subprocess.Popen[str], int]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+        )
+        processes.append(process)
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        found = re.search(r"ws://127\.0\.0\.1:(\d+)/", line)
+        return process, int(found.group(1)) if found else 0
+
+    yield begin
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=20)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: signal.Signals) -> None:
+    process, port = start()
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        client.open("numbers")
+        slow = client.send("Call", "slow", {"value": 1})
+        client.ask("List")
+        began = time.monotonic()
+        process.send_signal(number)
+        with pytest.raises(ConnectionClosed) as closed:
+            client.answer(slow)
+        assert not isinstance(closed.value, ConnectionClosedError)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1001
+        out, err = process.communicate(timeout=20)
+    assert time.monotonic() - began < 4  # 2 s are promised; the machine may be busy
+    assert (process.returncode, err) == (0, ""), out
+
+
+def test_a_client_that_never_reads_does_not_hold_up_the_end(start: Start) -> None:
+    process, port = start()
+    with open_socket(port) as stuck:
+        for _ in range(2000):
+            stuck.sendall(frame(b'{"op":"List","id":"1"}'))
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=6)
+    assert process.returncode == 0
+
+
+def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
+    _, port = start()
+    second, _ = start("--port", str(port))
+    _, err = second.communicate(timeout=20)
+    assert second.returncode == 5
+    assert "cannot listen" in err
+    assert "Traceback" not in err
+
+
+def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -> None:
+    process, _ = start("--host", "0.0.0.0")
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 3
+    assert "--access" in err
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.2", "robot.example"])
+def test_no_address_off_loopback_is_taken_for_loopback(robot: RobotManager, host: str) -> None:
+    with pytest.raises(ConfigurationError, match="other machines"):
+        serve_in_thread(robot, Settings(host=host)).__enter__()
+
+
+def test_a_server_can_be_started_and_stopped_again(serve: Serve, robot: RobotManager) -> None:
+    for _ in range(3):
+        with (
+            serve_in_thread(robot, Settings(port=0)) as server,
+            Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client,
+        ):
+            client.open("numbers")
+    assert json.loads(page(serve(), "/healthz")[1])["clients"] == 0
