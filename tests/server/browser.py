@@ -96,7 +96,7 @@ class Browser:
     def until(self, expression: str) -> Any:
         """Wait until an expression is true in the page and return it."""
         deadline = time.monotonic() + SECONDS
-        while not (value := self.js(expression)):
+        while (value := self.js(f"({expression}) || null")) is None:
             shown = self.js("document.body.innerText.slice(0, 2000)")
             assert time.monotonic() < deadline, f"never: {expression}\n{shown}\n{self.complaints}"
             time.sleep(0.02)

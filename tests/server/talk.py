@@ -15,8 +15,7 @@ from typing_extensions import Self
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from uoarm.server._asked import protocol_schema
-from uoarm.server._binary import read_binary, write_binary
+from uoarm.wire import protocol_schema, read_binary, write_binary
 
 SECONDS = 20.0
 TOLD = {

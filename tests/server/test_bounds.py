@@ -246,7 +246,7 @@ wild = st.fixed_dictionaries(
 def test_every_wild_message_has_one_answer(server: Server, message: object, binary: bool) -> None:
     import json
 
-    from uoarm.server._binary import write_binary
+    from uoarm.wire import write_binary
 
     with Talk(url(server), binary=binary) as client:
         client.raw(write_binary(message) if binary else json.dumps(message))

@@ -21,8 +21,8 @@ from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
-from uoarm.server._binary import read_binary
 from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.wire import read_binary
 
 
 class Ros:

@@ -20,9 +20,9 @@ from websockets.typing import Subprotocol
 
 from uoarm.server._admission import Admission, Pass, RefusedError
 from uoarm.server._audit import Audit
-from uoarm.server._forms import FORMS
 from uoarm.server._limits import Limits
 from uoarm.server._role import Operation
+from uoarm.wire import FORMS
 
 __all__ = ["NATIVE_PATHS", "ROSBRIDGE_PATH", "Doors", "Entry"]
 

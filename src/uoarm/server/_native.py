@@ -13,16 +13,15 @@ from uoarm._version import __version__
 from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
 from uoarm.resolve import NoPlanError
-from uoarm.server._asked import check_asked, salvage_id
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of
-from uoarm.server._forms import Form, write_or_tell
 from uoarm.server._holdings import Holdings, wanted_by
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
+from uoarm.wire import Form, check_asked, salvage_id, write_or_tell
 
 __all__ = ["NativeSession"]
 

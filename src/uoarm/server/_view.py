@@ -6,8 +6,8 @@ from typing import Any
 
 from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
 from uoarm.resolve import tell_plan
-from uoarm.server._forms import Form
 from uoarm.server._role import Operation, Role
+from uoarm.wire import Form
 
 __all__ = ["list_functions", "show_plan", "visible_status"]
 

@@ -2,6 +2,7 @@
 
 export const SMALLEST = 0.08;
 export const LARGEST = 2;
+const LINKED = 5;
 
 const clamp = (scale) => Math.min(LARGEST, Math.max(SMALLEST, scale));
 
@@ -41,8 +42,9 @@ export function reveal(camera, place, card, view, margin = 24) {
   return pan(camera, dx, dy);
 }
 
-/** The nearest card from one in a direction ("ArrowLeft" ...), or undefined. */
-export function neighbour(id, direction, cards, places) {
+/** The nearest card from one in a direction ("ArrowLeft" ...), or undefined. Linked ones are nearer. */
+export function neighbour(id, direction, cards, places, edges = []) {
+  const linked = new Set(edges.flatMap(({ from, to }) => (from === id ? [to] : to === id ? [from] : [])));
   const middle = (card) => {
     const { x, y } = places.get(card.id);
     return { x: x + card.width / 2, y: y + card.height / 2 };
@@ -55,7 +57,7 @@ export function neighbour(id, direction, cards, places) {
     const there = middle(card);
     const [dx, dy] = [there.x - here.x, there.y - here.y];
     const [along, across] = sideways ? [dx * sign, dy] : [dy * sign, dx];
-    const far = along + 3 * Math.abs(across);
+    const far = (along + 3 * Math.abs(across)) / (sideways && linked.has(card.id) ? LINKED : 1);
     if (along > 1 && far < cost) [best, cost] = [card, far];
   }
   return best;

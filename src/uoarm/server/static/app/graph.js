@@ -38,7 +38,7 @@ export function Graph({ system, shown, selected, select }) {
   const keys = (event) => {
     const at = event.target.closest("[data-card]")?.dataset.card;
     const card = cards.find((one) => one.id === at);
-    const act = keyAction(event, { card, cards, layout, camera, fold, focus });
+    const act = keyAction(event, { card, cards, edges, layout, camera, fold, focus });
     if (act) {
       event.preventDefault();
       act();
@@ -77,7 +77,7 @@ const Tool = ({ icon, label, act }) => html`<button type="button" class="tool" t
 
 const sizeOf = (element) => ({ width: element.clientWidth, height: element.clientHeight });
 
-function keyAction(event, { card, cards, layout, camera, fold, focus }) {
+function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
   if (event.ctrlKey || event.metaKey || event.altKey) return null;
   if (event.key === "+" || event.key === "=") return () => camera.zoomBy(1.25);
   if (event.key === "-") return () => camera.zoomBy(0.8);
@@ -85,7 +85,7 @@ function keyAction(event, { card, cards, layout, camera, fold, focus }) {
   if (!card) return null;
   if (event.key.toLowerCase() === "f" && card.kind === "function") return () => fold(card);
   if (!event.key.startsWith("Arrow")) return null;
-  const next = neighbour(card.id, event.key, cards, layout.places);
+  const next = neighbour(card.id, event.key, cards, layout.places, edges);
   return () => next && focus(next);
 }
 

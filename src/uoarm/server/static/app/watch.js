@@ -27,7 +27,7 @@ export function Watch({ store, one }) {
       setState({ busy: false, refusal: error.message });
     }
   };
-  const begin = () => during(() => store.watches.open(name, { every, queue: { length: 4, policy: "latest" } }));
+  const begin = () => during(() => store.watches.open(name, { every, queue: { length: every ? 4 : 200, policy: "drop-oldest" } }));
   const end = () => during(() => store.watches.close(name));
 
   return html`

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.server._binary import read_binary, write_binary
+from uoarm.wire._binary import read_binary, write_binary
 
 values = st.recursive(
     st.none()

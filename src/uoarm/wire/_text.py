@@ -17,7 +17,7 @@ import orjson
 
 from uoarm.errors import MessageError
 from uoarm.model import Message
-from uoarm.server._skeleton import dump_parts
+from uoarm.wire._skeleton import dump_parts
 
 __all__ = ["SAFE_INTEGER", "write_text", "write_text_parts"]
 

@@ -11,7 +11,7 @@ from pybase64 import b64decode
 
 from uoarm.errors import MessageError
 from uoarm.model import Message, Schema
-from uoarm.server._text import SAFE_INTEGER
+from uoarm.wire._text import SAFE_INTEGER
 
 __all__ = ["make_reader", "text_schema"]
 

@@ -29,7 +29,7 @@ _SHOWN = 200
 @cache
 def protocol_schema() -> Mapping[str, Any]:
     """Return the JSON Schema of every message, `$defs` named `ask.Op` and `tell.Op`."""
-    text = (files("uoarm.server") / "protocol.schema.json").read_text(encoding="utf-8")
+    text = (files("uoarm.wire") / "protocol.schema.json").read_text(encoding="utf-8")
     schema: Mapping[str, Any] = json.loads(text)
     return schema
 

@@ -10,10 +10,10 @@ import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Schema
-from uoarm.server._binary import read_binary, write_binary
-from uoarm.server._depth import check_depth
-from uoarm.server._text import write_text, write_text_parts
-from uoarm.server._text_structure import make_reader, text_schema
+from uoarm.wire._binary import read_binary, write_binary
+from uoarm.wire._depth import check_depth
+from uoarm.wire._text import write_text, write_text_parts
+from uoarm.wire._text_structure import make_reader, text_schema
 
 __all__ = ["BINARY_FORM", "FORMS", "TEXT_FORM", "Form", "write_or_tell"]
 

@@ -16,8 +16,8 @@ from jsonschema import Draft202012Validator
 
 from uoarm.errors import MessageError
 from uoarm.local import Range
-from uoarm.server._text import write_text
-from uoarm.server._text_structure import make_reader, text_schema
+from uoarm.wire._text import write_text
+from uoarm.wire._text_structure import make_reader, text_schema
 
 OCTETS = {
     "type": "array",
