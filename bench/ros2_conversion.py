@@ -1,10 +1,15 @@
-"""Conversion of ROS 2 messages beside `rosidl_runtime_py`, both ways, in one run."""
+"""Conversion of ROS 2 messages beside `rosidl_runtime_py` and rosbridge, both ways, in one run.
+
+Others are measured where they can be imported: neither comes from PyPI, so put their sources on
+PYTHONPATH (`rosidl_runtime_py`, and `rosbridge_library/src` of rosbridge_suite).
+"""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.tables import at, microseconds, print_table
 
@@ -29,7 +34,7 @@ def main() -> int:
     except ImportError as error:
         print(f"no conversion table: {error}", file=sys.stderr)
         return 0
-    theirs = _theirs()
+    others = [other for other in (_rosidl(), _rosbridge()) if other is not None]
     rows = []
     for label, name in TYPES.items():
         shape = shape_of(import_type(name), name)
@@ -37,39 +42,53 @@ def main() -> int:
         native: Any = deserialize_message(wire, shape.native)
         read, write = reader(shape), writer(shape)
         message = read(native)
-        cells = [label, _median(lambda read=read, native=native: read(native), 200)]
-        if theirs is not None:
-            to_dict, set_fields = theirs
-            cells.append(_median(lambda to_dict=to_dict, native=native: to_dict(native), 1, 30))
-        cells.append(_median(lambda write=write, message=message: write(message), 200))
-        if theirs is not None:
-            plain = to_dict(native)
-            cells.append(_median(partial(_set, set_fields, shape.native, plain), 1, 30))
-        cells.append(
-            _median(lambda wire=wire, kind=shape.native: deserialize_message(wire, kind), 10, 50)
-        )
-        rows.append(cells)
-    head = ["message", "read"] + (["message_to_ordereddict"] if theirs else [])
-    head += ["write, checked"] + (["set_message_fields"] if theirs else []) + ["CDR floor"]
-    print_table("ROS 2 conversion (us, median)", head, rows)
-    if theirs is None:
-        print("\nrosidl_runtime_py is not here: a ROS 2 installation has it, PyPI does not")
+        reads = [_median(partial(read, native), 200)]
+        writes = [_median(partial(write, message), 200)]
+        for other in others:
+            reads.append(_median(partial(other.read, native), 1, 30))
+            plain = other.read(native)
+            writes.append(_median(partial(_set, other.write, shape.native, plain), 1, 30))
+        floor = _median(partial(deserialize_message, wire, shape.native), 10, 50)
+        rows.append([label, *reads, *writes, floor])
+    names = ["ours", *(other.name for other in others)]
+    head = ["message", *(f"read: {name}" for name in names), *(f"write: {name}" for name in names)]
+    print_table("ROS 2 conversion (us, median)", [*head, "CDR floor"], rows)
     return 0
 
 
-def _set(set_fields: Any, kind: Any, plain: Any) -> None:
-    set_fields(kind(), plain)
+class Other(NamedTuple):
+    """Another converter: a native object to plain values, and plain values into an object."""
+
+    name: str
+    read: Callable[[Any], Any]
+    write: Callable[[Any, Any], Any]
 
 
-def _theirs() -> tuple[Any, Any] | None:
+def _set(write: Callable[[Any, Any], Any], kind: Any, plain: Any) -> None:
+    write(kind(), plain)
+
+
+def _rosidl() -> Other | None:
     try:
         from rosidl_runtime_py import (  # noqa: PLC0415
             message_to_ordereddict,
             set_message_fields,
         )
-    except ImportError:
+    except ImportError as error:
+        print(f"without rosidl_runtime_py: {error}", file=sys.stderr)
         return None
-    return message_to_ordereddict, set_message_fields
+    return Other("rosidl_runtime_py", message_to_ordereddict, set_message_fields)
+
+
+def _rosbridge() -> Other | None:
+    try:
+        from rosbridge_library.internal import message_conversion as theirs  # noqa: PLC0415
+    except ImportError as error:
+        print(f"without rosbridge: {error}", file=sys.stderr)
+        return None
+    return Other(
+        "rosbridge", theirs.extract_values, lambda made, msg: theirs.populate_instance(msg, made)
+    )
 
 
 def _filled(message: Any) -> Any:

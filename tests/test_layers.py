@@ -23,6 +23,8 @@ LAYERS = [
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"environments"},
+    {"host"},
     {"flow"},
     {"config"},
     {"resolve"},
@@ -84,8 +86,22 @@ def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
-    heavy = ["rich", "click", "jsonschema", "numpy", "cv2", "rclpy", "omniORB", "hypothesis"]
-    heavy += ["websockets", "orjson", "cbor2", "prometheus_client"]
+    heavy = [
+        "rich",
+        "click",
+        "jsonschema",
+        "numpy",
+        "cv2",
+        "rclpy",
+        "omniORB",
+        "hypothesis",
+        "zenoh",
+        "msgpack",
+        "websockets",
+        "orjson",
+        "cbor2",
+        "prometheus_client",
+    ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

@@ -26,6 +26,19 @@ functions:
   greeting:
     components:
       - {name: greeter, bridge: python, service: {endpoint: ["cli_counting:greet"]}}
+  kept:
+    components:
+      - name: keeper
+        bridge: python
+        input: {from: count, endpoint: ["cli_counting:keep"], queue: {policy: block, timeout: 30}}
+  broken:
+    components:
+      - name: breaker
+        bridge: python
+        input: {from: dying, endpoint: ["cli_counting:keep"]}
+  dying:
+    components:
+      - {name: dying, bridge: python, output: {endpoint: ["cli_counting:die"]}}
   misfit:
     components:
       - name: misfit
@@ -46,6 +59,11 @@ def double(m: Number) -> Number:
     return {"n": m["n"] * 2}
 def greet(m: Number) -> Text:
     return {"text": f"hello {m['n']}"}
+def keep(m: Number) -> None:
+    pass
+def die() -> Iterator[Number]:
+    yield {"n": 1}
+    raise RuntimeError("the source is worn out")
 def shout(m: Text) -> None:
     pass
 """
@@ -66,7 +84,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "4 functions, 1 bridges, no errors" in result.output
+    assert "7 functions, 1 bridges, no errors" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
@@ -99,6 +117,18 @@ def test_request_prints_a_message_a_line(robot: str) -> None:
     result = run("request", "doubled", "-f", robot)
     assert [json.loads(line)["n"] for line in result.output.splitlines()] == [0, 2, 4, 6]
     assert result.exit_code == 0
+
+
+def test_a_function_without_an_output_runs_until_it_ends(robot: str) -> None:
+    result = run("request", "kept", "-f", robot)
+    assert (result.exit_code, result.stdout) == (0, ""), result.output
+    assert "no output to show" in result.stderr
+
+
+def test_a_function_without_an_output_that_dies_says_why(robot: str) -> None:
+    result = run("request", "broken", "-f", robot)
+    assert result.exit_code == 4
+    assert "the source is worn out" in result.stderr
 
 
 def test_request_ends_after_so_many(robot: str) -> None:

@@ -270,6 +270,42 @@ SHAPE = {
     ),
 }
 
+HOST = "version: 1\nfunctions: {}\nbridges:\n  far: {plugin: python, host: %s}\n"
+
+HOSTS = {
+    "host of a wrong type": Bad(
+        HOST % "jazzy",
+        4,
+        31,
+        "$.bridges.far.host",
+        'expected true or false or a mapping, got "jazzy"',
+    ),
+    "host with an unknown key": Bad(
+        HOST % "{enviroment: jazzy}",
+        4,
+        32,
+        "$.bridges.far.host.enviroment",
+        "did you mean",
+    ),
+    "host with a variable that is no text": Bad(
+        HOST % "{variables: {A: 1}}",
+        4,
+        47,
+        "$.bridges.far.host.variables.A",
+        "expected text or nothing, got 1",
+    ),
+    "host with a silence of nothing": Bad(
+        HOST % "{silence: 0}", 4, 41, "$.bridges.far.host.silence", "expected more than 0, got 0"
+    ),
+    "host with two Pythons": Bad(
+        HOST % "{environment: a, python: b}",
+        4,
+        48,
+        "$.bridges.far.host.python",
+        "give either environment or python, not both",
+    ),
+}
+
 MEANING = {
     "bridge": Bad(
         one("{name: a, bridge: pyhton, output: {endpoint: [x]}}"),
@@ -365,7 +401,7 @@ MEANING = {
 
 TABLE = {
     f"{kind}: {name}": bad
-    for kind, table in (("yaml", YAML), ("shape", SHAPE), ("meaning", MEANING))
+    for kind, table in (("yaml", YAML), ("shape", SHAPE), ("host", HOSTS), ("meaning", MEANING))
     for name, bad in table.items()
 }
 

@@ -359,6 +359,26 @@ def problems_of(text: str) -> list[str]:
     return []
 
 
+@pytest.mark.parametrize(
+    ("host", "settings"),
+    [
+        ("", None),
+        ("host: false", None),
+        ("host: true", {}),
+        ("host: {}", {}),
+        (
+            "host: {python: /usr/bin/python3, silence: 5}",
+            {"python": "/usr/bin/python3", "silence": 5},
+        ),
+    ],
+)
+def test_a_host_is_asked_for_in_any_of_these_ways(
+    host: str, settings: dict[str, object] | None
+) -> None:
+    robot = loads(f"version: 1\nbridges:\n  far: {{plugin: python, {host}}}\nfunctions: {{}}\n")
+    assert robot.bridges["far"].host == settings
+
+
 APPLICATIONS = """
 version: 1
 bridges: {python: {}}

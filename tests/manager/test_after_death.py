@@ -9,8 +9,8 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.errors import BridgeError, ConnectionClosedError, ResolutionError
-from uoarm.model import Health
+from uoarm.errors import BridgeError, ResolutionError
+from uoarm.model import Health, StatusEvent
 from uoarm.testing import Collector, MemoryBridge, raising
 
 NUMBER: Any = {"type": "integer"}
@@ -44,9 +44,16 @@ def test_after_a_death_the_next_candidate_is_chosen(
 ) -> None:
     with robot.request("camera") as camera:
         assert camera.plan.provider.component.name == "best"
+        told = Collector()
+
+        def listen(event: StatusEvent) -> None:
+            if event.change == "replaced":
+                told.deliver(event)
+
+        robot.listen(listen)
         bridge.die("best")
-        with pytest.raises(ConnectionClosedError):
-            camera.get(10)
+        told.wait(1)
+        assert camera.plan.provider.component.name == "next"
     assert robot.resolve("camera").provider.component.name == "next"
     bridge.emitter("best", NUMBER)
     assert robot.survey()[0].provider == "best"

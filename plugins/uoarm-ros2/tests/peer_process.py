@@ -17,6 +17,7 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from redefinition import redefine
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64, String
 from std_srvs.srv import SetBool
@@ -67,6 +68,11 @@ class Doer:
     def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         self.publishers[topic] = self.node.create_publisher(native, topic, profile(**qos))
+        return {}
+
+    def redefine(self, kind: str = "Int64") -> dict[str, Any]:
+        """Define a type otherwise from now on."""
+        redefine({"Int64": Int64, "Image": Image, "String": String}[kind])
         return {}
 
     def unadvertise(self, topic: str) -> dict[str, Any]:

@@ -1,48 +1,108 @@
-"""The example runs: a node started by hand is heard, and a mixed chain goes through three hands."""
+"""The example's page tells the truth: every command on it runs, in real processes, as it stands."""
 
 from __future__ import annotations
 
+import os
+import re
+import shlex
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO
+
+import pytest
 
 from uoarm.manager import RobotManager
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "ros2"
+ROOT = Path(__file__).parents[3]
+EXAMPLE = ROOT / "examples" / "ros2"
+BLOCKS = re.findall(r"```\n(.*?)```", (EXAMPLE / "README.md").read_text(), re.DOTALL)
+Run = Callable[[str], "subprocess.Popen[str]"]
 
 
-@contextmanager
-def node(name: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run one of the example's nodes."""
-    command = [sys.executable, str(EXAMPLE / f"{name}.py"), *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+@pytest.fixture
+def run() -> Iterator[Run]:
+    """Starts commands as a shell in the root of the repository would, and ends them all."""
+    started: list[subprocess.Popen[str]] = []
+    tools = {"python": sys.executable, "uoarm": str(Path(sys.executable).with_name("uoarm"))}
+
+    def start(command: str) -> subprocess.Popen[str]:
+        program, *arguments = shlex.split(command)
+        process = subprocess.Popen(
+            [tools[program], *arguments],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
-def test_a_talker_started_by_hand_is_heard() -> None:
-    with (
-        node("talker"),
-        RobotManager.from_file(EXAMPLE / "robot.yaml") as robot,
-        robot.request("chatter", validate="always") as chatter,
-    ):
-        numbers = [int(chatter.get(timeout=10.0)["data"].removeprefix("hello ")) for _ in range(3)]
-        assert numbers == list(range(numbers[0], numbers[0] + 3))
-        assert robot.status().routes[0].invalid == 0
+def commands(block: int) -> list[str]:
+    """The commands of one block of the page, without what installs."""
+    lines = BLOCKS[block].splitlines()
+    return [line for line in lines if not line.startswith("pip install")]
 
 
-def test_a_camera_of_ros_feeds_python_which_feeds_ros() -> None:
-    with (
-        node("camera"),
-        node("listener", "5") as listener,
-        RobotManager.from_file(EXAMPLE / "robot.yaml") as robot,
-        robot.request("faceTopic", validate="always"),
-    ):
-        assert listener.stdout is not None
-        lines = [listener.stdout.readline() for _ in range(5)]
-        assert all(line.startswith("face at (") and "48 x 48" in line for line in lines)
-        assert {route.invalid for route in robot.status().routes} == {0}
+def lines(stream: IO[str] | None, count: int) -> list[str]:
+    assert stream is not None
+    return [stream.readline() for _ in range(count)]
+
+
+def interrupted(process: subprocess.Popen[str]) -> int:
+    """The exit code after Ctrl-C, which must end it in time."""
+    process.send_signal(signal.SIGINT)
+    return process.wait(10.0)
+
+
+def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
+    talker, request = commands(0)
+    run(talker.removesuffix("&"))
+    heard = run(request)
+    numbers = [int(re.findall(r'"hello (\d+)"', line)[0]) for line in lines(heard.stdout, 3)]
+    assert numbers == list(range(numbers[0], numbers[0] + 3))
+    assert interrupted(heard) == 130
+
+
+def test_the_doctor_says_what_is_used(run: Run) -> None:
+    (doctor,) = commands(1)
+    told, _ = run(doctor).communicate(timeout=30.0)
+    for word in ("rclpy", "distribution", "rmw", "domain"):
+        assert re.search(rf"^  {word} +\S", told, re.MULTILINE), told
+
+
+def test_a_camera_of_ros_feeds_python_which_feeds_ros(run: Run) -> None:
+    camera, listener, resolve, request = commands(2)
+    run(camera.removesuffix("&"))
+    faces = run(listener.removesuffix("&"))
+    resolving = run(resolve)
+    plan, _ = resolving.communicate(timeout=30.0)
+    assert resolving.returncode == 0
+    assert all(word in plan for word in ("ros_camera", "detector", "face_topic", "is_bigendian"))
+    chain = run(request)
+    seen = lines(faces.stdout, 5)
+    assert all(line.startswith("face at (") and "48 x 48" in line for line in seen)
+    assert interrupted(chain) == 130
+
+
+def test_every_command_of_the_page_is_run_here() -> None:
+    assert [len(commands(block)) for block in range(len(BLOCKS))] == [2, 1, 4]
+
+
+def test_the_status_shows_what_ros_knows(run: Run) -> None:
+    run(commands(0)[0].removesuffix("&"))
+    with RobotManager.from_file(EXAMPLE / "robot.yaml") as robot, robot.request("chatter") as chat:
+        chat.get(timeout=10.0)
+        ((channel,),) = (component.channels for component in robot.status().components)
+    facts = dict(channel.facts)
+    assert channel.port == "output.default"
+    assert facts["matched"] == 1
+    assert str(facts["qos"]).startswith("reliable, volatile")

@@ -11,14 +11,17 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, sink, source
 from peers import DOMAIN, Peer
 
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Sink
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
+from uoarm.testing import Background
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -86,43 +89,6 @@ def test_making_a_bridge_changes_nothing_global(make_bridge: Make) -> None:
     assert faulthandler.is_enabled() == was_enabled
 
 
-def test_importing_the_plugin_imports_no_middleware() -> None:
-    code = "import sys, uoarm_ros2; uoarm_ros2.uoarm_bridge_types(); print('rclpy' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
-    )
-    assert done.stdout.strip() == "False"
-
-
-def test_a_missing_rclpy_names_what_to_install() -> None:
-    code = (
-        "import sys; sys.modules['rclpy'] = None\n"
-        "from uoarm_ros2 import uoarm_bridge_types\n"
-        "kind = uoarm_bridge_types()[0]\n"
-        "print(kind.doctor()['rclpy'])\n"
-        "try: kind.create('ros', {})\n"
-        "except Exception as error: print(type(error).__name__, error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
-    )
-    missing, raised = done.stdout.strip().splitlines()
-    assert "pip install 'uoarm-ros2[jazzy]'" in missing
-    assert raised.startswith("PluginError bridge 'ros': rclpy cannot be imported")
-
-
-def test_the_doctor_says_what_is_used() -> None:
-    from uoarm_ros2 import uoarm_bridge_types
-
-    doctor = uoarm_bridge_types()[0].doctor
-    assert doctor is not None
-    found = doctor()
-    assert found["rmw"].startswith("rmw_")
-    assert found["domain"] == str(DOMAIN)
-    assert Path(found["rclpy"]).is_dir()
-    assert found["distribution"] != "unknown"
-
-
 def _resources() -> tuple[int, int]:
     here = Path("/proc/self")
     return len(list((here / "fd").iterdir())), len(list((here / "task").iterdir()))
@@ -161,12 +127,39 @@ def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     make_bridge("first").close()
     threads = set(threading.enumerate())
     descriptors = _resources()[0]
-    for number in range(10):
+    for number in range(50):
         bridge = make_bridge(f"number_{number}")
         sink(bridge, endpoint(Role.INPUT, "/x", INT64, peer="optional", wait=0.0))
         bridge.close()
     assert _resources()[0] == descriptors
     assert {each for each in set(threading.enumerate()) - threads if "ros2" in each.name} == set()
+
+
+@pytest.mark.parametrize("executor", ["standard", "events"])
+def test_a_bridge_closes_in_time_while_messages_flow_both_ways(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/flood")
+    out = endpoint(Role.INPUT, "/out", INT64, peer="optional", wait=0.0)
+    for number in range(5):
+        bridge, inbox = make_bridge(f"number_{number}", executor=executor), Inbox()
+        source(bridge, endpoint(Role.OUTPUT, "/flood", INT64), inbox)
+        sending = Background(partial(send_until_closed, sink(bridge, out)))
+        talker.start("publish", topic="/flood", count=500, period=0.001)
+        inbox.wait_for(10)
+        Background(bridge.close).result(5.0)
+        assert sending.result(5.0) is FailureReason.CLOSED
+        talker.answer()
+    assert [each.name for each in threading.enumerate() if each.name.startswith("ros2")] == []
+
+
+def send_until_closed(out: Sink) -> FailureReason:
+    while True:
+        try:
+            out.send({"data": 1})
+        except BridgeError as error:
+            return error.reason
 
 
 def test_a_bridge_closes_in_time_while_a_receiver_hangs(bridge: Bridge, peer: Start) -> None:

@@ -116,6 +116,13 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     assert channel.facts() == {"requests": 2, "failures": 1}
 
 
+def test_what_cannot_be_served_says_so(bridge: Bridge) -> None:
+    for address, words in ((("/navigate", FIBONACCI), "not served"), (("/x",), "needs a type")):
+        with pytest.raises(BridgeError, match=words) as caught:
+            bridge.serve(service(*address), lambda message: message)
+        assert caught.value.reason is FailureReason.UNSUPPORTED
+
+
 def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start) -> None:
     server, client, talker = peer("server"), peer("client"), peer("talker")
     server.do("serve", name="/increment")

@@ -176,6 +176,26 @@ def test_a_missed_deadline_is_an_event(bridge: Bridge, peer: Start) -> None:
     events.event(Health.DEGRADED, "the deadline passed")
 
 
+def test_messages_that_the_middleware_lost_are_counted_and_told(
+    bridge: Bridge, peer: Start
+) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    camera = peer("camera")
+    qos = {"reliability": "best_effort", "depth": 1}
+    camera.do("advertise", topic="/flood", kind="Image", **qos)
+    at = endpoint(Role.OUTPUT, "/flood", "sensor_msgs/msg/Image", qos=qos)
+    channel = source(bridge, at, inbox)
+    camera.do("publish", topic="/flood", count=200, size=2_000_000)
+    event = events.event(Health.DEGRADED, "lost by the middleware")
+    assert event.channel is channel
+    lost = channel.facts()["lost_by_middleware"]
+    assert isinstance(lost, int)
+    assert 0 < lost <= 200 - len(inbox.messages)
+    camera.do("publish", topic="/flood", count=300, period=0.01)
+    events.event(Health.OK, "messages arrive as they should")
+
+
 def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> None:
     events = Inbox()
     bridge.watch(events)

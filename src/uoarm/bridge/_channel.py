@@ -18,7 +18,7 @@ _CLOSE_SECONDS = 5.0
 class Channel(ABC):
     """One open native link of a bridge.
 
-    Must implement: `_close`. May implement: `facts`.
+    Must implement: `_close`. May implement: `facts`, `drain`.
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
@@ -54,6 +54,15 @@ class Channel(ABC):
     def facts(self) -> Mapping[str, object]:
         """Return what the framework knows of the link now, for the status; quick, any thread."""
         return {}
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until what is under way has arrived; False when `timeout` seconds were too few.
+
+        For channels whose `send` or framework hands messages to another process, so that an
+        orderly end loses nothing. Must not be called from within `deliver`.
+        """
+        del timeout
+        return True
 
     @abstractmethod
     def _close(self) -> None:

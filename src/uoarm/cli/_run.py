@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
-from uoarm.cli._shared import BRIDGE, configuration_option, json_option, open_robot, reporting
-from uoarm.model import Message, RouteStatus, to_json
+from uoarm.cli._shared import BRIDGE, configuration_option, json_option, open_robot
+from uoarm.model import ConnectionState, Message, RouteStatus, to_json
 from uoarm.resolve import tell_plan
 
 if TYPE_CHECKING:
@@ -47,9 +47,13 @@ def request(
 ) -> None:
     """Open a function and show its messages until it ends or Ctrl-C.
 
-    On a terminal a live table is shown; elsewhere, and with --json, one message a line.
+    On a terminal a live table is shown; elsewhere, and with --json, one message a line. A function
+    without an output has no messages to show and runs until the same end.
     """
     with open_robot(file) as robot, robot.request(name, validate=validate) as connection:
+        if not connection.plan.provider.component.outputs:
+            _stay(connection, duration)
+            return
         live = sys.stdout.isatty() and not as_json
         show = _show_live if live else _show_lines
         show(robot, connection, count, duration)
@@ -106,15 +110,26 @@ def _messages(connection: Connection, count: int | None, duration: float | None)
             message = connection.get(min(left, 1.0))
         except TimeoutError:
             continue
-        except ConnectionClosedError as error:
-            if connection.cause and connection.state.value == "failed":
-                with reporting():
-                    raise
-                sys.exit(BRIDGE)
-            del error
+        except ConnectionClosedError:
+            _fail_if_it_failed(connection)
             return
         seen += 1
         yield message
+
+
+def _stay(connection: Connection, duration: float | None) -> None:
+    """Wait until the time is up or the connection ends."""
+    click.echo(f"{connection.plan.function} runs, and has no output to show", err=True)
+    deadline = None if duration is None else time.monotonic() + duration
+    while not connection.ended and (deadline is None or time.monotonic() < deadline):
+        time.sleep(_REFRESH_SECONDS)
+    _fail_if_it_failed(connection)
+
+
+def _fail_if_it_failed(connection: Connection) -> None:
+    if connection.state is ConnectionState.FAILED:
+        click.echo(f"{click.style('error:', fg='red')} {connection.cause}", err=True)
+        sys.exit(BRIDGE)
 
 
 def _table(robot: RobotManager, message: Message) -> Table:

@@ -10,6 +10,8 @@ from uoarm.model import (
     BridgeSpec,
     Component,
     Endpoint,
+    Expectation,
+    FailoverPolicy,
     Function,
     Input,
     MessageStructure,
@@ -31,7 +33,8 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     functions = {name: _function(name, one) for name, one in value["functions"].items()}
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
-    return Robot(bridges, functions, warnings, origin, applications)
+    failover = FailoverPolicy(**value.get("failover", {}))
+    return Robot(bridges, functions, warnings, origin, applications, failover)
 
 
 def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
@@ -47,7 +50,10 @@ def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
     options = dict(value.get("options", {}))
     if plugin == "python" and "path" not in options and origin:
         options["path"] = [str(FilePath(origin).resolve().parent)]
-    return BridgeSpec(name, plugin, options, value.get("host"))
+    host = value.get("host", False)
+    if isinstance(host, bool):
+        return BridgeSpec(name, plugin, options, {} if host else None)
+    return BridgeSpec(name, plugin, options, host)
 
 
 def _function(name: str, value: Mapping[str, Any]) -> Function:
@@ -79,7 +85,12 @@ def _component(function: str, value: Mapping[str, Any]) -> Component:
             for port, one in _ports(value, "input", "inputs").items()
         ),
         outputs=tuple(
-            Output(port, endpoint(port, one, Role.OUTPUT), _structure(one, "structure"))
+            Output(
+                port,
+                endpoint(port, one, Role.OUTPUT),
+                _structure(one, "structure"),
+                Expectation(**one["expect"]) if "expect" in one else None,
+            )
             for port, one in _ports(value, "output", "outputs").items()
         ),
         service=None

@@ -113,11 +113,18 @@ class MeaningChecker:
                 self._refuse(
                     (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
                 )
-        for name in self._bridges:
+        for name, bridge_part in self._bridges.items():
+            self._check_host(name, bridge_part)
             if name not in used:
                 self._warn(
                     ("bridges", name), f"no component uses the bridge {clip(name)}", at_key=True
                 )
+
+    def _check_host(self, name: str, bridge: object) -> None:
+        host = bridge.get("host") if isinstance(bridge, dict) else None
+        if isinstance(host, dict) and "environment" in host and "python" in host:
+            path = ("bridges", name, "host", "python")
+            self._refuse(path, "give either environment or python, not both", at_key=True)
 
     def _check_ports(self, component: ComponentPart) -> None:
         streams = component.streams

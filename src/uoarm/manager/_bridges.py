@@ -5,16 +5,21 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from itertools import chain
 
 from uoarm import _bounded
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.flow import Clock
+from uoarm.manager._hosted import start_hosted
+from uoarm.manager._restarts import Restarts
 from uoarm.model import BridgeSpec, BridgeStatus, Health
 
 __all__ = ["BridgeSet"]
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
+_FINE = Health.OK, ""
 
 
 class BridgeSet:
@@ -25,6 +30,7 @@ class BridgeSet:
         registry: the plugins that make them.
         listener: told of every health event.
         ready: instances to use instead of making them; closed with the others.
+        clock: seconds, for the waits between restarts.
     """
 
     def __init__(
@@ -33,16 +39,21 @@ class BridgeSet:
         registry: Registry,
         listener: Callable[[HealthEvent], None],
         ready: Mapping[str, Bridge],
+        clock: Clock,
     ) -> None:
         self._specs = specs
         self._registry = registry
         self._listener = listener
         self._bridges: dict[str, Bridge] = {}
-        self._lock = threading.RLock()
+        self._restarts = Restarts(clock)
+        self._turns: dict[str, threading.Lock] = {}
+        self._dead: dict[str, list[Bridge]] = {}
+        self._health: dict[str, tuple[Health, str]] = {}
+        self._lock = threading.Lock()
         self._closed = False
         for name, bridge in ready.items():
             self._bridges[name] = bridge
-            bridge.watch(listener)
+            bridge.watch(self._heard)
 
     def get(self, name: str) -> Bridge:
         """Return the bridge of this name, starting it when it is the first time.
@@ -56,42 +67,55 @@ class BridgeSet:
         if bridge is not None:
             return bridge
         with self._lock:
-            if self._closed:
-                raise ConnectionClosedError("the robot manager is closed")
-            if name not in self._bridges:
-                self._bridges[name] = self._start(name)
-            return self._bridges[name]
+            self._require_open()
+            turn = self._turns.setdefault(name, threading.Lock())
+        with turn:  # one that is slow to start holds up nobody else
+            bridge = self._bridges.get(name)
+            if bridge is not None:
+                return bridge
+            bridge = self._start(name)
+            with self._lock:
+                if not self._closed:
+                    self._bridges[name] = bridge
+                    self._health.pop(name, None)
+                    bridge.watch(self._heard)
+                    return bridge
+        bridge.close()
+        raise ConnectionClosedError("the robot manager is closed")
 
     def retire(self, name: str) -> None:
-        """Close a bridge that is lost; `get` makes a new one. Failures while closing are logged."""
+        """Close a bridge that was lost. Failures while closing are logged."""
         with self._lock:
-            bridge = self._bridges.pop(name, None)
-        if bridge is not None:
+            dead = self._dead.pop(name, [])
+        for bridge in dead:
             try:
                 bridge.close()
             except BridgeError as error:
                 _log.warning("%s", error)
 
     def statuses(self) -> tuple[BridgeStatus, ...]:
-        """Return the started bridges as the status map shows them."""
+        """Return what the status map shows: bridges that were started, those that died included."""
         with self._lock:
-            bridges = list(self._bridges.items())
+            known = {**dict.fromkeys(self._health), **self._bridges}
+            health = dict(self._health)
         return tuple(
             BridgeStatus(
                 name=name,
                 plugin=self._specs[name].plugin if name in self._specs else name,
-                health=Health.LOST if bridge.closed else Health.OK,
-                open_channels=bridge.open_channels,
+                health=health.get(name, _FINE)[0],
+                open_channels=0 if bridge is None else bridge.open_channels,
+                cause=health.get(name, _FINE)[1],
             )
-            for name, bridge in bridges
+            for name, bridge in known.items()
         )
 
     def close(self) -> list[BridgeError]:
         """Close every bridge; return what failed."""
         with self._lock:
             self._closed = True
-            bridges = list(self._bridges.values())
+            bridges = [*self._bridges.values(), *chain.from_iterable(self._dead.values())]
             self._bridges.clear()
+            self._dead.clear()
         failures: list[BridgeError] = []
         for bridge in bridges:
             try:
@@ -100,15 +124,33 @@ class BridgeSet:
                 failures.append(error)
         return failures
 
+    def _require_open(self) -> None:
+        if self._closed:
+            raise ConnectionClosedError("the robot manager is closed")
+
+    def _heard(self, event: HealthEvent) -> None:
+        """Note what happens to a whole bridge, then tell the listener.
+
+        One that is lost is there for nobody from this moment on: `get` makes a new one.
+        """
+        if event.channel is None and event.component is None:
+            with self._lock:
+                self._health[event.bridge] = event.health, event.cause
+                if event.health is Health.LOST and event.bridge in self._bridges:
+                    self._dead.setdefault(event.bridge, []).append(self._bridges.pop(event.bridge))
+            if event.health is Health.LOST:
+                self._restarts.died(event.bridge, event.cause)
+        self._listener(event)
+
     def _start(self, name: str) -> Bridge:
         spec = self._specs.get(name)
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
-        bridge = _bounded.run(
+        if spec.host is not None:
+            return start_hosted(spec, spec.host, self._restarts)
+        return _bounded.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
             lambda: self._registry.create(spec),
             on_late=lambda late: late.close(),
         )
-        bridge.watch(self._listener)
-        return bridge

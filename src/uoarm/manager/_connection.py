@@ -16,6 +16,7 @@ from uoarm.model import (
     ConnectionState,
     ConnectionStatus,
     Deliver,
+    Gap,
     Message,
     Plan,
     QueuePolicy,
@@ -41,12 +42,16 @@ class Connection:
         queue: QueuePolicy,
         *,
         output: str | None = None,
-        receive: Callable[[Deliver], Route] | None = None,
+        receive: Callable[[Plan, Deliver], Route] | None = None,
     ) -> None:
         self.id = identity
-        self._opened = opened
+        self._opened = self._heard = opened
         self._output = output
-        self._receive = None if receive is None else receive(self._arrive)
+        self._make_route = receive
+        self._receive = self._route_from(opened)
+        self._arrived = 0
+        self._gaps: tuple[Gap, ...] = ()
+        self._succession = threading.Lock()
         self._inbox = Inbox(queue, self._count_drop)
         self._tell: Callable[[Connection], None] | None = None
         self._state = ConnectionState.OPENING
@@ -68,6 +73,16 @@ class Connection:
     def cause(self) -> str:
         """Why the connection ended; empty while it runs and after `kill`."""
         return self._cause
+
+    @property
+    def output(self) -> str | None:
+        """The output that the application receives, None where it receives none."""
+        return self._output
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """The changes of providers so far, oldest first."""
+        return self._gaps
 
     @property
     def ended(self) -> bool:
@@ -168,6 +183,45 @@ class Connection:
         self._open.set()
         self._changed()
 
+    def successor(self, plan: Plan) -> OpenPlan:
+        """Make what `succeed` takes: a plan to be opened as the application wished the first."""
+        first = self._opened
+        user = f"{self.id}#{len(self._gaps) + 2}"
+        return OpenPlan(plan, user, first.pool, first.validate, first.clock)
+
+    def succeed(self, opened: OpenPlan, gap: Callable[[int], Gap], *, is_dead: bool) -> None:
+        """Go on with another plan behind the same handle; the manager's own step.
+
+        Args:
+            opened: the plan, not open yet.
+            gap: makes the mark of the change, from the number of messages before it.
+            is_dead: whether the plan so far is dead: the application then hears the new one
+                from its first message on, and else from when it is wholly open.
+
+        Raises:
+            UoarmError: something could not be opened, or the connection has ended. What was
+                opened is closed again; the plan so far still stands.
+        """
+        with self._succession:
+            if is_dead:
+                self._heard = opened
+            route = self._route_from(opened)
+            try:
+                opened.open(self._output, route)
+            except BaseException:
+                opened.close()
+                raise
+            with self._lock:
+                given_up = self._state is not ConnectionState.RUNNING
+                if not given_up:
+                    before, self._opened, self._receive = self._opened, opened, route
+                    self._gaps = (*self._gaps, gap(self._arrived))
+                    self._heard = opened
+            if given_up:
+                opened.close()
+                raise ConnectionClosedError(f"connection {self.id} has ended: {self._cause}")
+            before.close()
+
     def end(self, state: ConnectionState, cause: str) -> None:
         """End with a state and a cause; the manager's own way to do it."""
         with self._lock:
@@ -205,6 +259,7 @@ class Connection:
         for joined in sorted(self._opened.edges, key=lambda one: order[one.edge.producer]):
             if joined.route is not None:
                 joined.route.drain(timeout)
+                self._opened.component(joined.edge.consumer).drain(timeout)
 
     def status(self) -> ConnectionStatus:
         """Return what the status map shows."""
@@ -232,8 +287,20 @@ class Connection:
     ) -> None:
         self.kill()
 
-    def _arrive(self, message: Message) -> None:
-        self._inbox.put(message)
+    def _route_from(self, opened: OpenPlan) -> Route | None:
+        """Make the route of the messages of a plan; those of a plan not heard are dropped."""
+        if self._make_route is None:
+            return None
+
+        def arrive(message: Message) -> None:
+            if opened is self._heard:
+                self._arrived += 1
+                self._inbox.put(message)
+            else:
+                route.take_back("replaced")
+
+        route = self._make_route(opened.plan, arrive)
+        return route
 
     def _count_drop(self, reason: str) -> None:
         if self._receive is not None:

@@ -6,8 +6,10 @@ import threading
 from collections.abc import Callable
 
 from uoarm.bridge import HealthEvent
+from uoarm.flow import Clock
 from uoarm.manager._board import Board
 from uoarm.manager._connection import Connection
+from uoarm.manager._failover import Death, Failover
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._pool import Pool
@@ -24,6 +26,8 @@ class HealthDesk:
     Args:
         forget: told the name of a component whose structures must be asked for again.
         retire: told the name of a bridge that is lost; the next request starts a new one.
+        failover: replaces the plans of connections that use what was lost.
+        clock: seconds that only grow.
     """
 
     def __init__(
@@ -35,6 +39,8 @@ class HealthDesk:
         *,
         forget: Callable[[str], None],
         retire: Callable[[str], None],
+        failover: Failover,
+        clock: Clock,
     ) -> None:
         self._pool = pool
         self._ledger = ledger
@@ -42,6 +48,8 @@ class HealthDesk:
         self._robot = robot
         self._forget = forget
         self._retire = retire
+        self._failover = failover
+        self._clock = clock
 
     def noticed(self, event: HealthEvent) -> None:
         """Take an event in the bridge's thread; everything else happens in the board's."""
@@ -56,6 +64,7 @@ class HealthDesk:
         whole_bridge = event.channel is None and event.component is None
         if whole_bridge:
             self._board.post(f"bridge {event.bridge}", event.health.value, event.cause)
+        lost: list[LiveComponent] = []
         for live in self._pool.components():
             if not _concerns(event, live.component):
                 continue
@@ -65,14 +74,22 @@ class HealthDesk:
             if event.health is Health.FINISHED:
                 self._finish(live)
             elif event.health is Health.LOST:
-                self._lose(live, event.cause)
+                lost.append(live)
+        if lost:
+            self._lose(lost, event)
         if whole_bridge and event.health is Health.LOST:
             self._retire(event.bridge)
 
-    def _lose(self, live: LiveComponent, cause: str) -> None:
-        for connection in self._ledger.users_of(live):
-            text = f"component {live.component.name!r} was lost: {cause}"
-            connection.end(ConnectionState.FAILED, text)
+    def _lose(self, lost: list[LiveComponent], event: HealthEvent) -> None:
+        now = self._clock()
+        users = {one.id: one for live in lost for one in self._ledger.users_of(live)}
+        for live in lost:
+            self._pool.bury(live)
+        names = ", ".join(repr(live.component.name) for live in lost)
+        were = f"components {names} were" if len(lost) > 1 else f"component {names} was"
+        concerned = (one.name for one in self._robot.components() if _concerns(event, one))
+        death = Death(tuple(lost), frozenset(concerned), f"{were} lost: {event.cause}", now)
+        self._failover.replace(users.values(), death)
 
     def _finish(self, live: LiveComponent) -> None:
         """Let what is under way arrive, without holding up other events meanwhile."""

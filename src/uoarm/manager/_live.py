@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
 from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
 
-__all__ = ["LiveComponent", "facts_of"]
+__all__ = ["LiveComponent", "connection_of", "facts_of"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -85,6 +85,19 @@ class LiveComponent:
                 self._senders[name] = _one_at_a_time(sink)
             return self._senders[name]
 
+    def drain(self, timeout: float) -> None:
+        """Wait until what is under way in its channels has arrived; inputs first.
+
+        Waits `timeout` seconds for each channel at most.
+        """
+        for channel in (*self._sinks.values(), *self._sources.values()):
+            channel.drain(timeout)
+
+    def under_way(self) -> int:
+        """Return how many messages were sent to its inputs and not known to be handled."""
+        counts = (sink.facts().get("unconfirmed", 0) for sink in self._sinks.copy().values())
+        return sum(count for count in counts if isinstance(count, int))
+
     def close(self) -> None:
         """Close every channel, sources first; failures are logged. Bounded in time."""
         self._doomed = True
@@ -97,7 +110,7 @@ class LiveComponent:
             function=self.component.function,
             bridge=self.component.bridge,
             health=self.health,
-            users=tuple(self.users),
+            users=tuple(dict.fromkeys(map(connection_of, self.users))),
             cause=self.cause,
             channels=(
                 *_channel_statuses("output", self._sources),
@@ -156,3 +169,8 @@ def _one_at_a_time(sink: Sink) -> Callable[[Message], None]:
             sink.send(message)
 
     return send
+
+
+def connection_of(user: str) -> str:
+    """Return the id of the connection that a user of the pool is."""
+    return user.partition("#")[0]

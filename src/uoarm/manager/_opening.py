@@ -7,7 +7,7 @@ from collections.abc import Callable
 from attrs import define, field
 
 from uoarm.flow import Clock, Route
-from uoarm.manager._live import LiveComponent
+from uoarm.manager._live import LiveComponent, connection_of
 from uoarm.manager._pool import LiveEdge, Pool
 from uoarm.manager._sender import Sender
 from uoarm.model import Edge, Plan, ValidationMode
@@ -24,7 +24,7 @@ class OpenPlan:
 
     Args:
         plan: the plan to open.
-        user: id of the connection.
+        user: id of the connection; behind a `#`, which of its plans this is.
         pool: where components and edges are shared.
         validate: how many messages are checked.
         clock: seconds.
@@ -49,6 +49,10 @@ class OpenPlan:
     def components(self) -> tuple[LiveComponent, ...]:
         """The components in use."""
         return tuple(self._lives.values())
+
+    def component(self, name: str) -> LiveComponent:
+        """Return an open component of the plan."""
+        return self._lives[name]
 
     def open(self, output: str | None, receive: Route | None) -> None:
         """Open everything; `receive` takes the messages of the provider's `output`.
@@ -93,7 +97,7 @@ class OpenPlan:
         return any(one is live for one in self._lives.values())
 
     def _feed(self, name: str) -> None:
-        sender = Sender(self.provider, name, self.user, self.validate, self.clock)
+        sender = Sender(self.provider, name, connection_of(self.user), self.validate, self.clock)
         self.senders[name] = sender
         self._undo.append(sender.close)
 

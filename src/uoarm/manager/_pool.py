@@ -141,6 +141,18 @@ class Pool:
         else:
             _shut(joined, producer)
 
+    def bury(self, live: LiveComponent) -> None:
+        """Share a dead component no more, nor its edges; its users still leave it as ever."""
+        with self._lock:
+            if self._components.get(live.component.name) is live:
+                del self._components[live.component.name]
+                name = live.component.name
+                self._edges = {
+                    key: joined
+                    for key, joined in self._edges.items()
+                    if name not in {joined.edge.producer, joined.edge.consumer}
+                }
+
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components open now."""
         with self._lock:

@@ -7,7 +7,7 @@ from uoarm.flow import Clock, Route, make_check
 from uoarm.manager._connection import Connection
 from uoarm.manager._opening import OpenPlan
 from uoarm.manager._pool import Pool
-from uoarm.model import Plan, PortRef, QueuePolicy, ValidationMode
+from uoarm.model import Deliver, Plan, PortRef, QueuePolicy, ValidationMode
 
 __all__ = ["prepare", "reference"]
 
@@ -37,15 +37,13 @@ def prepare(
     opened = OpenPlan(plan, identity, pool, validate, clock)
     if output is None:
         return Connection(identity, opened, queue)
-    place = f"{plan.provider.component.name}.{output}"
-    check = make_check(plan.provider.structures[f"output.{output}"], validate, place)
-    return Connection(
-        identity,
-        opened,
-        queue,
-        output=output,
-        receive=lambda hand: Route(place, identity, hand, clock=clock, check=check),
-    )
+
+    def receive(of: Plan, hand: Deliver) -> Route:
+        place = f"{of.provider.component.name}.{output}"
+        check = make_check(of.provider.structures[f"output.{output}"], validate, place)
+        return Route(place, identity, hand, clock=clock, check=check)
+
+    return Connection(identity, opened, queue, output=output, receive=receive)
 
 
 def _output(plan: Plan, wanted: PortRef) -> str | None:

@@ -19,10 +19,12 @@ from uoarm.manager._attempt import Attempt
 from uoarm.manager._board import Board
 from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
+from uoarm.manager._failover import Failover
 from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._pool import Pool
 from uoarm.manager._prepare import prepare, reference
+from uoarm.manager._staleness import StalenessWatch
 from uoarm.manager._survey import survey
 from uoarm.model import (
     ConnectionState,
@@ -70,10 +72,17 @@ class RobotManager:
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
-        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {})
+        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge)
         self._pool = Pool(self._bridges.get, clock)
+        self._failover = Failover(
+            robot.failover,
+            resolve=lambda name, excluded: self._resolver.resolve(name, excluded=excluded),
+            forget=self._forget,
+            board=self._board,
+            clock=clock,
+        )
         self._health = HealthDesk(
             self._pool,
             self._ledger,
@@ -81,7 +90,13 @@ class RobotManager:
             robot,
             forget=self._forget,
             retire=self._bridges.retire,
+            failover=self._failover,
+            clock=clock,
         )
+
+        self._staleness = StalenessWatch(self._pool.components, self._noticed, clock)
+        if any(one.expect for each in robot.components() for one in each.outputs):
+            self._staleness.start()
 
     @classmethod
     def from_file(
@@ -222,6 +237,8 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._staleness.close()
+        self._failover.close()
         for connection in self._ledger.close():
             connection.end(ConnectionState.CLOSED, "the robot manager was closed")
         for failure in self._bridges.close():

@@ -3,6 +3,7 @@
 from uoarm.model._component import (
     Component,
     Endpoint,
+    Expectation,
     Function,
     Input,
     Output,
@@ -14,13 +15,14 @@ from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.model._robot import BridgeSpec, Robot
+from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
 from uoarm.model._status import (
     BridgeStatus,
     ChannelStatus,
     ComponentStatus,
     ConnectionState,
     ConnectionStatus,
+    Gap,
     Health,
     RouteStatus,
     StatusEvent,
@@ -44,8 +46,11 @@ __all__ = [
     "Deliver",
     "Edge",
     "Endpoint",
+    "Expectation",
+    "FailoverPolicy",
     "Function",
     "FunctionStatus",
+    "Gap",
     "Health",
     "Input",
     "Message",

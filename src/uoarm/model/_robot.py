@@ -9,7 +9,7 @@ from attrs import field, frozen
 from uoarm.model._component import Component, Function
 from uoarm.model._values import Options
 
-__all__ = ["BridgeSpec", "Robot"]
+__all__ = ["BridgeSpec", "FailoverPolicy", "Robot"]
 
 
 @frozen
@@ -30,6 +30,24 @@ class BridgeSpec:
 
 
 @frozen
+class FailoverPolicy:
+    """What happens to connections when a component that they use dies.
+
+    Attributes:
+        enabled: whether another candidate takes over; else the connection ends.
+        wait: seconds in which the dead may come back when no other candidate fits.
+        limit: takeovers of one connection within a minute; at the next one it ends.
+        return_after: seconds that a better candidate must have been available before the
+            connection returns to it; None: it stays where it is.
+    """
+
+    enabled: bool = True
+    wait: float = 0.0
+    limit: int = 5
+    return_after: float | None = None
+
+
+@frozen
 class Robot:
     """Bridges and functions by name, in the order of the file.
 
@@ -38,6 +56,7 @@ class Robot:
         origin: the file it was read from, empty when it was built in memory.
         applications: the functions that each application is said to ask for; for readers and
             checks, nobody else is kept from asking.
+        failover: what happens to connections when a component dies.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -45,6 +64,7 @@ class Robot:
     warnings: tuple[str, ...] = ()
     origin: str = ""
     applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
+    failover: FailoverPolicy = FailoverPolicy()
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

@@ -111,6 +111,30 @@ class RouteStatus:
 
 
 @frozen
+class Gap:
+    """A change of providers behind a connection, where messages may be missing.
+
+    Attributes:
+        time: seconds of the manager's clock, when the new plan was open.
+        position: how many messages the application had been given before it.
+        seconds: how long nothing could arrive.
+        lost: messages that were under way into what died and are not known to have arrived;
+            what its framework had not handed over yet, nobody can count.
+        before: the components of the plan that ended.
+        after: the components of the plan that goes on.
+        cause: why it was replaced.
+    """
+
+    time: float
+    position: int
+    seconds: float
+    lost: int
+    before: tuple[str, ...]
+    after: tuple[str, ...]
+    cause: str
+
+
+@frozen
 class ConnectionStatus:
     """One request that an application made."""
 

@@ -10,7 +10,8 @@ from uoarm.schema._evaluate import accepts, named_rules
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State
-from uoarm.schema._words import found_in
+from uoarm.schema._walker import found_in
+from uoarm.schema._words import TooLong
 
 __all__ = ["ObjectView", "object_leaf"]
 
@@ -237,8 +238,6 @@ def _name_classes(solver: Solver, view: ObjectView) -> list[list[Literal]]:
     for node in [n for n, _ in view.rests] + [d[1] for d in view.demands if d[0] == "somerest"]:
         patterns.update(dict.fromkeys(pattern for pattern, _ in node.patterns))  # type: ignore[attr-defined] # a node
     if len(patterns) > _MAX_CLASSES:
-        from uoarm.schema._words import TooLong  # noqa: PLC0415 - raised here alone
-
         raise TooLong(f"{len(patterns)} patterns of names meet")
     classes: list[list[Literal]] = [[]]
     for pattern in patterns:

@@ -1,7 +1,7 @@
 """Regular expressions of ECMA-262 (u flag) as nondeterministic automata.
 
 A pattern is searched for, not matched whole; `^` and `$` are assertions at the ends of the text.
-What is not regular, or looks around, raises `UnsupportedPatternError`.
+What is not regular, or looks behind, raises `UnsupportedPatternError`.
 """
 
 from __future__ import annotations
@@ -10,45 +10,17 @@ from functools import lru_cache
 from typing import TypeAlias
 
 from uoarm.schema._charsets import ANY, CLASSES, DOT, CharSet, complement, union
+from uoarm.schema._nfa import MalformedPatternError, Nfa, UnsupportedPatternError
+from uoarm.schema._properties import property_chars
 
-__all__ = ["MalformedPatternError", "Nfa", "UnsupportedPatternError", "compile_pattern"]
+__all__ = ["compile_pattern"]
 
 _MAX_REPEAT = 1000
-_MAX_STATES = 20_000
 _CONTROLS = {"f": 12, "n": 10, "r": 13, "t": 9, "v": 11, "0": 0}
 _SYNTAX = set("^$\\.*+?()[]{}|/")
 
 Piece: TypeAlias = "tuple[int, int]"
 """First and last state of a part."""
-
-
-class UnsupportedPatternError(ValueError):
-    """The pattern is no regular expression, or not one that is decided here."""
-
-
-class MalformedPatternError(UnsupportedPatternError):
-    """The pattern breaks the grammar."""
-
-
-class Nfa:
-    """States with edges; `always` edges are free, `begin` and `end` edges are assertions."""
-
-    def __init__(self) -> None:
-        self.always: list[list[int]] = []
-        self.begin: list[list[int]] = []
-        self.end: list[list[int]] = []
-        self.edges: list[list[tuple[CharSet, int]]] = []
-        self.first = self.last = 0
-
-    def state(self) -> int:
-        """Add a state and return it."""
-        if len(self.always) >= _MAX_STATES:
-            raise UnsupportedPatternError("the pattern is too large")
-        self.always.append([])
-        self.begin.append([])
-        self.end.append([])
-        self.edges.append([])
-        return len(self.always) - 1
 
 
 @lru_cache(maxsize=1024)
@@ -59,13 +31,19 @@ def compile_pattern(pattern: str) -> Nfa:
     first, last = parser.alternation()
     if parser.at < len(pattern):
         raise MalformedPatternError(f"unbalanced ) in {pattern!r}")
-    before, after = nfa.state(), nfa.state()
+    before = nfa.state()
     nfa.edges[before].append((ANY, before))
-    nfa.edges[after].append((ANY, after))
     nfa.always[before].append(first)
-    nfa.always[last].append(after)
-    nfa.first, nfa.last = before, after
+    _finish(nfa, before, last)
     return nfa
+
+
+def _finish(nfa: Nfa, first: int, last: int) -> None:
+    """Let an automaton begin at a state and accept whatever comes after another."""
+    after = nfa.state()
+    nfa.edges[after].append((ANY, after))
+    nfa.always[last].append(after)
+    nfa.first, nfa.last = first, after
 
 
 class _Parser:
@@ -110,10 +88,12 @@ class _Parser:
         if char == ".":
             return self._on(DOT)
         if char in "^$":
-            first, last = self.nfa.state(), self.nfa.state()
-            (self.nfa.begin if char == "^" else self.nfa.end)[first].append(last)
-            return first, last
+            return self._assert("begin" if char == "^" else "end")
         if char == "\\":
+            if self._take("b"):
+                return self._assert("boundary")
+            if self._take("B"):
+                return self._assert("inside")
             return self._on(self._escape(in_class=False))
         if char in "*+?" or (char == "{" and self._looks_counted()):
             raise MalformedPatternError(f"nothing to repeat at {self.at} in {self.text!r}")
@@ -125,12 +105,34 @@ class _Parser:
                 if self.at < len(self.text) and self.text[self.at] in "=!":
                     raise UnsupportedPatternError("it looks behind")
                 self.at = self.text.find(">", self.at) + 1 or len(self.text)
+            elif self._take("="):
+                return self._look(sign=True)
+            elif self._take("!"):
+                return self._look(sign=False)
             elif not self._take(":"):
-                raise UnsupportedPatternError("it looks ahead")
+                raise UnsupportedPatternError("a group of an unknown kind")
         piece = self.alternation()
+        self._close()
+        return piece
+
+    def _close(self) -> None:
         if not self._take(")"):
             raise MalformedPatternError(f"a group is not closed in {self.text!r}")
-        return piece
+
+    def _look(self, *, sign: bool) -> Piece:
+        around, inner = self.nfa, Nfa()
+        self.nfa = inner
+        _finish(inner, *self.alternation())
+        self.nfa = around
+        self._close()
+        first, last = around.state(), around.state()
+        around.looks[first].append((sign, inner, last))
+        return first, last
+
+    def _assert(self, kind: str) -> Piece:
+        first, last = self.nfa.state(), self.nfa.state()
+        self.nfa.asserts[first].append((kind, last))
+        return first, last
 
     def _quantified(self, start: int, first: int, last: int) -> Piece:
         least, most = self._quantifier()
@@ -224,6 +226,8 @@ class _Parser:
             return ((8, 8),)
         if char in "xu":
             return self._code(char)
+        if char in "pP":
+            return self._property(negated=char == "P")
         if char == "c" and self.text[self.at : self.at + 1].isalpha():
             self.at += 1
             code = ord(self.text[self.at - 1]) % 32
@@ -231,6 +235,16 @@ class _Parser:
         if char in _SYNTAX or char == "-" or not char.isalnum():
             return ((ord(char), ord(char)),)
         raise UnsupportedPatternError(f"\\{char} is not decided here")
+
+    def _property(self, *, negated: bool) -> CharSet:
+        close = self.text.find("}", self.at)
+        if not self._take("{") or close < 0:
+            raise MalformedPatternError("\\p needs a property in braces")
+        name, self.at = self.text[self.at : close], close + 1
+        chars = property_chars(name)
+        if chars is None:
+            raise UnsupportedPatternError(f"the property {name!r}")
+        return complement(chars) if negated else chars
 
     def _code(self, kind: str) -> CharSet:
         if kind == "u" and self._take("{"):

@@ -10,10 +10,10 @@ from uoarm.schema._arrays import array_leaf
 from uoarm.schema._branch import Branch, Choice
 from uoarm.schema._choices import judge, rank
 from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._number_goals import find_number_whole
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
-from uoarm.schema._regex import UnsupportedPatternError
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State, possible_kinds, try_values
 from uoarm.schema._values import exact, kind_of
@@ -141,11 +141,25 @@ def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Re
     try:
         found = yield from _leaf(solver, state)
         if isinstance(found, Found):
+            if not _is_small(found.value):
+                return None
             found = try_values([found.value], state)
             return found if isinstance(found, Found) else None
     except (OutOfScopeError, UnsupportedPatternError, TooLong):
         return None
     return found if isinstance(found, Empty) else None
+
+
+def _is_small(value: object) -> bool:
+    waiting = [value]
+    for one in waiting:
+        if len(waiting) > _MAX_TRIED:
+            return False
+        if isinstance(one, dict):
+            waiting.extend(one.values())
+        elif isinstance(one, list):
+            waiting.extend(one)
+    return True
 
 
 def _leaf(solver: Solver, state: State) -> Asking:
@@ -159,13 +173,13 @@ def _leaf(solver: Solver, state: State) -> Asking:
         )
         return find_number([a for a in state.atoms if a[0] != "notin"], excluded)
     if state.kind == "string":
-        return _find_string(state)
+        return _find_string(solver, state)
     if state.kind == "array":
         return (yield from array_leaf(solver, state))
     return (yield from object_leaf(solver, state))
 
 
-def _find_string(state: State) -> Result:
+def _find_string(solver: Solver, state: State) -> Result:
     least, most = 0, None
     for tag, *rest in state.atoms:
         size: Any = rest[0]
@@ -185,6 +199,7 @@ def _find_string(state: State) -> Result:
             for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
             if isinstance(value, str)
         ],
+        solver.spend,
     )
     return EMPTY if found is None else Found(found)
 

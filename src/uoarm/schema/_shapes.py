@@ -7,11 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._regex import (
-    MalformedPatternError,
-    UnsupportedPatternError,
-    compile_pattern,
-)
+from uoarm.schema._nfa import MalformedPatternError, UnsupportedPatternError
+from uoarm.schema._regex import compile_pattern
 
 __all__ = ["ANNOTATIONS", "LISTS", "MAPS", "SINGLES", "check_keyword"]
 

@@ -7,17 +7,16 @@ directly; where layers repeat, the walk stops.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from functools import lru_cache
+from collections.abc import Callable, Collection
 from typing import TypeAlias
 
-from uoarm.schema._charsets import contains
-from uoarm.schema._regex import Nfa, compile_pattern
+from uoarm.schema._charsets import CLASSES
+from uoarm.schema._regex import compile_pattern
+from uoarm.schema._walker import WalkState, walker_of
 
-__all__ = ["TooLong", "found_in", "shortest_word"]
+__all__ = ["TooLong", "shortest_word"]
 
-Subset: TypeAlias = frozenset[int]
-State: TypeAlias = "tuple[Subset | str | None, ...]"
+State: TypeAlias = "tuple[WalkState | str | None, ...]"
 
 MAX_TEXT = 4_000_000
 _MAX_LAYERS = 5_000
@@ -30,82 +29,13 @@ class TooLong(Exception):  # noqa: N818 - a limit that was met, not a fault
     """The text would be, or the walk was, longer than is affordable."""
 
 
-class _Walker:
-    """One pattern, made deterministic on the way."""
-
-    def __init__(self, nfa: Nfa) -> None:
-        self._nfa = nfa
-        self._steps: dict[tuple[Subset, int], Subset] = {}
-        self._accepting: dict[Subset, bool] = {}
-        self.start = self._closure([nfa.first], begin=True)
-
-    def step(self, states: Subset, code: int) -> Subset:
-        """Return the states after one more character."""
-        known = self._steps.get((states, code))
-        if known is None:
-            reached = [
-                target
-                for state in states
-                for chars, target in self._nfa.edges[state]
-                if contains(chars, code)
-            ]
-            known = self._steps[states, code] = self._closure(reached)
-        return known
-
-    def accepts(self, states: Subset) -> bool:
-        """Say whether the text may end here."""
-        known = self._accepting.get(states)
-        if known is None:
-            known = self._nfa.last in self._closure(states, end=True)
-            self._accepting[states] = known
-        return known
-
-    def accepts_empty(self) -> bool:
-        """Say whether the empty text matches: there both assertions hold at once."""
-        return self._nfa.last in self._closure([self._nfa.first], begin=True, end=True)
-
-    def _closure(self, states: Iterable[int], *, begin: bool = False, end: bool = False) -> Subset:
-        reached: set[int] = set()
-        waiting = list(states)
-        while waiting:
-            state = waiting.pop()
-            if state in reached:
-                continue
-            reached.add(state)
-            waiting.extend(self._nfa.always[state])
-            if begin:
-                waiting.extend(self._nfa.begin[state])
-            if end:
-                waiting.extend(self._nfa.end[state])
-        return frozenset(reached)
-
-
-@lru_cache(maxsize=1024)
-def _walker(pattern: str) -> _Walker:
-    return _Walker(compile_pattern(pattern))
-
-
-def found_in(pattern: str, text: str) -> bool:
-    """Say whether a pattern is found in a text, with ECMA-262 meaning.
-
-    Raises:
-        UnsupportedPatternError: the pattern is not decided here.
-    """
-    walker = _walker(pattern)
-    if not text:
-        return walker.accepts_empty()
-    states = walker.start
-    for char in text:
-        states = walker.step(states, ord(char))
-    return walker.accepts(states)
-
-
 def shortest_word(
     wanted: Collection[str],
     unwanted: Collection[str],
     least: int,
     most: int | None,
     excluded: Collection[str] = (),
+    spend: Callable[[int], None] = lambda _: None,
 ) -> str | None:
     """Return a shortest text, or None when there is none.
 
@@ -115,6 +45,7 @@ def shortest_word(
         least: characters at least.
         most: characters at most, None for any number.
         excluded: texts that it must not be.
+        spend: is told how much work is done.
 
     Raises:
         UnsupportedPatternError: a pattern is not decided here.
@@ -127,22 +58,22 @@ def shortest_word(
             raise TooLong(f"the shortest text has {least:,} characters")
         return "a" * least
     search = _Search(wanted, unwanted, excluded)
-    return search.run(least, most)
+    return search.run(least, most, spend)
 
 
 class _Search:
     def __init__(
         self, wanted: Collection[str], unwanted: Collection[str], excluded: Collection[str]
     ) -> None:
-        self._walkers = [_walker(one) for one in (*wanted, *unwanted)]
+        self._walkers = [walker_of(one) for one in (*wanted, *unwanted)]
         self._wanted = len(wanted)
         self._excluded = frozenset(excluded)
         self._prefixes = {one[:n] for one in excluded for n in range(len(one) + 1)}
         self._letters = _letters([*wanted, *unwanted], excluded)
 
-    def run(self, least: int, most: int | None) -> str | None:
+    def run(self, least: int, most: int | None, spend: Callable[[int], None]) -> str | None:
         start: State = (*(one.start for one in self._walkers), "" if self._excluded else None)
-        if least == 0 and self._accepts_empty():
+        if least == 0 and self._accepts(start):
             return ""
         layers: list[dict[State, tuple[State, str] | None]] = [{start: None}]
         seen: dict[frozenset[State], int] = {}
@@ -152,11 +83,13 @@ class _Search:
             for state in layers[-1]:
                 for letter in self._letters:
                     layer.setdefault(self._step(state, letter), (state, letter))
-                work += len(self._letters)
+                weight = len(self._letters) * _weight(state)
+                work += weight
+                spend(weight // 64)
+                if work > _MAX_WORK or len(layers) > _MAX_LAYERS:
+                    raise TooLong("the search for a text was given up")
             if not layer:
                 return None
-            if work > _MAX_WORK or len(layers) > _MAX_LAYERS:
-                raise TooLong("the search for a text was given up")
             layers.append(layer)
             length = len(layers) - 1
             if length >= least:
@@ -171,8 +104,8 @@ class _Search:
 
     def _step(self, state: State, letter: str) -> State:
         code = ord(letter)
-        after: list[Subset | str | None] = [
-            walker.step(part, code)  # type: ignore[arg-type] # the first parts are subsets
+        after: list[WalkState | str | None] = [
+            walker.step(part, code)  # type: ignore[arg-type] # the first parts are walks
             for walker, part in zip(self._walkers, state, strict=False)
         ]
         prefix = state[-1]
@@ -184,15 +117,18 @@ class _Search:
         if state[-1] is not None and state[-1] in self._excluded:
             return False
         return all(
-            walker.accepts(part) == (number < self._wanted)  # type: ignore[arg-type] # subsets
+            walker.accepts(part) == (number < self._wanted)  # type: ignore[arg-type] # walks
             for number, (walker, part) in enumerate(zip(self._walkers, state, strict=False))
         )
 
-    def _accepts_empty(self) -> bool:
-        return "" not in self._excluded and all(
-            walker.accepts_empty() == (number < self._wanted)
-            for number, walker in enumerate(self._walkers)
-        )
+
+def _weight(state: State) -> int:
+    """Return about how much work one step from a state is."""
+    return sum(
+        len(one[1]) + sum(len(duties) for _, duties in one[1])
+        for one in state
+        if isinstance(one, tuple)
+    )
 
 
 def _read_back(layers: list[dict[State, tuple[State, str] | None]], state: State) -> str:
@@ -209,10 +145,11 @@ def _letters(patterns: Collection[str], excluded: Collection[str]) -> list[str]:
     """Return one character for each class that the patterns and texts tell apart."""
     cuts = {0, 0xD800, 0xE000}
     for pattern in patterns:
-        for edges in compile_pattern(pattern).edges:
-            for chars, _ in edges:
-                for low, high in chars:
-                    cuts |= {low, high + 1}
+        nfa = compile_pattern(pattern)
+        sets = [chars for part in nfa.parts() for edges in part.edges for chars, _ in edges]
+        if nfa.sees_words():
+            sets.append(CLASSES["w"])
+        cuts |= {cut for chars in sets for low, high in chars for cut in (low, high + 1)}
     for text in excluded:
         for char in text:
             cuts |= {ord(char), ord(char) + 1}

@@ -70,8 +70,8 @@ class Desk:
         self._openings: dict[Feed, asyncio.Task[None]] = {}
         self._closings: set[asyncio.Task[None]] = set()
         self._watchers: dict[Watcher, None] = {}
-        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
         self._names: dict[str, str] = {}
+        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
         self._functions = {
             component.name: function.name
             for function in robot.robot.functions.values()

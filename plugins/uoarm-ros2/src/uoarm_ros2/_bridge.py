@@ -148,7 +148,10 @@ class Ros2Bridge(Bridge):
 
     def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
         address = address_of(endpoint)
-        if not address.type or address.kind == ACTION:
+        if address.kind == ACTION:
+            text = f"{endpoint}: an action can be called and followed, not served; serve a service"
+            raise BridgeError(text, FailureReason.UNSUPPORTED)
+        if not address.type:
             text = f"{endpoint}: serving needs a type package/srv/Name in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._station.node.resolve_service_name(address.name)

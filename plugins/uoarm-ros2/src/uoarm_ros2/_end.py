@@ -54,6 +54,8 @@ class End(ABC):
         self._place = place
         self._pulse = pulse
         self._unanswered = 0
+        self._unlooked = False
+        self._strange = False
         self._closed = False
         self.policies = self._fitting()
         self.native = self._create()
@@ -88,18 +90,31 @@ class End(ABC):
         return [peer for peer in self.peers_on(topic.name) if peer.type == topic.type]
 
     def require(self, limit: float) -> None:
-        """Raise BridgeError with what is in the way when no peer is matched though one must be."""
-        if self._place.settings.peer_required and self.count() == 0:
-            name = self._place.topic.name
+        """Raise BridgeError when a peer must be there and none is matched or speaks our language.
+
+        The text says what is in the way.
+        """
+        if not self._place.settings.peer_required:
+            return
+        name = self._place.topic.name
+        if self.count() == 0:
             text = f"no {self.peer_word} of {name} was matched within {limit:g} s"
             raise BridgeError(self._clashes() or text, FailureReason.UNAVAILABLE)
+        strangers = self._strangers()
+        if strangers and len(strangers) == len(self.peers()):
+            raise BridgeError(self._strangeness(strangers), FailureReason.UNAVAILABLE)
 
     def tick(self) -> None:
         """Look after the end a few times a second, in the station's thread."""
         self._pulse.tick()
-        if self._unanswered and not self._closed:
+        if self._closed:
+            return
+        if self._unanswered:
             self._unanswered -= 1
             self._answer_clash()
+        if self._unlooked:
+            self._unlooked = False
+            self._look_for_strangers()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched peers and the policies in force."""
@@ -114,15 +129,40 @@ class End(ABC):
         """Return the callbacks that both kinds of end have."""
         where, pulse = self._place.topic.name, self._pulse
         required = self._place.settings.peer_required
-        common: Events = {
-            "matched": lambda info: pulse.peers(
-                info.current_count, f"{self.peer_word} of {where}", required=required
-            ),
-            "incompatible_qos": self._clash,
-        }
+
+        def matched(info: Any) -> None:
+            self._unlooked = True
+            pulse.peers(info.current_count, f"{self.peer_word} of {where}", required=required)
+
+        common: Events = {"matched": matched, "incompatible_qos": self._clash}
         if self.policies.deadline is not None:
             common["deadline"] = lambda info: pulse.deadline(info.total_count, f"topic {where}")
         return common
+
+    def _strangers(self) -> list[Peer]:
+        """Return the peers whose type has our name and another definition: DDS matches by name."""
+        topic = self._place.topic
+        own = self._place.station.own_definition(topic.name, topic.type)
+        return [peer for peer in self.peers() if own and peer.definition not in {"", own}]
+
+    def _strangeness(self, strangers: list[Peer]) -> str:
+        topic = self._place.topic
+        own = self._place.station.own_definition(topic.name, topic.type)
+        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in strangers)
+        return (
+            f"topic {topic.name}: {topic.type} is defined otherwise there than here: {theirs}, "
+            f"this process has {own}"
+        )
+
+    def _look_for_strangers(self) -> None:
+        strangers = self._strangers()
+        if strangers:
+            alone = len(strangers) == len(self.peers()) and self._place.settings.peer_required
+            health = Health.LOST if alone else Health.DEGRADED
+            self._pulse.tell(health, self._strangeness(strangers))
+        elif self._strange and self.count():
+            self._pulse.tell(Health.OK, "every peer has our definition of the type")
+        self._strange = bool(strangers)
 
     def _clash(self, info: Any) -> None:
         """Take note of a peer that does not fit; in the station's thread, as messages are."""

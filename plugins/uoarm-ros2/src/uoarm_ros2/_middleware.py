@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import rclpy
@@ -41,6 +42,7 @@ from rclpy.qos import (
 )
 from rclpy.task import Future
 
+from uoarm_ros2._installation import installation, wheels
 from uoarm_ros2._qos import Policies
 
 try:
@@ -61,25 +63,17 @@ _log = logging.getLogger("uoarm.ros2")
 
 def environment() -> dict[str, str]:
     """Return which rclpy, distribution, middleware and domain this process uses."""
+    folder = Path(rclpy.__file__).parent
+    found = installation(folder, os.environ, wheels())
     return {
-        "rclpy": os.path.dirname(rclpy.__file__),  # noqa: PTH120 - a string for people
-        "distribution": os.environ.get("ROS_DISTRO") or _distribution(),
+        "rclpy": str(folder),
+        "distribution": f"{found.distribution}, from {found.origin}",
+        **({"conflict": found.conflict} if found.conflict else {}),
         "rmw": rclpy.get_rmw_implementation_identifier(),
         "domain": os.environ.get("ROS_DOMAIN_ID", "0 (ROS_DOMAIN_ID is not set)"),
         "discovery": _discovery(),
         "executor": "standard" if EventsExecutor is None else "events, standard",
     }
-
-
-def _distribution() -> str:
-    """Return the distribution whose wheels are installed, as their names tell."""
-    from importlib.metadata import distributions  # noqa: PLC0415 - asked by people only
-
-    names = (str(each.metadata["Name"]) for each in distributions())
-    found = sorted(
-        {name.split("-")[1] for name in names if name.endswith("-rclpy") and name.count("-") > 1}
-    )
-    return ", ".join(found) or "unknown"
 
 
 def _discovery() -> str:
@@ -92,13 +86,15 @@ def _discovery() -> str:
 class Peer:
     """One publisher or subscription on the graph, with what it offers or asks.
 
-    `participant` names the DDS participant behind it, by the prefix of its identifier.
+    `participant` names the DDS participant behind it, by the prefix of its identifier;
+    `definition` is the hash of its type's definition, empty where it is not told (REP-2011).
     """
 
     node: str
     type: str
     policies: Policies
     participant: bytes = b""
+    definition: str = ""
 
 
 class Station:
@@ -274,6 +270,13 @@ class Station:
         """Return the subscriptions of a topic that are on the graph now."""
         return tuple(map(_peer, self.node.get_subscriptions_info_by_topic(topic)))
 
+    def own_definition(self, topic: str, type_name: str) -> str:
+        """Return the hash of our definition of a type, as our own end of a topic tells it."""
+        node = self.node.get_fully_qualified_name()
+        ends = (*self.publishers(topic), *self.subscriptions(topic))
+        own = (end for end in ends if (end.node, end.type) == (node, type_name))
+        return next((end.definition for end in own), "")
+
     def has_server(self, service: str) -> bool:
         """Whether a server of this full name is on the graph; clients do not count."""
         return bool(self.node.count_services(service))
@@ -410,7 +413,15 @@ def _profile(policies: Policies) -> Any:
 def _peer(info: Any) -> Peer:
     node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
     participant = bytes(info.endpoint_gid[:_PREFIX_BYTES])
-    return Peer(node, info.topic_type, _policies(info.qos_profile), participant)
+    return Peer(node, info.topic_type, _policies(info.qos_profile), participant, _definition(info))
+
+
+def _definition(info: Any) -> str:
+    """Return a type's hash as ROS 2 writes it; Humble and nodes older than it tell none."""
+    told = getattr(info, "topic_type_hash", None)
+    if told is None or told.version < 1:
+        return ""
+    return f"RIHS{told.version:02}_{bytes(told.value).hex()}"
 
 
 def _policies(profile: Any) -> Policies:

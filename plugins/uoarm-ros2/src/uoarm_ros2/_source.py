@@ -86,9 +86,9 @@ class Source(Channel):
         """
         place = self._place
         limit = place.graph.limit(place.settings)
-        if not place.graph.until(lambda: self.closed or self._end.count() > 0, limit):
-            self._end.require(limit)
-        elif self._end.policies.durability != "transient_local":
+        matched = place.graph.until(lambda: self.closed or self._end.count() > 0, limit)
+        self._end.require(limit)
+        if matched and self._end.policies.durability != "transient_local":
             place.graph.settle(self._end.peers(), place.settle, lambda: self.closed)
 
     def tick(self) -> None:

@@ -1,0 +1,164 @@
+"""The bridge: devices by name, each begun when it is first asked for."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from uoarm.bridge import Bridge, Capabilities, Channel, Description, Discovered, Sink
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm_rocos._catalogue import Api, Kind
+from uoarm_rocos._channels import SinkChannel, SourceChannel
+from uoarm_rocos._device import Device, find
+from uoarm_rocos._drivers import MakeWire, make_device, xml_wire
+from uoarm_rocos._messages import Direction
+from uoarm_rocos._settings import DeviceSettings, address_of, devices_of
+from uoarm_rocos._structure import describe
+
+__all__ = ["RocosBridge"]
+
+_OPEN_SECONDS = 5.0
+_DISCOVER_SECONDS = 2.0
+
+
+class RocosBridge(Bridge):
+    """Devices with catalogues, each on a line of its own.
+
+    Messages of one device are delivered in one thread of its own, in which the receiver may call
+    the same device. A device is connected when it is first asked for and stays connected until
+    the bridge is closed.
+
+    Args:
+        name: of the instance.
+        options: fitting `BRIDGE_OPTIONS`.
+        wire: makes the parts of a line; replaces the plain-XML profile.
+    """
+
+    capabilities = Capabilities(discover=True, call=True)
+
+    def __init__(self, name: str, options: Options, wire: MakeWire = xml_wire) -> None:
+        super().__init__(name, options)
+        self._settings = devices_of(options)
+        self._wire = wire
+        self._making = threading.Lock()
+        self._devices: dict[str, Device] = {}
+        self._described: dict[tuple[str, str], Api] = {}
+        self._services: dict[tuple[str, str], set[str]] = {}
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        name, api_name, direction = address_of(endpoint)
+        api = self._find(endpoint)
+        if direction is None:
+            self._described[name, api_name] = api
+            self._services.setdefault((name, api_name), set()).add(endpoint.component)
+        return describe(api, direction)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        api = self._checked(endpoint, structure)
+        channel = SourceChannel(endpoint, self._told)
+        device = self._device(endpoint)
+        channel.attach(device.open_output(api, deliver, channel.told, _OPEN_SECONDS))
+        return channel
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        api = self._checked(endpoint, structure)
+        channel = SinkChannel(endpoint, self._told)
+        channel.attach(self._device(endpoint).open_input(api, channel.told, _OPEN_SECONDS))
+        return channel
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        name, api_name, _ = address_of(endpoint)
+        began = time.monotonic()
+        api = self._described.get((name, api_name)) or self._find(endpoint, timeout)
+        left = timeout - (time.monotonic() - began)
+        return self._device(endpoint).call(api, message, left)
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        end = time.monotonic() + _DISCOVER_SECONDS
+        devices = {name: self._named(name) for name in self._settings}
+        found = []
+        for name, device in devices.items():
+            try:
+                catalogue = device.catalogue(max(0.0, end - time.monotonic()))
+            except BridgeError:
+                continue  # not there now, which is what a discovery is to find out
+            endpoints = [
+                (endpoint, describe(api, address_of(endpoint)[2]))
+                for api in catalogue.apis.values()
+                for endpoint in self._endpoints(name, api)
+            ]
+            found.append(Discovered(name, tuple(endpoints), catalogue.device))
+        return tuple(found)
+
+    def _close(self) -> None:
+        with self._making:
+            devices, self._devices = list(self._devices.values()), {}
+        for device in devices:
+            device.close()
+
+    def _endpoints(self, device: str, api: Api) -> list[Endpoint]:
+        if api.kind is Kind.SERVICE:
+            return [Endpoint(self.name, device, Role.SERVICE, (device, api.name), api.name)]
+        sides = ((Role.INPUT, api.input), (Role.OUTPUT, api.output))
+        return [
+            Endpoint(self.name, device, role, (device, api.name), api.name)
+            for role, fields in sides
+            if fields
+        ]
+
+    def _device(self, endpoint: Endpoint) -> Device:
+        return self._named(address_of(endpoint)[0])
+
+    def _named(self, name: str) -> Device:
+        settings = self._settings.get(name)
+        if settings is None:
+            known = ", ".join(self._settings)
+            text = f"bridge {self.name!r} has no device {name!r}; its options name {known}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        with self._making:
+            if self.closed:
+                raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
+            device = self._devices.get(name)
+            if device is None:
+                device = self._devices[name] = self._make(settings)
+            return device
+
+    def _make(self, settings: DeviceSettings) -> Device:
+        def changed(health: Health, cause: str, apis: dict[str, str]) -> None:
+            self._device_changed(settings.name, health, cause, apis)
+
+        return make_device(settings, self._wire, changed)
+
+    def _find(self, endpoint: Endpoint, timeout: float | None = None) -> Api:
+        name, api, direction = address_of(endpoint)
+        wait = self._settings[name].timing.wait if name in self._settings else 0.0
+        limit = wait if timeout is None else min(wait, timeout)
+        return find(self._device(endpoint).catalogue(limit), api, direction)
+
+    def _checked(self, endpoint: Endpoint, structure: MessageStructure) -> Api:
+        """Return the API if it still is what the plan was checked with."""
+        api = self._find(endpoint)
+        direction = address_of(endpoint)[2]
+        assert direction in {Direction.INPUT, Direction.OUTPUT}
+        now = describe(api, direction).message
+        if structure.native_type == f"{api.name}.{direction.value}" and structure != now:
+            text = f"{endpoint}: the device has another catalogue than the one that was checked"
+            raise BridgeError(text, FailureReason.CONTRACT)
+        return api
+
+    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
+
+    def _device_changed(
+        self, device: str, health: Health, cause: str, apis: dict[str, str]
+    ) -> None:
+        """Tell of services: flows tell of themselves."""
+        for (name, api), components in list(self._services.items()):
+            if name != device:
+                continue
+            worse = Health.LOST if api in apis else health
+            for component in list(components):
+                self.report(worse, apis.get(api, cause), component=component)

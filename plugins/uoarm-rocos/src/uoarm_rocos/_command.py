@@ -1,0 +1,140 @@
+"""The command `uoarm-rocos`: simulated devices on a real line."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from uoarm.errors import UoarmError
+from uoarm_rocos._catalogue_xml import load_catalogue
+from uoarm_rocos._framing import LengthFramer, StuffedFramer
+from uoarm_rocos.simulate import (
+    FORMATS,
+    BloodPressureMonitor,
+    End,
+    Faults,
+    Oximeter,
+    Person,
+    ProfileServer,
+    PtyEnd,
+    Robot,
+    Simulated,
+    Story,
+    TcpEnd,
+    run,
+)
+
+__all__ = ["main"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+_CHANCE = click.FloatRange(0, 1)
+_SECONDS = click.FloatRange(0, 86_400)
+
+
+@click.group()
+@click.version_option(package_name="uoarm-rocos", prog_name="uoarm-rocos")
+def main() -> None:
+    """Devices with an XML catalogue, for uoarm."""
+
+
+@main.group()
+def simulate() -> None:
+    """Be a device on a pseudo-terminal or on a TCP port of this machine, until Ctrl-C."""
+
+
+def _line_options(command: F) -> F:
+    options = (
+        click.option("--pty", is_flag=True, help="On a new pseudo-terminal; its path is printed."),
+        click.option("--link", default="", help="With --pty: a path that always points to it."),
+        click.option("--tcp", type=click.IntRange(0, 65_535), help="On this port; 0: a free one."),
+        click.option("--drop", type=_CHANCE, default=0.0, help="Chance to lose a frame."),
+        click.option("--garble", type=_CHANCE, default=0.0, help="Chance to damage a frame."),
+        click.option("--delay", type=_SECONDS, default=0.0, help="Seconds that frames are late."),
+        click.option("--disconnect", type=_SECONDS, help="Pull the cable after so many seconds."),
+        click.option("--seed", type=int, default=0, help="Of the faults; the same ones again."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@simulate.command()
+@_line_options
+@click.option("--catalogue", default="", help="A catalogue file instead of the robot's own.")
+def robot(catalogue: str, **line: Any) -> None:
+    """A robot on two wheels that speaks the plain-XML profile."""
+    try:
+        model = Robot(load_catalogue(catalogue) if catalogue else None)
+    except UoarmError as error:
+        raise click.ClickException(str(error)) from error
+    end = _end(line)
+    framer = LengthFramer if end.framed else StuffedFramer
+    _serve(ProfileServer(model, framer), end, end.where, line)
+
+
+@simulate.command()
+@_line_options
+@click.option("--format", "kind", type=click.Choice(FORMATS), default="contec", show_default=True)
+@click.option("--pulse", type=click.FloatRange(30, 220), default=72.0, show_default=True)
+@click.option("--spo2", type=click.FloatRange(50, 100), default=97.0, show_default=True)
+@click.option("--apnoea", type=_SECONDS, default=0.0, help="Seconds from one apnoea to the next.")
+@click.option("--finger-in", type=_SECONDS, default=0.0, help="When the finger is put in.")
+@click.option("--finger-out", type=_SECONDS, help="When the finger is taken out.")
+def oximeter(
+    *,
+    kind: str,
+    pulse: float,
+    spo2: float,
+    apnoea: float,
+    finger_in: float,
+    finger_out: float | None,
+    **line: Any,
+) -> None:
+    """A pulse oximeter that sends its maker's frames."""
+    person = Person(pulse=pulse, spo2=spo2, apnoea=apnoea)
+    story = Story(finger_in=finger_in, finger_out=finger_out)
+    end = _end(line)
+    _serve(Oximeter(kind, person, story), end, _raw(end), line)
+
+
+@simulate.command("blood-pressure")
+@_line_options
+@click.option("--interval", type=click.FloatRange(0.1, 86_400), default=10.0, show_default=True)
+@click.option("--systolic", type=click.FloatRange(60, 230), default=118.0, show_default=True)
+@click.option("--diastolic", type=click.FloatRange(30, 150), default=76.0, show_default=True)
+def blood_pressure(*, interval: float, systolic: float, diastolic: float, **line: Any) -> None:
+    """A blood-pressure monitor that measures now and then and waits for its acknowledgement."""
+    if systolic <= diastolic:
+        raise click.UsageError("--systolic must be above --diastolic")
+    person = Person(systolic=systolic, diastolic=diastolic)
+    end = _end(line)
+    _serve(BloodPressureMonitor(person, interval), end, _raw(end), line)
+
+
+def _end(line: dict[str, Any]) -> End:
+    if line["pty"] == (line["tcp"] is not None):
+        raise click.UsageError("say where: --pty, or --tcp PORT")
+    if line["link"] and not line["pty"]:
+        raise click.UsageError("--link goes with --pty")
+    try:
+        return PtyEnd(line["link"]) if line["pty"] else TcpEnd(line["tcp"])
+    except OSError as error:
+        raise click.ClickException(f"cannot open the line: {error}") from error
+
+
+def _raw(end: End) -> str:
+    """Return the URL for octets without the profile's frames."""
+    return end.where.replace("tcp://", "socket://")
+
+
+def _serve(device: Simulated, end: End, url: str, line: dict[str, Any]) -> None:
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    click.echo(url)
+    names = ("drop", "garble", "delay", "disconnect", "seed")
+    run(device, end, stop, Faults(**{name: line[name] for name in names}))

@@ -1,0 +1,287 @@
+"""A device that speaks the profile: catalogue, calls and flows over one kept line."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Health
+from uoarm_rocos._answer import Answer, Answers, refusal
+from uoarm_rocos._catalogue import Api, Catalogue, differences
+from uoarm_rocos._courier import Courier
+from uoarm_rocos._device import Device, Told
+from uoarm_rocos._errors import LineError
+from uoarm_rocos._fit import fit
+from uoarm_rocos._flows import OutputFlow, ProfileFeed, ProfileFlow
+from uoarm_rocos._line import Backoff, Line
+from uoarm_rocos._messages import (
+    Call,
+    Close,
+    Data,
+    ErrorMessage,
+    Open,
+    Result,
+    WireMessage,
+)
+from uoarm_rocos._talk import Talk, Wire
+
+__all__ = ["Changed", "ProfileDevice", "Timing"]
+
+Changed = Callable[[Health, str, "dict[str, str]"], None]
+
+
+@frozen
+class Timing:
+    """How long things may take, in seconds.
+
+    Attributes:
+        wait: for a device that is asked for and not there.
+        grace: for a fault to pass before what needs the device is told that it is lost.
+        backoff: pauses between attempts to connect.
+    """
+
+    wait: float = 3.0
+    grace: float = 5.0
+    backoff: Backoff = field(factory=Backoff)
+
+
+class ProfileDevice(Device):
+    """One device on one line.
+
+    The line's thread reads, checks and answers heartbeats; a second one delivers, so that a
+    receiver may call through the same device.
+
+    Args:
+        name: for threads and errors.
+        wire: the replaceable parts: transport, framer, codec.
+        timing: limits.
+        catalogue: what the device offers, where it is not to be asked.
+        changed: told of the line's health, and of APIs that changed, from the line's thread.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        wire: Wire,
+        timing: Timing,
+        catalogue: Catalogue | None,
+        changed: Changed,
+    ) -> None:
+        self.name = name
+        self._timing = timing
+        self._changed = changed
+        self._known = catalogue
+        self._state = threading.Condition()
+        self._ready = False
+        self._cause = "not connected yet"
+        self._lost_at: float | None = None
+        self._given_up = False
+        self._closed = False
+        self._answers = Answers(name)
+        self._flows: set[ProfileFlow] = set()
+        self._by_id: dict[int, ProfileFlow] = {}
+        self._courier = Courier(f"{name}-deliver")
+        self._talk = Talk(wire, catalogue, self)
+        self._line = Line(name, wire.transport, self._talk, timing.backoff)
+        self._talk.line = self._line
+        self._line.start()
+
+    def catalogue(self, timeout: float) -> Catalogue:
+        """Return what the device offers now."""
+        self._await_ready(timeout)
+        assert self._known is not None
+        return self._known
+
+    def facts(self) -> dict[str, object]:
+        """Return counters of the line."""
+        return self._talk.facts()
+
+    def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
+        """Ask a service; gives the call up, with a word to the device, when time is up."""
+        end = time.monotonic() + timeout
+        values = fit(api.input, message, f"request to {api.name}")
+        self._await_ready(min(timeout, self._timing.wait))
+        self._check_same(api)
+        what = f"calling {api.name} of {self.name}"
+        answer, identity = self._ask(what, lambda seq, number: Call(seq, number, api.name, values))
+        if not answer.wait(max(0.0, end - time.monotonic())):
+            self._answers.forget(identity)
+            self._say_close(identity)
+            raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s; it was given up")
+        return fit(api.output, answer.value(), f"result of {api.name}")
+
+    def open_output(
+        self, api: Api, deliver: Callable[[Any], None], told: Told, timeout: float
+    ) -> OutputFlow:
+        """Open a flow from the device."""
+        flow = OutputFlow(api, told, self._end, deliver, self._courier, self._timing.grace)
+        self._open(flow, timeout)
+        return flow
+
+    def open_input(self, api: Api, told: Told, timeout: float) -> ProfileFeed:
+        """Open a flow into the device."""
+        feed = ProfileFeed(api, told, self._end, self._send_data)
+        self._open(feed, timeout)
+        return feed
+
+    def close(self) -> None:
+        """End the line; what waits is told so."""
+        with self._state:
+            self._closed = True
+            self._state.notify_all()
+        self._line.close()
+        self._courier.close()
+        self._answers.fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
+
+    def on_ready(self, catalogue: Catalogue) -> None:
+        """Begin, or begin again, with what the device offers now; from the line's thread."""
+        with self._state:
+            before, self._known = self._known, catalogue
+            self._ready, self._lost_at, self._given_up = True, None, False
+            flows = list(self._flows)
+            self._state.notify_all()
+        found = {} if before is None else differences(before, catalogue)
+        text = "connected again" if before is not None else "connected"
+        cause = f"the device has another catalogue: {'; '.join(found.values())}"
+        self._changed(Health.OK, cause if found else text, found)
+        for flow in flows:
+            self._open_again(flow, found)
+
+    def on_message(self, message: WireMessage) -> None:
+        """Take one message of the device; from the line's thread."""
+        if isinstance(message, Data):
+            flow = self._by_id.get(message.id)
+            if flow is not None:
+                flow.take(message.values)
+        elif isinstance(message, Result):
+            self._answers.give(message.id, message.values)
+        elif isinstance(message, Open):
+            again = self._by_id.get(message.id)
+            if not self._answers.give(message.id, None) and again is not None:
+                again.tell(Health.OK, "connected again")
+        elif isinstance(message, ErrorMessage):
+            self._take_error(message)
+        elif isinstance(message, Close):
+            flow = self._by_id.pop(message.id, None)
+            if flow is not None:
+                flow.tell(Health.FINISHED, "the device ended the flow")
+
+    def on_lost(self, cause: str) -> None:
+        """Fail what waits and tell flows; from the line's thread, at each attempt."""
+        now = time.monotonic()
+        with self._state:
+            self._ready, self._cause = False, cause
+            first = self._lost_at is None
+            self._lost_at = now if first or self._lost_at is None else self._lost_at
+            over = not self._given_up and now - self._lost_at >= self._timing.grace
+            self._given_up = self._given_up or over
+            flows = list(self._flows)
+            self._by_id.clear()
+        if first:
+            self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
+        if not first and not over:
+            return
+        health = Health.LOST if over else Health.DEGRADED
+        text = f"the line to {self.name} is lost: {cause}"
+        self._changed(health, text, {})
+        for flow in flows:
+            flow.id = 0
+            flow.tell(health, text, anew=True)
+
+    def on_tick(self, now: float) -> None:
+        """Look at the clock; from the line's thread."""
+        for flow in list(self._by_id.values()):
+            flow.tick(now)
+
+    def _await_ready(self, timeout: float) -> None:
+        with self._state:
+            if not self._state.wait_for(lambda: self._ready or self._closed, timeout):
+                text = f"{self.name} is not there after {timeout:g} s: {self._cause}"
+                raise LineError(text)
+            if self._closed:
+                raise BridgeError(f"{self.name} is closed", FailureReason.CLOSED)
+
+    def _check_same(self, api: Api) -> None:
+        now = self._known.apis.get(api.name) if self._known else None
+        if now == api:
+            return
+        both = [Catalogue("", {api.name: one} if one else {}) for one in (api, now)]
+        found = differences(*both).get(api.name)
+        if found:
+            text = f"{self.name} has another catalogue than the one that was checked: {found}"
+            raise BridgeError(text, FailureReason.CONTRACT)
+
+    def _ask(
+        self, what: str, build: Callable[[int, int], WireMessage], flow: ProfileFlow | None = None
+    ) -> tuple[Answer, int]:
+        identity = self._talk.ids.next()
+        answer = self._answers.expect(identity, what)
+        if flow is not None:
+            with self._state:
+                self._by_id[identity], flow.id = flow, identity
+        try:
+            self._talk.send(lambda seq: build(seq, identity))
+        except BridgeError:
+            self._answers.forget(identity)
+            raise
+        return answer, identity
+
+    def _open(self, flow: ProfileFlow, timeout: float) -> None:
+        end = time.monotonic() + timeout
+        self._await_ready(min(timeout, self._timing.wait))
+        self._check_same(flow.api)
+        api, way = flow.api.name, flow.direction
+        what = f"opening {way.value} {api} of {self.name}"
+        with self._state:
+            self._flows.add(flow)
+        try:
+            answer, _ = self._ask(what, lambda seq, number: Open(seq, number, api, way), flow)
+            if not answer.wait(max(0.0, end - time.monotonic())):
+                raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s")
+            answer.value()
+        except BridgeError:
+            flow.close()
+            raise
+
+    def _open_again(self, flow: ProfileFlow, found: dict[str, str]) -> None:
+        if flow.api.name in found:
+            flow.tell(Health.LOST, f"refused after reconnecting: {found[flow.api.name]}")
+            return
+        with self._state:
+            if flow not in self._flows:
+                return
+            identity = self._talk.ids.next()
+            self._by_id[identity], flow.id = flow, identity
+        self._talk.send(lambda seq: Open(seq, identity, flow.api.name, flow.direction))
+
+    def _send_data(self, flow: ProfileFlow, values: dict[str, Any]) -> None:
+        identity = flow.id
+        if not identity:
+            raise LineError(f"{self.name} is not connected: {self._cause}")
+        self._talk.send(lambda seq: Data(seq, identity, values))
+
+    def _end(self, flow: ProfileFlow) -> None:
+        with self._state:
+            self._flows.discard(flow)
+            known = self._by_id.pop(flow.id, None)
+        self._answers.forget(flow.id)
+        if known is not None:
+            self._say_close(flow.id)
+
+    def _say_close(self, identity: int) -> None:
+        try:
+            self._talk.send(lambda seq: Close(seq, identity))
+        except BridgeError:
+            return  # the line is gone, and every conversation with it
+
+    def _take_error(self, message: ErrorMessage) -> None:
+        if message.id == 0:
+            raise refusal(message, self.name)
+        flow = self._by_id.pop(message.id, None)
+        if not self._answers.refuse(message) and flow is not None:
+            flow.tell(Health.LOST, str(refusal(message, f"the flow {flow.api.name}")))

@@ -1,0 +1,159 @@
+"""The profile on one line: frames, sequence numbers, heartbeat, and the catalogue at the start."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from attrs import frozen
+
+from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._codec import Codec
+from uoarm_rocos._errors import LineError, WireError
+from uoarm_rocos._framing import Framer
+from uoarm_rocos._line import Line
+from uoarm_rocos._messages import CatalogueMessage, Describe, ErrorMessage, Heartbeat, WireMessage
+from uoarm_rocos._session import Ids, Incoming, Watch
+from uoarm_rocos._transport import Transport
+
+__all__ = ["Listener", "Talk", "Wire"]
+
+_FIRST_HEARTBEAT = 1.0
+_CATALOGUE_SECONDS = 3.0
+_WRAP = 2**32
+
+
+@frozen
+class Wire:
+    """The replaceable parts of a line: makers of what carries, frames and codes messages."""
+
+    transport: Callable[[], Transport]
+    framer: Callable[[], Framer]
+    codec: Codec
+
+
+class Listener(Protocol):
+    """Who is told what is said; always in the line's thread."""
+
+    def on_ready(self, catalogue: Catalogue) -> None:
+        """The device is there and offers this."""
+
+    def on_message(self, message: WireMessage) -> None:
+        """A message that is neither heartbeat nor catalogue."""
+
+    def on_tick(self, now: float) -> None:
+        """Time passes."""
+
+    def on_lost(self, cause: str) -> None:
+        """The line is gone, or could not be opened."""
+
+
+class Talk:
+    """One side of the conversation, begun anew whenever the line is.
+
+    Attributes:
+        line: set by the owner before the line starts.
+        ids: where ids of conversations come from.
+    """
+
+    line: Line
+
+    def __init__(self, wire: Wire, fixed: Catalogue | None, listener: Listener) -> None:
+        self.ids = Ids()
+        self._wire = wire
+        self._fixed = fixed
+        self._listener = listener
+        self._sending = threading.Lock()
+        self._seq = 0
+        self._began = 0.0
+        self._asked = 0
+        self._framer = wire.framer()
+        self._incoming = Incoming()
+        self._watch = Watch(_FIRST_HEARTBEAT, 0.0, 0.0)
+        self._refused = 0
+        self._lost_before = 0
+
+    def send(self, build: Callable[[int], WireMessage]) -> None:
+        """Number and send a message; any thread.
+
+        Raises:
+            LineError: the line is not open.
+            WireError: the message cannot be written; nothing was sent.
+        """
+        with self._sending:
+            data = self._wire.codec.write(build(self._seq))
+            self.line.send(self._framer.frame(data))
+            self._seq = (self._seq + 1) % _WRAP
+            self._watch.sent = time.monotonic()
+
+    def facts(self) -> dict[str, object]:
+        """Return counters: messages lost on the way, frames damaged, messages refused."""
+        return {
+            "lost": self._lost_before + self._incoming.lost,
+            "damaged": self._framer.discarded,
+            "refused": self._refused,
+        }
+
+    def connected(self) -> None:
+        """Begin anew."""
+        now = time.monotonic()
+        with self._sending:
+            self._seq = 0
+            self._framer = self._wire.framer()
+            self._lost_before += self._incoming.lost
+            self._incoming = Incoming()
+            period = self._fixed.heartbeat if self._fixed else _FIRST_HEARTBEAT
+            self._watch = Watch(period, now, now)
+        self._began = now
+        if self._fixed is not None:
+            self._asked = 0
+            self.send(Heartbeat)
+            self._listener.on_ready(self._fixed)
+        else:
+            self._asked = self.ids.next()
+            self.send(lambda seq: Describe(seq, self._asked))
+
+    def received(self, data: bytes) -> None:
+        """Take octets of the line."""
+        framer = self._framer
+        for frame in framer.feed(data):
+            try:
+                message = self._wire.codec.read(frame)
+            except WireError:
+                if not framer.resynchronises:
+                    raise
+                self._refused += 1
+                continue
+            if self._incoming.take(message.seq):
+                raise LineError("the device has begun anew")
+            self._watch.heard = time.monotonic()
+            self._take(message)
+
+    def tick(self, now: float) -> None:
+        """Keep the heartbeat, and notice that the device has none."""
+        silent = self._watch.dead(now)
+        if silent:
+            raise LineError(f"the device said nothing for {silent:.1f} s")
+        if self._asked and now - self._began > _CATALOGUE_SECONDS:
+            raise LineError(f"the device sent no catalogue within {_CATALOGUE_SECONDS:g} s")
+        if self._watch.must_speak(now):
+            self.send(Heartbeat)
+        self._listener.on_tick(now)
+
+    def lost(self, cause: str) -> None:
+        """Pass on that the line is gone."""
+        self._listener.on_lost(cause)
+
+    def _take(self, message: WireMessage) -> None:
+        if isinstance(message, CatalogueMessage):
+            if message.id == self._asked:
+                self._asked = 0
+                self._watch.period = message.catalogue.heartbeat
+                self._listener.on_ready(message.catalogue)
+        elif isinstance(message, ErrorMessage) and self._asked and message.id == self._asked:
+            text = f"the device gives no catalogue: {message.code.value}: {message.text}"
+            raise LineError(text)
+        elif not isinstance(message, Heartbeat):
+            self._listener.on_message(message)

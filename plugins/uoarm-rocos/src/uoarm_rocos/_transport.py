@@ -1,0 +1,182 @@
+"""Transports: how octets reach a device and come back. A part that others may replace."""
+
+from __future__ import annotations
+
+import socket
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import serial
+from attrs import frozen
+
+from uoarm_rocos._errors import LineError
+
+__all__ = ["LineSettings", "SerialTransport", "TcpTransport", "Transport", "transport_for"]
+
+TICK_SECONDS = 0.05
+_WRITE_SECONDS = 2.0
+_MOST = 65_536
+_DEFAULT_BAUD = 115_200
+
+
+@frozen
+class LineSettings:
+    """The settings of a serial line: bits a second, data bits, `N`, `E` or `O`, stop bits."""
+
+    baud: int = _DEFAULT_BAUD
+    bits: int = 8
+    parity: str = "N"
+    stop: float = 1
+    xonxoff: bool = False
+
+
+class Transport(ABC):
+    """One line to one device; opened, used and closed once.
+
+    `read` and `close` are called by one thread, `write` by another, one call at a time.
+    """
+
+    @abstractmethod
+    def open(self, timeout: float) -> None:
+        """Reach the device within `timeout` seconds.
+
+        Raises:
+            LineError: it cannot be reached.
+        """
+
+    @abstractmethod
+    def read(self) -> bytes:
+        """Return what has arrived; nothing when nothing came within 50 ms.
+
+        Raises:
+            LineError: the line is gone.
+        """
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Send octets; blocks 2 seconds at most.
+
+        Raises:
+            LineError: the line is gone, or the device takes nothing. It must then be closed.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the line; never raises, also after a failed `open`."""
+
+
+class TcpTransport(Transport):
+    """A TCP connection to a listening device."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._address = (host, port)
+        self._reader: socket.socket | None = None
+        self._writer: socket.socket | None = None
+
+    def open(self, timeout: float) -> None:
+        """Connect within `timeout` seconds."""
+        with _told(f"tcp://{self._address[0]}:{self._address[1]}"):
+            self._reader = socket.create_connection(self._address, timeout)
+            self._reader.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._writer = self._reader.dup()
+            self._reader.settimeout(TICK_SECONDS)
+            self._writer.settimeout(_WRITE_SECONDS)
+
+    def read(self) -> bytes:
+        """Return what has arrived."""
+        assert self._reader is not None
+        with _told("reading from TCP"):
+            try:
+                data = self._reader.recv(_MOST)
+            except TimeoutError:
+                return b""
+        if not data:
+            raise LineError("the device closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send octets."""
+        assert self._writer is not None
+        with _told("writing to TCP"):
+            self._writer.sendall(data)
+
+    def close(self) -> None:
+        """Close the connection; a `write` under way ends."""
+        for one in (self._reader, self._writer):
+            if one is not None:
+                with suppress(OSError):  # the other side was quicker
+                    one.shutdown(socket.SHUT_RDWR)
+                one.close()
+
+
+class SerialTransport(Transport):
+    """A serial line by any form of `serial.serial_for_url`: a port, `socket://`, `rfc2217://`.
+
+    With `rfc2217://` pyserial takes no limit for writing; that of its socket, 5 seconds, holds.
+    """
+
+    def __init__(self, url: str, settings: LineSettings) -> None:
+        self._url = url
+        self._settings = settings
+        self._port: serial.Serial | None = None
+
+    def open(self, timeout: float) -> None:
+        """Open the port; `timeout` is the concern of pyserial, which has limits of its own."""
+        del timeout
+        settings = self._settings
+        with _told(self._url):
+            self._port = serial.serial_for_url(
+                self._url,
+                baudrate=settings.baud,
+                bytesize=settings.bits,
+                parity=settings.parity,
+                stopbits=settings.stop,
+                xonxoff=settings.xonxoff,
+                timeout=TICK_SECONDS,
+                write_timeout=None if self._url.startswith("rfc2217:") else _WRITE_SECONDS,
+                exclusive=True,
+            )
+
+    def read(self) -> bytes:
+        """Return what has arrived."""
+        assert self._port is not None
+        with _told(f"reading from {self._url}"):
+            first = bytes(self._port.read(1))
+            waiting = min(self._port.in_waiting, _MOST) if first else 0
+            return first + bytes(self._port.read(waiting)) if waiting else first
+
+    def write(self, data: bytes) -> None:
+        """Send octets."""
+        assert self._port is not None
+        with _told(f"writing to {self._url}"):
+            self._port.write(data)
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._port is not None:
+            with suppress(OSError, TypeError):  # it went away before
+                self._port.close()
+
+
+def transport_for(url: str, settings: LineSettings) -> Callable[[], Transport]:
+    """Return what makes a transport for a URL: `tcp://host:port`, or a form of pyserial.
+
+    Raises:
+        ValueError: `tcp://` without host and port.
+    """
+    if not url.startswith("tcp://"):
+        return lambda: SerialTransport(url, settings)
+    host, _, port = url.removeprefix("tcp://").rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65_536:  # noqa: PLR2004 - a port
+        raise ValueError(f"expected tcp://host:port, got {url!r}")
+    return lambda: TcpTransport(host.strip("[]"), int(port))
+
+
+@contextmanager
+def _told(what: str) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError, TypeError, NotImplementedError) as error:
+        # pyserial raises TypeError when the port is closed under a read.
+        raise LineError(f"{what}: {type(error).__name__}: {error}") from error

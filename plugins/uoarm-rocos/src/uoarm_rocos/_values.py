@@ -1,0 +1,222 @@
+"""Values to XML text and back: the tag of an element is the type of its value."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm_rocos._errors import WireError
+from uoarm_rocos._fields import NAME
+
+__all__ = ["attribute", "read_real", "read_values", "read_whole", "real", "text", "write_values"]
+
+_WHOLE = re.compile(r"-?[0-9]{1,20}", re.ASCII)
+_REAL = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+\-]?[0-9]{1,4})?", re.ASCII)
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_SPECIAL = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf}
+_TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
+_ATTRIBUTE = str.maketrans(
+    {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
+)
+_SHOWN = 40
+_DEPTH = 32
+_TWENTY_DIGITS = 10**20
+
+
+def text(value: str) -> str:
+    """Escape text for the inside of an element.
+
+    Raises:
+        WireError: XML cannot hold one of its characters.
+    """
+    _check(value)
+    return value.translate(_TEXT)
+
+
+def attribute(value: str) -> str:
+    """Escape text for an attribute in double quotes.
+
+    Raises:
+        WireError: XML cannot hold one of its characters.
+    """
+    _check(value)
+    return value.translate(_ATTRIBUTE)
+
+
+def real(value: float) -> str:
+    """Write a float so that it is read back exactly."""
+    if math.isfinite(value):
+        return repr(float(value))
+    return "NaN" if math.isnan(value) else ("INF" if value > 0 else "-INF")
+
+
+def read_real(written: str) -> float:
+    """Read what `real` writes.
+
+    Raises:
+        WireError: it is no number of the profile, or too large for a float.
+    """
+    if written in _SPECIAL:
+        return _SPECIAL[written]
+    if not _REAL.fullmatch(written):
+        raise WireError(f"expected a decimal number, got {written[:_SHOWN]!r}")
+    value = float(written)
+    if math.isinf(value):
+        raise WireError(f"{written[:_SHOWN]} is too large for a 64-bit float")
+    return value
+
+
+def read_whole(written: str) -> int:
+    """Read an integer of at most 20 digits.
+
+    Raises:
+        WireError: it is none.
+    """
+    if not _WHOLE.fullmatch(written):
+        raise WireError(f"expected a whole number of at most 20 digits, got {written[:_SHOWN]!r}")
+    return int(written)
+
+
+def write_values(values: Mapping[str, Any]) -> str:
+    """Write named values.
+
+    Raises:
+        WireError: a name or value is none of the profile; the text names its path.
+    """
+    return "".join([_named(name, value, "", 1) for name, value in values.items()])
+
+
+def read_values(parent: ET.Element) -> dict[str, Any]:
+    """Read the named values inside an element.
+
+    Raises:
+        WireError: one is missing its name, given twice, or not what its tag says.
+    """
+    _no_text(parent)
+    found: dict[str, Any] = {}
+    for element in parent:
+        name = element.get("name")
+        if name is None or not NAME.fullmatch(name):
+            raise WireError(
+                f"<{element.tag[:_SHOWN]}> in <{parent.tag}>: expected a name, got "
+                f"{str(name)[:_SHOWN]!r}"
+            )
+        if len(element.attrib) > 1:
+            _attributes(element, {"name"})
+        if name in found:
+            raise WireError(f"the value {name!r} is given twice in <{parent.tag}>")
+        found[name] = _read(element)
+    return found
+
+
+def _check(value: str) -> None:
+    wrong = _FORBIDDEN.search(value)
+    if wrong:
+        raise WireError(
+            f"XML cannot hold the character U+{ord(wrong[0]):04X}, number {wrong.start()} of the "
+            "text: leave it out, or use a field of octets"
+        )
+
+
+def _named(name: object, value: Any, path: str, depth: int) -> str:
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise WireError(f"{path or 'message'}: {str(name)[:_SHOWN]!r} is no name of the profile")
+    return _write(f' name="{name}"', value, f"{path}.{name}" if path else name, depth)
+
+
+def _write(name: str, value: Any, path: str, depth: int) -> str:
+    if depth >= _DEPTH:
+        raise WireError(f"{path[:_SHOWN]}...: values stand {_DEPTH} deep inside each other")
+    if isinstance(value, bool):
+        return f"<boolean{name}>{'true' if value else 'false'}</boolean>"
+    if isinstance(value, int):
+        if abs(value) >= _TWENTY_DIGITS:
+            raise WireError(f"{path}: an integer has more than 20 digits")
+        return f"<integer{name}>{value}</integer>"
+    if isinstance(value, float):
+        return f"<number{name}>{real(value)}</number>"
+    if isinstance(value, str):
+        return _string(name, value, path)
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
+    if isinstance(value, Mapping):
+        inner = "".join([_named(key, one, path, depth + 1) for key, one in value.items()])
+        return f"<struct{name}>{inner}</struct>"
+    if isinstance(value, list | tuple):
+        inner = "".join([_write("", one, f"{path}[{n}]", depth + 1) for n, one in enumerate(value)])
+        return f"<list{name}>{inner}</list>"
+    raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
+
+
+def _string(name: str, value: str, path: str) -> str:
+    """Write text as it is, or as base64 of its UTF-8 where XML cannot hold it."""
+    if not _FORBIDDEN.search(value):
+        return f"<string{name}>{value.translate(_TEXT)}</string>"
+    try:
+        octets = value.encode("utf-8")
+    except UnicodeEncodeError as error:
+        where = f"character {error.start} of the text"
+        raise WireError(f"{path}: {where} is half of a surrogate pair") from error
+    return f'<string{name} base64="true">{base64.b64encode(octets).decode()}</string>'
+
+
+def _read(element: ET.Element) -> Any:
+    tag = element.tag
+    if tag == "struct":
+        return read_values(element)
+    if tag == "list":
+        _no_text(element)
+        for item in element:
+            if item.attrib:
+                _attributes(item, set())
+        return [_read(item) for item in element]
+    if len(element):
+        raise WireError(f"<{tag[:_SHOWN]}> holds elements, expected text only")
+    written = element.text or ""
+    if tag == "integer":
+        return read_whole(written)
+    if tag == "number":
+        return read_real(written)
+    if tag == "string":
+        return _unwrapped(written) if "base64" in element.attrib else written
+    if tag == "boolean":
+        if written not in {"true", "false"}:
+            raise WireError(f"<boolean>: expected true or false, got {written[:_SHOWN]!r}")
+        return written == "true"
+    if tag == "octets":
+        return _octets(written)
+    raise WireError(f"<{tag[:_SHOWN]}> is no type of the profile")
+
+
+def _octets(written: str) -> bytes:
+    try:
+        return base64.b64decode(written.encode("ascii"), validate=True)
+    except (binascii.Error, UnicodeEncodeError) as error:
+        raise WireError(f"not base64: {error}") from error
+
+
+def _unwrapped(written: str) -> str:
+    try:
+        return _octets(written).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise WireError(f"<string base64>: not UTF-8: {error}") from error
+
+
+def _attributes(element: ET.Element, names: set[str]) -> None:
+    for name, value in element.attrib.items():
+        wrapped = name == "base64" and value == "true" and element.tag == "string"
+        if name not in names and not wrapped:
+            shown = f"{name}={value[:_SHOWN]!r}"
+            raise WireError(f"<{element.tag[:_SHOWN]}>: unexpected attribute {shown[:_SHOWN]}")
+
+
+def _no_text(parent: ET.Element) -> None:
+    stray = [parent.text, *(element.tail for element in parent)]
+    for one in stray:
+        if one and one.strip(" \t\r\n"):
+            raise WireError(f"<{parent.tag[:_SHOWN]}>: text between elements: {one[:_SHOWN]!r}")

@@ -1,0 +1,167 @@
+"""The device's end of a line: a pseudo-terminal, or a TCP port on loopback for one host."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import sys
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["End", "PtyEnd", "TcpEnd"]
+
+_MOST = 65_536
+_WRITE_SECONDS = 1.0
+
+
+class End(ABC):
+    """The device's end of one line; used by one thread.
+
+    Attributes:
+        where: the URL that a host uses.
+        framed: whether the profile's length prefix belongs on this line (TCP).
+    """
+
+    where: str
+    framed: bool
+
+    @abstractmethod
+    def meet(self, timeout: float) -> bool:
+        """Return whether a new host came within `timeout` seconds, or one is there."""
+
+    @abstractmethod
+    def read(self, timeout: float) -> bytes | None:
+        """Return what came within `timeout` seconds, perhaps nothing; None: the host is gone."""
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Send octets; what the host does not take within a second is lost, as on a real line."""
+
+    @abstractmethod
+    def cut(self) -> None:
+        """Pull the cable out; it can be met again."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of everything."""
+
+
+class PtyEnd(End):
+    """A new pseudo-terminal; `link`, where given, always points to the present one."""
+
+    framed = False
+
+    def __init__(self, link: str = "") -> None:
+        self._link = link
+        self._open()
+
+    def _open(self) -> None:
+        if sys.platform == "win32":
+            raise OSError("pseudo-terminals need Linux or macOS; use TCP here")
+        import tty  # noqa: PLC0415 - not on Windows
+
+        self._device, line = os.openpty()
+        tty.setraw(line)
+        self._line = line  # kept open, so that the host may come and go
+        path = os.ttyname(line)
+        if self._link:
+            fresh = Path(f"{self._link}.new")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(path)
+            fresh.replace(self._link)
+        self.where = self._link or path
+
+    def meet(self, timeout: float) -> bool:
+        """Return at once: nobody can see whether a host has opened the port."""
+        del timeout
+        if self._device < 0:
+            self._open()
+        return True
+
+    def read(self, timeout: float) -> bytes | None:
+        """Return what came."""
+        if not select.select([self._device], [], [], timeout)[0]:
+            return b""
+        try:
+            return os.read(self._device, _MOST)
+        except OSError:
+            return None
+
+    def write(self, data: bytes) -> None:
+        """Send octets; a port that nobody reads overflows."""
+        while data and select.select([], [self._device], [], _WRITE_SECONDS)[1]:
+            os.set_blocking(self._device, False)
+            with suppress(BlockingIOError):
+                data = data[os.write(self._device, data) :]
+                continue
+            return
+
+    def cut(self) -> None:
+        """Remove the port; the next one has another number and the same link."""
+        if self._device >= 0:
+            os.close(self._device)
+            os.close(self._line)
+            self._device = -1
+        if self._link:
+            Path(self._link).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Remove the port."""
+        self.cut()
+
+
+class TcpEnd(End):
+    """A listening socket on loopback; port 0 takes a free one."""
+
+    framed = True
+
+    def __init__(self, port: int = 0) -> None:
+        self._server = socket.create_server(("127.0.0.1", port))
+        self._host: socket.socket | None = None
+        self.where = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
+
+    def meet(self, timeout: float) -> bool:
+        """Return whether a host is there."""
+        if self._host is not None:
+            return True
+        if not select.select([self._server], [], [], timeout)[0]:
+            return False
+        self._host = self._server.accept()[0]
+        self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._host.settimeout(_WRITE_SECONDS)
+        return True
+
+    def read(self, timeout: float) -> bytes | None:
+        """Return what came."""
+        if self._host is None:
+            return None
+        if not select.select([self._host], [], [], timeout)[0]:
+            return b""
+        data = b""
+        with suppress(OSError):
+            data = self._host.recv(_MOST)
+        if not data:
+            self.cut()
+            return None
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send octets; a host that does not take them is cut off."""
+        if self._host is not None:
+            try:
+                self._host.sendall(data)
+            except OSError:
+                self.cut()
+
+    def cut(self) -> None:
+        """Close the host's connection."""
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def close(self) -> None:
+        """Close everything."""
+        self.cut()
+        self._server.close()

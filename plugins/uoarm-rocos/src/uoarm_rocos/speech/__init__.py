@@ -1,0 +1,1 @@
+"""Speech as a device: one service, one of two engines."""

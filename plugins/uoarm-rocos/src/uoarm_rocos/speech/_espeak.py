@@ -1,0 +1,111 @@
+"""eSpeak NG through its C library, which the package espeakng-loader brings (GPL-3.0-or-later).
+
+The calls and numbers are those of eSpeak NG's `speak_lib.h`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from typing import Any
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rocos.speech._engine import Engine, Sound
+
+__all__ = ["EspeakEngine"]
+
+_SYNCHRONOUS = 2
+_RATE = 1
+_UTF8 = 1
+_WORDS_A_MINUTE = 175
+# British English is the voice file that is called `en`.
+_FILES = {"en-gb": "en"}
+_INSTALL = "install it with: pip install 'uoarm-rocos[speech]' (eSpeak NG, GPL-3.0-or-later)"
+_CALLBACK = ctypes.CFUNCTYPE(
+    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.c_void_p
+)
+_SYNTH_ARGUMENTS = (
+    ctypes.c_char_p,
+    ctypes.c_size_t,
+    ctypes.c_uint,
+    ctypes.c_int,
+    ctypes.c_uint,
+    ctypes.c_uint,
+    ctypes.c_void_p,
+    ctypes.c_void_p,
+)
+# The library has one state for the whole process: one voice at a time, whoever asks.
+_one_at_a_time = threading.Lock()
+
+
+class EspeakEngine(Engine):
+    """Needs no audio device. There is no New Zealand voice; British English stands in."""
+
+    name = "eSpeak NG"
+    voice = "en-gb"
+
+    def __init__(self) -> None:
+        self._library: Any = None
+        self._hertz = 0
+
+    def check(self) -> None:
+        """Load the library, once."""
+        with _one_at_a_time:
+            if self._library is None:
+                self._load()
+
+    def speak(self, text: str, voice: str, rate: float, timeout: float) -> Sound:
+        """Return the sound of a text."""
+        self.check()
+        end = time.monotonic() + timeout
+        if not _one_at_a_time.acquire(timeout=timeout):
+            raise BridgeTimeoutError(f"eSpeak NG was busy for {timeout:g} s")
+        try:
+            samples = self._samples(text, voice, rate, end)
+        finally:
+            _one_at_a_time.release()
+        if time.monotonic() > end:
+            raise BridgeTimeoutError(f"speaking took longer than {timeout:g} s")
+        return Sound(samples, self._hertz)
+
+    def _load(self) -> None:
+        try:
+            import espeakng_loader  # noqa: PLC0415 - an optional package
+        except ImportError as error:
+            text = f"eSpeak NG is not there: {_INSTALL}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        try:
+            library = ctypes.CDLL(str(espeakng_loader.get_library_path()))
+            data = str(espeakng_loader.get_data_path()).encode()
+            hertz = library.espeak_Initialize(_SYNCHRONOUS, 0, data, 0)
+        except (OSError, AttributeError) as error:
+            text = f"eSpeak NG cannot be loaded: {error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        library.espeak_Synth.argtypes = _SYNTH_ARGUMENTS
+        if hertz <= 0:
+            text = f"eSpeak NG did not start: {hertz}; its data should be in {data.decode()}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        self._library, self._hertz = library, hertz
+
+    def _samples(self, text: str, voice: str, rate: float, end: float) -> bytes:
+        library = self._library
+        if library.espeak_SetVoiceByName(_FILES.get(voice, voice).encode()) != 0:
+            text = f"eSpeak NG has no voice {voice!r}; it has en-gb, en-us, fr, de and many more"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE)
+        library.espeak_SetParameter(_RATE, round(_WORDS_A_MINUTE * rate), 0)
+        parts: list[bytes] = []
+
+        def take(samples: Any, count: int, events: Any) -> int:
+            del events
+            if samples and count > 0:
+                parts.append(ctypes.string_at(samples, 2 * count))
+            return int(time.monotonic() > end)  # 1 ends the speech
+
+        callback = _CALLBACK(take)
+        library.espeak_SetSynthCallback(callback)
+        said = text.encode() + b"\0"
+        failed = library.espeak_Synth(said, len(said), 0, 0, 0, _UTF8, None, None)
+        if failed:
+            raise BridgeError(f"eSpeak NG failed with its error {failed}", FailureReason.RAISED)
+        return b"".join(parts)

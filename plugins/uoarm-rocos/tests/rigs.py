@@ -1,0 +1,94 @@
+"""Bridges and simulated devices put together for tests, and ways to wait without sleeping."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from queue import Empty, Queue
+from typing import Any
+
+from lines import LIMIT
+from uoarm_rocos._framing import LengthFramer, StuffedFramer
+from uoarm_rocos.simulate import End, Faults, Model, ProfileServer, PtyEnd, Simulated, TcpEnd, run
+
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.model import BridgeSpec, Endpoint, Health, Role
+
+__all__ = ["Events", "bridged", "endpoint", "running", "served"]
+
+ROLES = {"output": Role.OUTPUT, "input": Role.INPUT, "service": Role.SERVICE}
+QUICK = {"wait": 2.0, "backoff": [0.02, 0.1]}
+
+
+def endpoint(device: str, api: str, role: str = "output") -> Endpoint:
+    return Endpoint("rocos", device, ROLES[role], (device, api), api)
+
+
+class Events:
+    """What a bridge reports, in order; also a receiver of messages."""
+
+    def __init__(self) -> None:
+        self.queue: Queue[Any] = Queue()
+
+    def __call__(self, event: Any) -> None:
+        self.queue.put(event)
+
+    def get(self) -> Any:
+        return self.queue.get(timeout=LIMIT)
+
+    def until(self, wanted: Callable[[Any], bool]) -> Any:
+        """Return the first that is wanted, or fail when it does not come."""
+        seen: list[Any] = []
+        end = time.monotonic() + 3 * LIMIT
+        while True:
+            assert time.monotonic() < end, f"it never came; there were {seen[-5:]}"
+            try:
+                seen.append(self.get())
+            except Empty:
+                raise AssertionError(f"it never came; there were {seen[-5:]}") from None
+            if wanted(seen[-1]):
+                return seen[-1]
+
+    def health(self, health: Health) -> HealthEvent:
+        event = self.until(lambda one: one.health is health)
+        assert isinstance(event, HealthEvent)
+        return event
+
+
+@contextmanager
+def bridged(**devices: dict[str, object]) -> Iterator[tuple[Bridge, Events]]:
+    """A bridge with these devices, and what it reports."""
+    given = {name: {**QUICK, **options} for name, options in devices.items()}
+    bridge = Registry().create(BridgeSpec("rocos", "rocos", {"devices": given}))
+    events = Events()
+    bridge.watch(events)
+    try:
+        yield bridge, events
+    finally:
+        bridge.close()
+
+
+@contextmanager
+def running(device: Simulated, end: End, faults: Faults | None = None) -> Iterator[str]:
+    """A device that runs in a thread; its URL."""
+    stop = threading.Event()
+    thread = threading.Thread(target=run, args=(device, end, stop, faults), daemon=True)
+    where = end.where
+    thread.start()
+    try:
+        yield where
+    finally:
+        stop.set()
+        thread.join(LIMIT)
+        assert not thread.is_alive()
+
+
+@contextmanager
+def served(model: Model, kind: str = "tcp", faults: Faults | None = None) -> Iterator[str]:
+    """A device that speaks the profile for a model, on this kind of line; its URL."""
+    end: End = TcpEnd() if kind == "tcp" else PtyEnd()
+    framer = LengthFramer if end.framed else StuffedFramer
+    with ExitStack() as stack:
+        yield stack.enter_context(running(ProfileServer(model, framer), end, faults))

@@ -1,0 +1,203 @@
+"""What is written is read back the same and is what the XSD says; nothing else is read."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+import uoarm_rocos
+from hypothesis import given
+from hypothesis import strategies as st
+from lxml import etree
+from strategies import messages
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._errors import WireError
+from uoarm_rocos._limits import Limits
+from uoarm_rocos._messages import Call, CatalogueMessage, Data, Heartbeat, WireMessage
+
+PAGE = Path(__file__).parents[3] / "docs" / "rocos-profile.md"
+XSD = etree.XMLSchema(etree.parse(Path(uoarm_rocos.__file__).with_name("profile.xsd")))
+CODEC = XmlCodec()
+
+
+@given(messages)
+def test_every_message_comes_back_the_same(message: WireMessage) -> None:
+    again = CODEC.read(CODEC.write(message))
+    assert again == message
+    if isinstance(message, CatalogueMessage):
+        assert isinstance(again, CatalogueMessage)
+        assert again.catalogue.apis == message.catalogue.apis
+    elif isinstance(message, Call | Data):
+        assert isinstance(again, Call | Data)
+        assert again.values == message.values
+        assert repr(again.values) == repr(message.values)  # 1, 1.0 and True are equal, not the same
+
+
+@given(messages)
+def test_what_is_written_is_valid_by_the_xsd(message: WireMessage) -> None:
+    XSD.assertValid(etree.fromstring(CODEC.write(message)))
+
+
+@given(messages, st.data())
+def test_a_message_cut_anywhere_is_refused(message: WireMessage, data: st.DataObject) -> None:
+    written = CODEC.write(message)
+    cut = data.draw(st.integers(0, len(written) - 1))
+    with pytest.raises(WireError):
+        CODEC.read(written[:cut])
+
+
+@given(messages, st.data())
+def test_a_changed_octet_gives_a_message_or_a_wire_error(
+    message: WireMessage, data: st.DataObject
+) -> None:
+    written = bytearray(CODEC.write(message))
+    for _ in range(data.draw(st.integers(1, 3))):
+        written[data.draw(st.integers(0, len(written) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        read = CODEC.read(bytes(written))
+    except WireError:
+        return
+    CODEC.write(read)
+
+
+@given(st.binary(max_size=200))
+def test_garbage_is_refused(data: bytes) -> None:
+    with pytest.raises(WireError):
+        CODEC.read(data)
+
+
+def test_nonfinite_numbers_cross() -> None:
+    read = CODEC.read(CODEC.write(Data(0, 1, {"a": math.nan, "b": math.inf, "c": -math.inf})))
+    assert isinstance(read, Data)
+    assert math.isnan(read.values["a"])
+    assert (read.values["b"], read.values["c"]) == (math.inf, -math.inf)
+
+
+def test_the_page_shows_a_valid_catalogue() -> None:
+    shown = re.search(r"```xml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert shown
+    message = CODEC.read(shown[1].strip().encode())
+    assert isinstance(message, CatalogueMessage)
+    XSD.assertValid(etree.fromstring(CODEC.write(message)))
+
+
+BOMB = (
+    b'<!DOCTYPE b [<!ENTITY a "aaaaaaaaaa"><!ENTITY c "&a;&a;&a;&a;">]>'
+    b'<error id="0" seq="0" code="failed">&c;</error>'
+)
+OPEN = b'<data id="1" seq="0">'
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (BOMB, "document type"),
+        (b'<!DOCTYPE x SYSTEM "file:///etc/passwd"><heartbeat seq="0"/>', "document type"),
+        (b'<error id="0" seq="0" code="failed">&undefined;</error>', "no XML"),
+        (OPEN + b"<struct>" * 40, "deep"),
+        (OPEN + b"<list>" * 100_000, "deep"),
+        (b'<heartbeat seq="' + b"0" * 2000 + b'"/>', "octets"),
+        (b"<heartbeat " + b" ".join(b'a%d="1"' % n for n in range(20)) + b"/>", "attributes"),
+        (OPEN + b"<boolean/>" * 100_001, "elements"),
+        (b"<?php x ?>" + b'<heartbeat seq="0"/>', "processing"),
+        (b'<?xml version="1.0" encoding="UTF-16"?><heartbeat seq="0"/>', "encoding"),
+        ('<heartbeat seq="0"/>'.encode("utf-16"), "UTF-8"),
+        (b"\xff\xfe", "UTF-8"),
+        (b" " * 2_000_000, "octets"),
+        (b'<heartbeat seq="-1"/>', "seq"),
+        (b'<heartbeat seq="4294967296"/>', "seq"),
+        (b'<heartbeat seq="0" id="1"/>', "attribute"),
+        (b'<heartbeat seq="0" more="1"/>', "attribute"),
+        (b'<close seq="0" id="0"/>', "id"),
+        (b'<gossip seq="0"/>', "gossip"),
+        (OPEN + b'<null name="a"/></data>', "null"),
+        (OPEN + b"<integer>1</integer></data>", "name"),
+        (OPEN + b'<integer name="1a">1</integer></data>', "name"),
+        (OPEN + b'<integer name="a">1</integer><integer name="a">2</integer></data>', "twice"),
+        (OPEN + b'<integer name="a"> 1</integer></data>', "whole number"),
+        (OPEN + b'<integer name="a">' + b"9" * 21 + b"</integer></data>", "whole number"),
+        (OPEN + b'<number name="a">1e999</number></data>', "too large"),
+        (OPEN + b'<number name="a">nan</number></data>', "decimal"),
+        (OPEN + b'<boolean name="a">1</boolean></data>', "true or false"),
+        (OPEN + b'<octets name="a">a</octets></data>', "base64"),
+        (OPEN + b'<string name="a" base64="false">YQ==</string></data>', "unexpected"),
+        (OPEN + b'<string name="a" base64="true">/w==</string></data>', "not UTF-8"),
+        (OPEN + b'<integer name="a" base64="true">1</integer></data>', "unexpected"),
+        (OPEN + b'<string name="a"><b/></string></data>', "text only"),
+        (OPEN + b"hello</data>", "text between"),
+        (OPEN + b'<list name="a"><integer name="b">1</integer></list></data>', "unexpected"),
+        (b'<open id="1" seq="0" api="a" direction="up"/>', "direction"),
+        (b'<error id="1" seq="0" code="oops"/>', "code"),
+        (b'<catalogue id="1" seq="0" profile="2" device="x"/>', "profile 2"),
+        (b'<catalogue id="1" seq="0" profile="1" device="x" heartbeat="0"/>', "heartbeat"),
+    ],
+)
+def test_what_is_dangerous_or_wrong_is_refused_with_its_reason(data: bytes, said: str) -> None:
+    with pytest.raises(WireError, match=said):
+        CODEC.read(data)
+
+
+def api(inside: str) -> bytes:
+    top = '<catalogue id="1" seq="0" profile="1" device="x">'
+    return f"{top}{inside}</catalogue>".encode()
+
+
+@pytest.mark.parametrize(
+    ("inside", "said"),
+    [
+        ('<api name="a" kind="topic"/>', "kind"),
+        ('<api name="a" kind="flow"/>', "neither"),
+        ('<api name="a" kind="service"/><api name="a" kind="service"/>', "twice"),
+        ('<api name="a" kind="service" period="1"/>', "period"),
+        ('<api name="a" kind="service"><output/><input/></api>', "order"),
+        ('<api name="a" kind="service"><input><thing name="x"/></input></api>', "thing"),
+        ('<api name="a" kind="service"><input><boolean/></input></api>', "name"),
+        (
+            (
+                '<api name="a" kind="service"><input>'
+                '<integer name="x" minimum="2" maximum="1"/></input></api>'
+            ),
+            "above",
+        ),
+        (
+            '<api name="a" kind="service"><input><number name="x" maximum="INF"/></input></api>',
+            "finite",
+        ),
+        ('<api name="a" kind="service"><input><list name="x"/></input></api>', "one field"),
+        ('<api name="a" kind="service"><input><boolean name="x" unit="s"/></input></api>', "unit"),
+    ],
+)
+def test_a_wrong_catalogue_is_refused_with_its_place(inside: str, said: str) -> None:
+    with pytest.raises(WireError, match=said):
+        CODEC.read(api(inside))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"a": None}, "a: a NoneType"),
+        ({"a": {"b": [1, "x\udfff"]}}, r"a\.b\[1\]: character 1 of the text is half"),
+        ({"a b": 1}, "name"),
+        ({"a": 10**30}, "20 digits"),
+        ({"a": object()}, "object"),
+    ],
+)
+def test_what_cannot_be_sent_is_refused_with_its_path(value: dict[str, object], said: str) -> None:
+    with pytest.raises(WireError, match=said):
+        CODEC.write(Call(0, 1, "x", value))
+
+
+def test_a_value_that_holds_itself_is_refused() -> None:
+    loop: dict[str, object] = {}
+    loop["again"] = loop
+    with pytest.raises(WireError, match="deep"):
+        CODEC.write(Call(0, 1, "x", loop))
+
+
+def test_limits_are_the_callers() -> None:
+    small = XmlCodec(Limits(octets=100))
+    with pytest.raises(WireError, match="100 are allowed"):
+        small.write(Call(0, 1, "x", {"text": "a" * 100}))
+    assert small.read(b'<heartbeat seq="7"/>') == Heartbeat(7)

@@ -1,0 +1,78 @@
+"""The command makes devices that a bridge can use, and ends when it is asked to."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from lines import LIMIT
+from rigs import Events, bridged, endpoint
+from uoarm_rocos._command import main
+
+from uoarm.model import MessageStructure
+
+ANY = MessageStructure(True)
+
+
+@contextmanager
+def simulating(*words: str) -> Iterator[str]:
+    """A simulator as a process; the URL that it prints."""
+    code = "from uoarm_rocos._command import main; main()"
+    command = [sys.executable, "-c", code, "simulate", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(LIMIT) == 0
+
+
+def test_a_robot_over_tcp() -> None:
+    with simulating("robot", "--tcp", "0") as url, bridged(robot={"url": url}) as (bridge, _):
+        reply = bridge.call(endpoint("robot", "echo", "service"), {"text": "hello"})
+        assert reply == {"text": "hello"}
+
+
+def test_an_oximeter_on_a_pty_with_a_link(tmp_path: Path) -> None:
+    link = str(tmp_path / "clip")
+    with simulating("oximeter", "--pty", "--link", link, "--spo2", "91") as url:
+        assert url == link
+        clip: dict[str, object] = {"driver": "contec-cms50dplus", "url": url}
+        with bridged(clip=clip) as (bridge, _):
+            got = Events()
+            bridge.open_source(endpoint("clip", "pulseOximetry"), ANY, got)
+            assert got.until(lambda one: "spo2" in one)["spo2"] == 91
+    assert not Path(link).is_symlink()
+
+
+def test_a_blood_pressure_monitor_over_tcp() -> None:
+    with simulating("blood-pressure", "--tcp", "0", "--interval", "0.2") as url:
+        assert url.startswith("socket://127.0.0.1:")
+        cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": url}
+        with bridged(cuff=cuff) as (bridge, _):
+            reading = bridge.call(endpoint("cuff", "bloodPressure", "service"), {}, timeout=LIMIT)
+            assert reading["systolic"] > reading["diastolic"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["robot"], "say where"),
+        (["robot", "--pty", "--tcp", "0"], "say where"),
+        (["robot", "--tcp", "0", "--link", "x"], "--link goes with --pty"),
+        (["robot", "--tcp", "0", "--catalogue", "not-there.xml"], "not-there.xml"),
+        (["oximeter", "--tcp", "0", "--format", "masimo"], "masimo"),
+        (["blood-pressure", "--tcp", "0", "--systolic", "70", "--diastolic", "80"], "above"),
+    ],
+)
+def test_what_makes_no_sense_is_said(words: list[str], said: str) -> None:
+    result = CliRunner().invoke(main, ["simulate", *words])
+    assert result.exit_code != 0
+    assert said in result.output

@@ -1,0 +1,220 @@
+"""Simulated devices of real makers on a real tty, through the bridge."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import pytest
+from lines import LIMIT, PseudoTerminal
+from rigs import Events, bridged, endpoint, running
+from uoarm_rocos._settings import DRIVERS, DeviceSettings, devices_of
+from uoarm_rocos._transport import LineSettings
+from uoarm_rocos.devices._contec import contec_frame
+from uoarm_rocos.devices._ua767 import Measurement, ua767_frame
+from uoarm_rocos.simulate import (
+    BloodPressureMonitor,
+    Faults,
+    Oximeter,
+    Person,
+    PtyEnd,
+    Story,
+    TcpEnd,
+)
+
+from uoarm.errors import BridgeError, BridgeTimeoutError
+from uoarm.model import Health, MessageStructure
+
+ANY = MessageStructure(True)
+PULSE = endpoint("clip", "pulseOximetry")
+PRESSURE = endpoint("cuff", "bloodPressure", "service")
+OXIMETERS = [("contec-cms50dplus", "contec"), ("nonin-1", "nonin-1"), ("nonin-2", "nonin-2")]
+
+
+def wait_open(bridge: Any, name: str) -> None:
+    """Opening a port throws away what waits in it, so wait until it is open."""
+    line = bridge._named(name)._line
+    end = time.monotonic() + LIMIT
+    while line._transport is None:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize(("driver", "kind"), OXIMETERS)
+def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, kind: str) -> None:
+    person = Person(pulse=60, spo2=95)
+    oximeter = Oximeter(kind, person, Story(finger_in=2.5, found=2.0))
+    got = Events()
+    with (
+        running(oximeter, PtyEnd()) as url,
+        bridged(clip={"driver": driver, "url": url, "wait": LIMIT}) as (bridge, _),
+    ):
+        source = bridge.open_source(PULSE, ANY, got)
+        away = got.until(lambda one: one["quality"] in {"finger-out", "probe-error"})
+        assert not {"pulse", "spo2", "waveform"} & away.keys()
+        searching = got.until(lambda one: one["quality"] == "searching")
+        assert not {"pulse", "spo2"} & searching.keys()
+        good = got.until(lambda one: "pulse" in one)
+        assert good["spo2"] == 95
+        assert 55 <= good["pulse"] <= 65
+        assert int(str(source.facts()["discarded"])) < 5  # opening a port may cut one frame in two
+
+
+@pytest.mark.parametrize(("driver", "settings"), list(DRIVERS.items()))
+def test_line_settings_are_the_makers_own(driver: str, settings: LineSettings | None) -> None:
+    url = {} if settings is None else {"url": "/dev/ttyS0"}
+    made: DeviceSettings = devices_of({"devices": {"d": {"driver": driver, **url}}})["d"]
+    if settings is not None:
+        assert made.line == settings
+    if driver.startswith("contec"):
+        assert (made.line.baud, made.line.parity, made.line.xonxoff) == (19200, "O", False)
+    if driver.startswith("nonin"):
+        assert (made.line.baud, made.line.parity, made.line.xonxoff) == (9600, "N", False)
+
+
+def test_octets_that_look_like_flow_control_are_numbers() -> None:
+    with (
+        PseudoTerminal() as device,
+        bridged(clip={"driver": "contec-cms50dplus", "url": device.path}) as (bridge, _),
+    ):
+        got = Events()
+        wait_open(bridge, "clip")
+        device.write(contec_frame(pulse=70, spo2=97))
+        bridge.open_source(PULSE, ANY, got)
+        device.write(contec_frame(pulse=0x11, spo2=0x13, wave=0x13))
+        low = got.until(lambda one: one["pulse"] == 0x11)
+        assert (low["spo2"], low["waveform"]) == (0x13, 0x13 / 127)
+
+
+def test_an_oximeter_over_a_network_socket() -> None:
+    got = Events()
+    with running(Oximeter("contec"), TcpEnd()) as url:
+        clip: dict[str, object] = {
+            "driver": "contec-cms50dplus",
+            "url": url.replace("tcp://", "socket://"),
+        }
+        with bridged(clip=clip) as (bridge, _):
+            bridge.open_source(PULSE, ANY, got)
+            assert got.get()["quality"] == "searching"
+
+
+def test_two_receivers_get_the_same() -> None:
+    one, two = Events(), Events()
+    with (
+        running(Oximeter("contec"), PtyEnd()) as url,
+        bridged(clip={"driver": "contec-cms50dplus", "url": url}) as (bridge, _),
+    ):
+        first = bridge.open_source(PULSE, ANY, one)
+        bridge.open_source(PULSE, ANY, two)
+        mine = [one.get() for _ in range(120)]
+        first.close()
+        other = [two.get() for _ in range(120)]
+        assert [message for message in mine if message in other] == mine
+        assert first.facts()["dropped"] == 0
+
+
+def test_an_oximeter_that_is_switched_off_is_degraded_then_lost_and_said_why() -> None:
+    with PseudoTerminal() as device:
+        clip = {"driver": "contec-cms50dplus", "url": device.path, "grace": 0.3}
+        with bridged(clip=clip) as (bridge, events):
+            wait_open(bridge, "clip")
+            device.write(contec_frame(pulse=70, spo2=97))
+            source = bridge.open_source(PULSE, ANY, Events())
+            silent = events.until(lambda one: one.channel is source)
+            assert silent.health is Health.DEGRADED
+            assert "no frame from clip for 1." in silent.cause
+            assert events.until(lambda one: one.channel is source).health is Health.LOST
+
+
+def test_a_port_where_nothing_speaks_is_unavailable() -> None:
+    with PseudoTerminal() as device:
+        clip = {"driver": "nonin-1", "url": device.path, "wait": 0.3}
+        with (
+            bridged(clip=clip) as (bridge, _),
+            pytest.raises(BridgeError, match="is the device on"),
+        ):
+            bridge.describe(PULSE)
+
+
+def test_an_unplugged_oximeter_comes_back() -> None:
+    got = Events()
+    with (
+        running(Oximeter("contec"), TcpEnd(), Faults(disconnect=0.4)) as url,
+        bridged(clip={"driver": "contec-cms50dplus", "url": url.replace("tcp", "socket")}) as (
+            bridge,
+            events,
+        ),
+    ):
+        source = bridge.open_source(PULSE, ANY, got)
+        lost = events.until(lambda one: one.channel is source)
+        assert lost.health is Health.DEGRADED
+        assert "lost" in lost.cause
+        assert events.until(lambda one: one.channel is source).health is Health.OK
+
+
+def test_a_call_waits_for_a_measurement_and_the_monitor_hears_that_it_was_taken() -> None:
+    monitor = BloodPressureMonitor(Person(systolic=120, diastolic=80), interval=0.3)
+    with (
+        running(monitor, PtyEnd()) as url,
+        bridged(cuff={"driver": "and-ua767pbt", "url": url}) as (bridge, _),
+    ):
+        structure = bridge.describe(PRESSURE).reply
+        assert structure
+        reading = bridge.call(PRESSURE, {}, timeout=LIMIT)
+        assert abs(reading["systolic"] - 120) <= 6
+        assert abs(reading["diastolic"] - 80) <= 3
+        assert reading["diastolic"] < reading["mean"] < reading["systolic"]
+        assert reading["serialNumber"] == "SIMULATED"
+        again = bridge.call(PRESSURE, {}, timeout=LIMIT)
+        assert again["diastolic"] > 0
+    assert set(monitor.answers) == {b"PWA1"}
+
+
+def test_a_measurement_that_nobody_asked_for_is_not_acknowledged_and_a_broken_one_is_refused() -> (
+    None
+):
+    frame = ua767_frame(Measurement(105, 76, 82, 65))
+    with PseudoTerminal() as device:
+        cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
+        with bridged(cuff=cuff) as (bridge, _):
+            bridge.describe(PRESSURE)
+            device.write(frame)
+            device.write(frame[:-1] + b"?")
+            assert device.read(4) == b"PWA0"
+            replies = Events()
+            call = threading.Thread(target=lambda: replies(bridge.call(PRESSURE, {})))
+            call.start()
+            waiting = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
+            while not waiting._waiting:
+                time.sleep(0.001)
+            device.write(frame)
+            assert device.read(4) == b"PWA1"
+            assert replies.get()["systolic"] == 105
+            call.join(LIMIT)
+
+
+def test_a_call_ends_when_nobody_measures_and_when_the_cable_is_out() -> None:
+    with PseudoTerminal() as device:
+        cuff: dict[str, object] = {"driver": "and-ua767pbt", "url": device.path}
+        with bridged(cuff=cuff) as (bridge, _):
+            with pytest.raises(BridgeTimeoutError):
+                bridge.call(PRESSURE, {}, timeout=0.2)
+            failures = Events()
+
+            def ask() -> None:
+                try:
+                    bridge.call(PRESSURE, {}, timeout=60)
+                except BridgeError as error:
+                    failures(str(error))
+
+            monitor = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
+            while monitor._waiting:  # the first call, which the core gave up a moment earlier
+                time.sleep(0.001)
+            call = threading.Thread(target=ask)
+            call.start()
+            while not monitor._waiting:
+                time.sleep(0.001)
+            device.cut()
+            assert "is lost" in failures.get()
+            call.join(LIMIT)

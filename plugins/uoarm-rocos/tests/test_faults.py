@@ -1,0 +1,271 @@
+"""What goes wrong on real lines: the cable, garbage, floods, silence, other devices."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from threading import Thread
+
+import pytest
+from attrs import evolve
+from lines import LIMIT, PseudoTerminal, listening
+from rigs import Events, bridged, endpoint, running
+from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._fields import BooleanField, Member
+from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
+from uoarm_rocos._messages import CatalogueMessage, Data, Describe, Open, WireMessage
+from uoarm_rocos.simulate import Faults, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Health, MessageStructure
+
+ANY = MessageStructure(True)
+ODOMETRY = endpoint("robot", "odometry")
+ECHO = endpoint("robot", "echo", "service")
+CODEC = XmlCodec()
+
+
+def other_catalogue() -> Catalogue:
+    """The robot's catalogue with another odometry and another echo."""
+    apis = dict(robot_catalogue().apis)
+    for name in ("odometry", "echo"):
+        more = {**apis[name].output, "more": Member(BooleanField(), required=False)}
+        apis[name] = evolve(apis[name], output=more)
+    return evolve(robot_catalogue(), apis=apis)
+
+
+def port_of(url: str) -> int:
+    return int(url.rpartition(":")[2])
+
+
+def server(catalogue: Catalogue | None = None) -> ProfileServer:
+    return ProfileServer(Robot(catalogue), LengthFramer)
+
+
+def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
+    got = Events()
+    with (
+        running(server(), TcpEnd(), Faults(disconnect=0.3)) as url,
+        bridged(robot={"url": url}) as (bridge, events),
+    ):
+        source = bridge.open_source(ODOMETRY, ANY, got)
+        lost = events.until(lambda one: one.channel is source)
+        assert lost.health is Health.DEGRADED
+        assert "closed the connection" in lost.cause
+        back = events.until(lambda one: one.channel is source)
+        assert (back.health, back.cause) == (Health.OK, "connected again")
+        while not got.queue.empty():
+            got.get()
+        assert "x" in got.get()
+
+
+def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> None:
+    with ExitStack() as stack:
+        with running(server(), TcpEnd()) as url:
+            robot: dict[str, object] = {"url": url, "grace": 0.3, "wait": 0.3}
+            bridge, events = stack.enter_context(bridged(robot=robot))
+            source = bridge.open_source(ODOMETRY, ANY, Events())
+            bridge.describe(ECHO)
+        assert events.until(lambda one: one.channel is source).health is Health.DEGRADED
+        events.until(lambda one: one.component == "robot" and one.health is Health.LOST)
+        lost = events.until(lambda one: one.channel is source)
+        assert lost.health is Health.LOST
+        assert "refused" in lost.cause
+        with pytest.raises(BridgeError, match="refused") as raised:
+            bridge.call(ECHO, {"text": "gone"})
+        assert raised.value.reason is FailureReason.UNAVAILABLE
+
+
+def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:
+    with (
+        running(server(), TcpEnd(), Faults(disconnect=0.3)) as url,
+        bridged(robot={"url": url}) as (bridge, _),
+    ):
+        drive = endpoint("robot", "driveStraight", "service")
+        with pytest.raises(BridgeError, match=r"lost: .*closed the connection"):
+            bridge.call(drive, {"distance": 5, "speed": 0.01}, timeout=60)
+
+
+def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -> None:
+    got = Events()
+    with ExitStack() as stack:
+        with running(server(), TcpEnd()) as url:
+            bridge, events = stack.enter_context(bridged(robot={"url": url}))
+            source = bridge.open_source(ODOMETRY, ANY, got)
+            structure = bridge.describe(ODOMETRY).message
+            bridge.describe(ECHO)
+            got.get()
+        with running(server(other_catalogue()), TcpEnd(port_of(url))):
+            assert structure
+            changed = events.until(lambda one: one.component and one.health is Health.LOST)
+            assert "'echo' changed" in changed.cause
+            lost = events.until(lambda one: one.channel is source)
+            assert lost.health is Health.LOST
+            assert "refused after reconnecting: API 'odometry' changed" in lost.cause
+            assert "output.more is new" in lost.cause
+            with pytest.raises(BridgeError, match="more is new") as raised:
+                bridge.call(ECHO, {"text": "no"})
+            assert raised.value.reason is FailureReason.CONTRACT
+            with pytest.raises(BridgeError, match="another catalogue"):
+                bridge.open_source(ODOMETRY, structure, got)
+            fresh = bridge.describe(ODOMETRY).message
+            assert fresh
+            assert fresh != structure
+            bridge.open_source(ODOMETRY, fresh, got)  # checked again, so it may be used again
+
+
+def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Path) -> None:
+    link = str(tmp_path / "robot-port")
+    got = Events()
+    device = ProfileServer(Robot(), StuffedFramer)
+    with (
+        running(device, PtyEnd(link), Faults(disconnect=0.5)) as url,
+        bridged(robot={"url": url}) as (bridge, events),
+    ):
+        assert url == link
+        source = bridge.open_source(ODOMETRY, ANY, got)
+        assert events.until(lambda one: one.channel is source).health is Health.DEGRADED
+        assert events.until(lambda one: one.channel is source).health is Health.OK
+
+
+class Scripted:
+    """A device that says what the test wants, on a socket."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.settimeout(LIMIT)
+        self.connection = connection
+        self.framer: Framer = LengthFramer()
+        self.seq = 0
+        self.flow = 0
+        self._read: list[WireMessage] = []
+
+    def say(self, build: Callable[[int], WireMessage]) -> None:
+        self.connection.sendall(self.framer.frame(CODEC.write(build(self.seq))))
+        self.seq += 1
+
+    def hear(self, kind: type[WireMessage]) -> WireMessage:
+        while True:
+            while not self._read:
+                data = self.connection.recv(10_000)
+                assert data
+                self._read += [CODEC.read(part) for part in self.framer.feed(data)]
+            message = self._read.pop(0)
+            if isinstance(message, kind):
+                return message
+
+    def begin(self, heartbeat: float = 20.0) -> None:
+        """Give the robot's catalogue, with time to think on a busy machine."""
+        asked = self.hear(Describe)
+        assert isinstance(asked, Describe)
+        catalogue = evolve(robot_catalogue(), heartbeat=heartbeat)
+        self.say(lambda seq: CatalogueMessage(seq, asked.id, catalogue))
+
+    def opened(self) -> int:
+        """Confirm a flow and return its id."""
+        asked = self.hear(Open)
+        assert isinstance(asked, Open)
+        self.say(lambda seq: evolve(asked, seq=seq))
+        return asked.id
+
+
+@contextmanager
+def scripted(
+    heartbeat: float = 20.0, **options: object
+) -> Iterator[tuple[Scripted, Events, Events]]:
+    """A scripted device whose odometry is open: device, messages, events."""
+    got = Events()
+    with (
+        listening() as (listener, port),
+        bridged(robot={"url": f"tcp://127.0.0.1:{port}", **options}) as (bridge, events),
+    ):
+        opening = Thread(target=lambda: bridge.open_source(ODOMETRY, ANY, got), daemon=True)
+        opening.start()
+        device = Scripted(listener.accept()[0])
+        device.begin(heartbeat)
+        device.flow = device.opened()
+        opening.join(LIMIT)
+        with device.connection:
+            yield device, got, events
+
+
+GOOD = {"x": 1.0, "y": 0.0, "heading": 0.0}
+
+
+def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
+    with scripted(grace=0.2) as (_, _got, events):
+        said = events.until(lambda one: one.channel is not None)
+        assert said.health is Health.DEGRADED
+        assert "no message of odometry" in said.cause
+        assert events.until(lambda one: one.channel is not None).health is Health.LOST
+
+
+def test_a_device_without_a_heartbeat_is_dropped() -> None:
+    with scripted(heartbeat=0.5) as (device, _, events):
+        lost = events.until(lambda one: one.channel and "line" in one.cause)
+        assert "said nothing for" in lost.cause
+        with suppress(OSError):
+            while device.connection.recv(10_000):
+                pass  # what the host still had to say
+
+
+def test_data_that_break_the_catalogue_are_dropped_and_shown() -> None:
+    with scripted() as (device, got, events):
+        flow = device.flow
+        device.say(lambda seq: Data(seq, flow, {"x": "far", "y": 0.0, "heading": 0.0}))
+        said = events.until(lambda one: one.channel is not None)
+        assert said.health is Health.DEGRADED
+        assert "data of odometry.x: expected a number, got 'far'" in said.cause
+        device.say(lambda seq: Data(seq, flow, GOOD))
+        assert got.get() == GOOD
+        assert events.until(lambda one: one.channel is not None).health is Health.OK
+
+
+@pytest.mark.parametrize(
+    ("sent", "said"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "this is not the profile over TCP"),
+        (b"\x00\x00\x00\x05hello", "no XML"),
+        (b"\x00\x00\x00\x14<heartbeat seq=", "closed the connection"),
+        (b"\xff" * 5_000_000, "expected 1 to 1,048,576"),
+    ],
+    ids=["another protocol", "garbage", "half a frame", "flood"],
+)
+def test_what_cannot_be_read_over_tcp_ends_the_line_with_its_cause(sent: bytes, said: str) -> None:
+    with scripted() as (device, _, events):
+        with suppress(OSError):
+            device.connection.sendall(sent)
+            device.connection.shutdown(socket.SHUT_WR)
+        lost = events.until(lambda one: one.channel is not None)
+        assert lost.health is Health.DEGRADED
+        assert said in lost.cause
+
+
+def test_a_device_that_begins_anew_on_the_same_line_is_greeted_anew() -> None:
+    with scripted() as (device, _, events):
+        device.seq = 0
+        flow = device.flow
+        device.say(lambda seq: Data(seq, flow, GOOD))
+        assert "begun anew" in events.until(lambda one: one.channel is not None).cause
+
+
+def test_garbage_and_a_flood_on_a_serial_line_harm_no_later_frame() -> None:
+    with PseudoTerminal() as device, bridged(robot={"url": device.path}) as (bridge, _):
+        framer = StuffedFramer()
+        structures = Events()
+        asking = Thread(target=lambda: structures(bridge.describe(ODOMETRY)), daemon=True)
+        asking.start()
+        heard: list[bytes] = []
+        while not heard:
+            heard = framer.feed(device.read(1))
+        asked = CODEC.read(heard[0])
+        assert isinstance(asked, Describe)
+        for _ in range(50):
+            device.write(b"\x7e<half a frame \xff\x00\x7d" + b"noise" * 700)
+        answer = CatalogueMessage(0, asked.id, robot_catalogue())
+        device.write(framer.frame(CODEC.write(answer)))
+        assert structures.get().message
+        facts = bridge._devices["robot"].facts()  # type: ignore[attr-defined]  # of this bridge
+        assert facts["damaged"] == 50

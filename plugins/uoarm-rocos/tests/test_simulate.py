@@ -1,0 +1,127 @@
+"""The modelled person and robot do what their models say, and the faults are the ones asked for."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from uoarm_rocos.devices._contec import ContecDecoder
+from uoarm_rocos.simulate import BloodPressureMonitor, Faults, Oximeter, Person, Robot, Story
+from uoarm_rocos.simulate._run import _Way
+
+
+def test_the_pulse_wave_has_the_persons_rate_and_keeps_its_bounds() -> None:
+    person = Person(pulse=75, spo2=96)
+    waves = [person.at(n / 100).wave for n in range(6000)]
+    assert 0.0 <= min(waves) < 0.2
+    assert 0.85 < max(waves) <= 1.0
+    assert person.at(60).beat == pytest.approx(75, abs=1)
+    middle = (max(waves) + min(waves)) / 2
+    pairs = itertools.pairwise(waves)
+    rising = sum(one < middle <= two for one, two in pairs)
+    assert rising == pytest.approx(75, abs=2)
+
+
+def test_the_rate_that_is_told_is_the_rate_at_which_the_heart_beats() -> None:
+    person = Person()
+    for start in (3.0, 17.5, 40.2):
+        step = 0.001
+        told = person.at(start).pulse
+        beats = person._beats(
+            start + step, *(math.tau * hz * (start + step) for hz in (0.25, 0.1))
+        ) - person._beats(start, *(math.tau * hz * start for hz in (0.25, 0.1)))
+        assert beats / step * 60 == pytest.approx(told, abs=0.05)
+
+
+def test_apnoea_lowers_the_saturation_and_lets_it_recover() -> None:
+    person = Person(spo2=97, apnoea=60)
+    levels = [person.at(second).spo2 for second in range(61)]
+    assert levels[0] == 97
+    assert min(levels) == pytest.approx(91, abs=0.1)
+    assert levels[60] == pytest.approx(97, abs=0.1)
+
+
+def test_an_oximeter_sends_sixty_frames_a_second_and_skips_what_is_long_past() -> None:
+    oximeter = Oximeter("contec", story=Story(found=0.0))
+    oximeter.begin(100.0)
+    frames = oximeter.step(101.0)
+    assert len(frames) == 60
+    assert len(oximeter.step(201.0)) == 60
+    messages = ContecDecoder().feed(b"".join(frames))
+    assert {message["quality"] for message in messages} == {"good"}
+    assert any(message["beat"] for message in messages)
+
+
+def test_a_reading_is_sent_until_it_is_accepted() -> None:
+    monitor = BloodPressureMonitor(interval=1.0)
+    monitor.begin(0.0)
+    assert monitor.step(0.5) == []
+    (frame,) = monitor.step(1.0)
+    assert monitor.step(1.1) == []
+    assert monitor.receive(b"PW", 1.2) == []
+    monitor.receive(b"A0", 1.3)
+    assert monitor.step(1.4) == []  # refused: sent again, but not in a storm
+    assert monitor.step(3.5) == [frame]
+    monitor.receive(b"PWA1", 3.6)
+    assert monitor.step(3.7) != [frame]  # the next reading
+
+
+def test_the_robot_drives_a_circle() -> None:
+    robot = Robot()
+    robot.sample("odometry", 0.0)
+    for step in range(629):
+        robot.take("velocity", {"linear": 0.5, "angular": 1.0}, step / 100)
+    end = robot.sample("odometry", 6.29)
+    assert end
+    assert (end["x"], end["y"]) == (pytest.approx(0, abs=0.01), pytest.approx(0, abs=0.01))
+
+
+def test_the_robot_stops_half_a_second_after_the_last_command() -> None:
+    robot = Robot()
+    robot.sample("odometry", 0.0)
+    robot.take("velocity", {"linear": 0.5, "angular": 0.0}, 0.0)
+    end = robot.sample("odometry", 10.0)
+    assert end
+    assert end["x"] == pytest.approx(0.25)
+
+
+def test_a_new_command_interrupts_a_drive() -> None:
+    robot = Robot()
+    job = robot.call("driveStraight", {"distance": 1.0, "speed": 0.5}, 0.0)
+    assert callable(job)
+    assert job(1.0) is None
+    robot.take("velocity", {"linear": 0.0, "angular": 0.0}, 1.0)
+    assert job(1.0) == {"outcome": "interrupted", "driven": 0.5}
+
+
+class _Sent:
+    def __init__(self) -> None:
+        self.frames: list[bytes] = []
+
+    def write(self, data: bytes) -> None:
+        self.frames.append(data)
+
+
+def sent_with(faults: Faults, count: int) -> tuple[list[bytes], _Way, _Sent]:
+    end = _Sent()
+    way = _Way(end, faults)  # type: ignore[arg-type]  # an end of which only write is used
+    for number in range(count):
+        way.send([bytes([number] * 10)], float(number))
+    return end.frames, way, end
+
+
+def test_faults_are_as_frequent_as_asked_and_the_same_again() -> None:
+    dropped, _, _ = sent_with(Faults(drop=0.3, seed=1), 200)
+    assert 110 < len(dropped) < 170
+    assert dropped == sent_with(Faults(drop=0.3, seed=1), 200)[0]
+    garbled, _, _ = sent_with(Faults(garble=0.5, seed=2), 200)
+    broken = [frame for frame in garbled if len(set(frame)) > 1]
+    assert 70 < len(broken) < 130
+
+
+def test_delayed_frames_come_later_and_in_order() -> None:
+    frames, way, end = sent_with(Faults(delay=2.5), 10)
+    assert [frame[0] for frame in frames] == list(range(7))
+    way.send([], 20.0)
+    assert [frame[0] for frame in end.frames] == list(range(10))

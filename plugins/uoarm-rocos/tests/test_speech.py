@@ -1,0 +1,184 @@
+"""Real engines make real sound of text; what is missing is said with what to install."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import stat
+import struct
+import threading
+import time
+import wave
+from pathlib import Path
+
+import pytest
+from lines import LIMIT
+from rigs import bridged, endpoint
+from uoarm_rocos.speech import _device
+from uoarm_rocos.speech._device import Speech
+from uoarm_rocos.speech._espeak import EspeakEngine
+from uoarm_rocos.speech._festival import FestivalEngine
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.manager import RobotManager
+
+SAY = endpoint("voice", "speechGeneration", "service")
+TEXT = "Your pulse is seventy two, and your blood pressure is normal."
+NEEDS_FESTIVAL = pytest.mark.skipif(
+    shutil.which("text2wave") is None,
+    reason="Festival is not installed here: apt install festival festvox-kallpc16k",
+)
+
+
+def loudness(audio: bytes) -> tuple[float, float]:
+    """Return the root mean square of a WAV file and its duration."""
+    with wave.open(io.BytesIO(audio)) as reader:
+        count = reader.getnframes()
+        samples = struct.unpack(f"<{count}h", reader.readframes(count))
+        mean = (sum(one * one for one in samples) / count) ** 0.5
+        return mean, count / reader.getframerate()
+
+
+@pytest.mark.parametrize("driver", ["espeak", pytest.param("festival", marks=NEEDS_FESTIVAL)])
+def test_text_becomes_sound_in_a_file_where_there_is_no_audio_device(
+    driver: str, tmp_path: Path
+) -> None:
+    options: dict[str, object] = {"driver": driver, "directory": str(tmp_path), "play": "never"}
+    with bridged(voice=options) as (bridge, _):
+        reply = bridge.call(SAY, {"text": TEXT}, timeout=30)
+        mean, duration = loudness(reply["audio"])
+        assert mean > 300
+        assert duration == pytest.approx(reply["duration"])
+        assert 2.0 < duration < 8.0
+        assert reply["played"] is False
+        assert Path(reply["file"]).read_bytes() == reply["audio"]
+        fast = bridge.call(SAY, {"text": TEXT, "rate": 2.0}, timeout=30)
+        assert fast["duration"] < 0.75 * duration
+        assert bridge.call(SAY, {"text": TEXT}, timeout=30)["duration"] == pytest.approx(
+            duration, rel=0.05
+        )
+
+
+def test_a_voice_that_does_not_exist_is_refused() -> None:
+    with bridged(voice={"driver": "espeak", "play": "never"}) as (bridge, _):
+        with pytest.raises(BridgeError, match="no voice 'nobody'") as raised:
+            bridge.call(SAY, {"text": "x", "voice": "nobody"})
+        assert raised.value.reason is FailureReason.BAD_MESSAGE
+        with pytest.raises(BridgeError, match=r"text: expected at most 1000 characters"):
+            bridge.call(SAY, {"text": "x" * 1001})
+        assert bridge.call(SAY, {"text": "I can still speak."})["duration"] > 0.5
+
+
+def test_words_of_festival_are_no_code() -> None:
+    with pytest.raises(BridgeError, match="no name of a Festival voice"):
+        FestivalEngine().speak("x", 'kal) (system "true"', 1.0, LIMIT)
+
+
+def test_a_missing_engine_is_unavailable_with_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with bridged(voice={"driver": "festival"}) as (bridge, _):
+        with pytest.raises(BridgeError, match="apt install festival") as raised:
+            bridge.describe(SAY)
+        assert raised.value.reason is FailureReason.UNAVAILABLE
+    monkeypatch.setitem(__import__("sys").modules, "espeakng_loader", None)
+    with pytest.raises(BridgeError, match="pip install 'uoarm-rocos"):
+        EspeakEngine().check()
+
+
+def test_priorities_choose_the_engine_that_is_there(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"""
+version: 1
+bridges:
+  rocos:
+    plugin: rocos
+    options:
+      devices:
+        festival: {{driver: festival}}
+        espeak: {{driver: espeak, play: never, directory: "{tmp_path}"}}
+functions:
+  speechGeneration:
+    components:
+      - name: paper
+        bridge: rocos
+        priority: 20
+        service: {{endpoint: [festival, speechGeneration]}}
+      - name: small
+        bridge: rocos
+        priority: 10
+        service: {{endpoint: [espeak, speechGeneration]}}
+"""
+    )
+    with RobotManager.from_file(file) as manager:
+        assert manager.call("speechGeneration", {"text": "Kia ora."})["duration"] > 0.3
+
+
+def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> Path:
+    """A stand-in for the sound card: a program in place of aplay."""
+    program = tmp_path / "player"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(program.stat().st_mode | stat.S_IEXEC)
+    monkeypatch.setattr(_device, "_player", lambda: [str(program)])
+    return tmp_path / "played.wav"
+
+
+def test_sound_goes_to_the_player_where_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played = player(tmp_path, monkeypatch, f"cat > {tmp_path}/played.wav")
+    with bridged(voice={"driver": "espeak"}) as (bridge, _):
+        reply = bridge.call(SAY, {"text": "Hello."})
+        assert reply["played"] is True
+        assert "file" not in reply
+        assert played.read_bytes() == reply["audio"]
+
+
+def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    player(tmp_path, monkeypatch, "echo no card >&2; exit 3")
+    with bridged(voice={"driver": "espeak"}) as (bridge, _):
+        with pytest.raises(BridgeError, match="no card"):
+            bridge.call(SAY, {"text": "Hello."})
+        player(tmp_path, monkeypatch, "exec sleep 60")
+        began = time.monotonic()
+        with pytest.raises(BridgeTimeoutError):
+            bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
+        assert time.monotonic() - began < LIMIT
+    speech = Speech("voice", EspeakEngine(), {})
+    (api,) = speech.catalogue(0.0).apis.values()
+    with pytest.raises(BridgeTimeoutError, match="interrupted by its limit"):
+        speech.call(api, {"text": "Hello."}, timeout=0.5)
+
+
+def test_two_voices_at_once_do_not_mix() -> None:
+    with bridged(
+        one={"driver": "espeak", "play": "never"}, two={"driver": "espeak", "play": "never"}
+    ) as (bridge, _):
+        texts = {"one": "One.", "two": TEXT * 3}
+        alone = {name: _say(bridge, name, text) for name, text in texts.items()}
+        together: dict[str, float] = {}
+        threads = [
+            threading.Thread(
+                target=lambda name=name: together.update({name: _say(bridge, name, texts[name])})
+            )
+            for name in texts
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(LIMIT)
+        assert together == pytest.approx(alone, rel=0.02)
+
+
+def _say(bridge: object, name: str, text: str) -> float:
+    reply = bridge.call(  # type: ignore[attr-defined]  # a bridge
+        endpoint(name, "speechGeneration", "service"), {"text": text}, timeout=LIMIT
+    )
+    return float(reply["duration"])

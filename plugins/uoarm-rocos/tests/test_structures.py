@@ -1,0 +1,181 @@
+"""Structures say exactly what fits; generated classes carry the same messages."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+from strategies import catalogues, fitting, members, values
+from uoarm_rocos._catalogue import Api, Catalogue, Kind, differences
+from uoarm_rocos._classes import api_classes
+from uoarm_rocos._errors import WireError
+from uoarm_rocos._fields import (
+    BooleanField,
+    Fields,
+    IntegerField,
+    ListField,
+    Member,
+    NumberField,
+    OctetsField,
+    StringField,
+    StructField,
+)
+from uoarm_rocos._fit import fit
+from uoarm_rocos._messages import Direction
+from uoarm_rocos._structure import describe, structure_of
+
+POINT: Fields = {"x": Member(NumberField(unit="m")), "y": Member(NumberField(unit="m"))}
+FIELDS: Fields = {
+    "on": Member(BooleanField()),
+    "spo2": Member(IntegerField(0, 100, "%"), required=False),
+    "rate": Member(NumberField(0.5, 2.0)),
+    "any": Member(NumberField(nonfinite=True), required=False),
+    "mode": Member(StringField(("slow", "fast"))),
+    "text": Member(StringField(max_length=5), required=False),
+    "image": Member(OctetsField(4), required=False),
+    "pose": Member(StructField(POINT), required=False),
+    "path": Member(ListField(StructField(POINT), 1, 2), required=False),
+    "levels": Member(ListField(IntegerField(-1, 1)), required=False),
+}
+GOOD: dict[str, Any] = {"on": True, "rate": 1.0, "mode": "slow"}
+
+
+def plain(value: Any) -> Any:
+    """Octets as the structure has them: an array of numbers."""
+    if isinstance(value, bytes):
+        return list(value)
+    if isinstance(value, dict):
+        return {key: plain(one) for key, one in value.items()}
+    return [plain(one) for one in value] if isinstance(value, list) else value
+
+
+def test_ranges_units_and_enums_are_exact() -> None:
+    schema: Any = structure_of(FIELDS).schema
+    properties = schema["properties"]
+    assert properties["spo2"] == {
+        "type": "integer", "minimum": 0, "maximum": 100, "x-unit": "%"
+    }  # fmt: skip
+    assert properties["rate"] == {"type": "number", "minimum": 0.5, "maximum": 2.0}
+    assert properties["any"] == {"type": "number", "x-nonfinite": True}
+    assert properties["mode"]["enum"] == ["slow", "fast"]
+    assert properties["image"]["x-octets"] is True
+    assert properties["image"]["maxItems"] == 4
+    assert (properties["path"]["minItems"], properties["path"]["maxItems"]) == (1, 2)
+    assert schema["required"] == ["on", "rate", "mode"]
+    assert schema["additionalProperties"] is False
+
+
+@given(members, st.data())
+@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+def test_fit_and_structure_agree_on_what_the_structure_allows(
+    fields: Fields, data: st.DataObject
+) -> None:
+    schema = structure_of(fields).schema
+    message = data.draw(values | fitting(fields))
+    valid = Draft202012Validator(schema).is_valid(plain(message))
+    try:
+        fitted = fit(fields, message, "m")
+    except WireError:
+        assert not valid
+        return
+    assert valid
+    assert Draft202012Validator(schema).is_valid(plain(fitted))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"on": 1}, r"m\.on: expected true or false, got 1 \(int\)"),
+        ({"spo2": 101}, r"m\.spo2: expected 0 to 100"),
+        ({"spo2": True}, "integer"),
+        ({"spo2": 1.5}, "integer"),
+        ({"spo2": "1"}, "integer"),
+        ({"rate": 2.1}, r"m\.rate: expected 0\.5 to 2"),
+        ({"rate": float("nan")}, "finite"),
+        ({"rate": "1"}, "a number"),
+        ({"any": 10**400}, "64-bit"),
+        ({"mode": "medium"}, "one of slow, fast"),
+        ({"text": "123456"}, "5 characters"),
+        ({"text": None}, "text"),
+        ({"image": b"12345"}, "4 octets"),
+        ({"image": [256]}, "octets"),
+        ({"image": 3}, "octets"),
+        ({"pose": {"x": 1}}, r"m\.pose: the field 'y' is missing"),
+        ({"path": []}, "1 to 2 items"),
+        ({"path": [{"x": 0, "y": 0}, {"x": 0}]}, r"m\.path\[1\]: the field 'y'"),
+        ({"levels": [0, 2]}, r"m\.levels\[1\]: expected -1 to 1"),
+        ({"levels": "no"}, "a list"),
+        ({"more": 1}, "no field 'more'"),
+    ],
+)
+def test_what_does_not_fit_is_named(change: dict[str, object], said: str) -> None:
+    with pytest.raises(WireError, match=said):
+        fit(FIELDS, {**GOOD, **change}, "m")
+
+
+def test_buffers_and_numpy_fit() -> None:
+    given_: dict[str, Any] = {
+        "on": np.bool_(True),
+        "rate": np.float32(1.5),
+        "mode": "fast",
+        "spo2": np.int64(7),
+        "image": memoryview(b"abc"),
+        "levels": array("b", [1, 0, -1]),
+    }
+    fitted = fit(FIELDS, given_, "m")
+    assert fitted == {
+        "on": True, "rate": 1.5, "mode": "fast", "spo2": 7, "image": b"abc", "levels": [1, 0, -1]
+    }  # fmt: skip
+    assert {type(one) for one in fitted.values()} == {bool, float, str, int, bytes, list}
+
+
+def test_one_class_for_each_api() -> None:
+    catalogue = Catalogue("d", {"go-to": Api("go-to", Kind.SERVICE, FIELDS, POINT, text="Go.")})
+    made: Any = api_classes(catalogue)["go-to"]
+    assert (made.__name__, made.__doc__) == ("Go_to", "Go.")
+    request = made.Input(on=True, rate=1, mode="slow", path=[made.Input.Path(x=1, y=2)])
+    message = request.message()
+    assert message == {"on": True, "rate": 1.0, "mode": "slow", "path": [{"x": 1.0, "y": 2.0}]}
+    again = made.Input.of(message)
+    assert (again, again.path[0].y, again.pose) == (request, 2.0, None)
+    with pytest.raises(WireError, match=r"Go_to\.Input\.rate"):
+        made.Input(on=True, rate=9, mode="slow").message()
+    with pytest.raises(TypeError):
+        made.Input(on=True)
+
+
+@given(catalogues, st.data())
+@settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+def test_classes_carry_every_message(catalogue: Catalogue, data: st.DataObject) -> None:
+    for api in catalogue.apis.values():
+        message = data.draw(fitting(api.output))
+        output: Any = api_classes(catalogue)[api.name].Output
+        assert output.of(message).message() == fit(api.output, message, "m")
+
+
+def test_descriptions_follow_the_kind() -> None:
+    flow = Api("f", Kind.FLOW, FIELDS, POINT)
+    assert describe(flow, Direction.INPUT).message == structure_of(FIELDS, "f.input")
+    assert describe(flow, Direction.OUTPUT).message == structure_of(POINT, "f.output")
+    service = describe(Api("s", Kind.SERVICE, FIELDS, POINT), None)
+    assert (service.request, service.reply) == (
+        structure_of(FIELDS, "s.input"),
+        structure_of(POINT, "s.output"),
+    )
+
+
+def test_differences_name_what_changed() -> None:
+    one = Api("a", Kind.FLOW, {}, POINT, 0.1, "text")
+    two = Api("a", Kind.FLOW, {}, {**POINT, "x": Member(BooleanField())}, 0.2)
+    before = Catalogue("d", {"a": one, "b": one, "c": one})
+    after = Catalogue("d", {"a": two, "c": Api("c", Kind.FLOW, {}, POINT, 0.1, "new"), "e": one})
+    found = differences(before, after)
+    assert found.keys() == {"a", "b", "e"}
+    assert "period was 0.1, is 0.2" in found["a"]
+    assert "output.x was" in found["a"]
+    assert (found["b"], found["e"]) == ("API 'b' is gone", "API 'e' is new")

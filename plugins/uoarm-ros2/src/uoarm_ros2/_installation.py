@@ -1,0 +1,80 @@
+"""Which ROS 2 this process uses: told by where rclpy lies and what is installed beside it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from importlib.metadata import distributions
+from pathlib import Path
+
+from attrs import frozen
+
+__all__ = ["Installation", "Wheel", "installation", "wheels"]
+
+_NAME_PARTS = 3
+
+
+@frozen
+class Wheel:
+    """An rclpy wheel that is installed somewhere on the path: its distribution and its folder."""
+
+    distribution: str
+    folder: Path
+
+
+@frozen
+class Installation:
+    """What is in use.
+
+    Attributes:
+        distribution: `jazzy` or the like.
+        origin: whether it came as wheels or with a ROS 2 installation that was sourced.
+        conflict: what is wrong with the mixture of installations, empty where nothing is.
+    """
+
+    distribution: str
+    origin: str
+    conflict: str = ""
+
+
+def wheels() -> tuple[Wheel, ...]:
+    """Return the rclpy wheels on the path, as their metadata tells; takes some milliseconds."""
+    named = ((str(each.metadata["Name"]).split("-"), each) for each in distributions())
+    found = {
+        Wheel(parts[1], Path(str(each.locate_file(""))).resolve())
+        for parts, each in named
+        if len(parts) == _NAME_PARTS and (parts[0], parts[2]) == ("ros", "rclpy")
+    }
+    return tuple(sorted(found, key=lambda wheel: (wheel.distribution, str(wheel.folder))))
+
+
+def installation(
+    rclpy: Path, environment: Mapping[str, str], installed: Iterable[Wheel]
+) -> Installation:
+    """Return what is in use, given rclpy's folder, the environment and the wheels on the path."""
+    here, beside = list[str](), list[Wheel]()
+    for each in installed:
+        if each.folder == rclpy.resolve().parent:
+            here.append(each.distribution)
+        elif _on_library_path(each, environment):
+            beside.append(each)
+    if not here:
+        sourced = environment.get("ROS_DISTRO", "unknown")
+        return Installation(sourced, "a ROS 2 installation that was sourced", _mixed(rclpy, beside))
+    both = f"wheels of {' and '.join(here)} share {rclpy.parent} and overwrite each other"
+    return Installation(", ".join(here), "wheels", both if len(here) > 1 else _mixed(rclpy, beside))
+
+
+def _on_library_path(wheel: Wheel, environment: Mapping[str, str]) -> bool:
+    parts = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    return any(wheel.folder in (Path(part), *Path(part).parents) for part in parts if part)
+
+
+def _mixed(rclpy: Path, beside: Iterable[Wheel]) -> str:
+    """Say that start-up code of the wheels puts their libraries in among those of the other."""
+    return "; ".join(
+        f"rclpy is that of {rclpy.parent}, and wheels of {each.distribution} in {each.folder} put "
+        f"their libraries beside its own, in any order: uninstall the wheels, or start with "
+        f"_ROS_WHEELS_BOOTSTRAP_COMPLETE=1"
+        for each in beside
+    )

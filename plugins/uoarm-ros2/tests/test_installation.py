@@ -1,0 +1,87 @@
+"""Which ROS 2 is in use, and what happens where two lie side by side."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from peers import DOMAIN
+from uoarm_ros2 import uoarm_bridge_types
+from uoarm_ros2._installation import Wheel, installation, wheels
+
+SYSTEM = Path("/opt/ros/jazzy/lib/python3.12/site-packages/rclpy")
+VENV = Path("/home/robot/venv/lib/python3.12/site-packages")
+KILTED = Wheel("kilted", VENV)
+
+
+def test_the_doctor_says_what_is_used() -> None:
+    doctor = uoarm_bridge_types()[0].doctor
+    assert doctor is not None
+    found = doctor()
+    assert found["rmw"].startswith("rmw_")
+    assert found["domain"] == str(DOMAIN)
+    assert Path(found["rclpy"]).is_dir()
+    assert found["distribution"] == f"{wheels()[0].distribution}, from wheels"
+    assert "conflict" not in found
+
+
+def test_a_sourced_installation_is_named_by_its_environment() -> None:
+    found = installation(SYSTEM, {"ROS_DISTRO": "jazzy"}, [])
+    assert (found.distribution, found.origin[:6], found.conflict) == ("jazzy", "a ROS ", "")
+
+
+def test_wheels_beside_a_sourced_installation_are_a_conflict_once_their_libraries_are() -> None:
+    quiet = {"ROS_DISTRO": "jazzy", "LD_LIBRARY_PATH": "/opt/ros/jazzy/lib"}
+    assert installation(SYSTEM, quiet, [KILTED]).conflict == ""
+    mixed = {**quiet, "LD_LIBRARY_PATH": f"{VENV}/ros_rcl.libs{os.pathsep}/opt/ros/jazzy/lib"}
+    found = installation(SYSTEM, mixed, [KILTED])
+    assert found.distribution == "jazzy"
+    assert f"wheels of kilted in {VENV}" in found.conflict
+
+
+def test_wheels_of_two_distributions_in_one_place_are_a_conflict() -> None:
+    found = installation(VENV / "rclpy", {}, [Wheel("jazzy", VENV), KILTED])
+    assert found.conflict.startswith("wheels of jazzy and kilted share")
+
+
+def test_a_missing_rclpy_names_what_to_install() -> None:
+    code = (
+        "import sys; sys.modules['rclpy'] = None\n"
+        "from uoarm_ros2 import uoarm_bridge_types\n"
+        "kind = uoarm_bridge_types()[0]\n"
+        "print(kind.doctor()['rclpy'])\n"
+        "try: kind.create('ros', {})\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    missing, raised = output(code).splitlines()
+    assert "pip install 'uoarm-ros2[jazzy]'" in missing
+    assert raised.startswith("PluginError bridge 'ros': rclpy cannot be imported")
+
+
+def test_importing_the_plugin_imports_no_middleware() -> None:
+    code = "import sys, uoarm_ros2; uoarm_ros2.uoarm_bridge_types(); print('rclpy' in sys.modules)"
+    assert output(code) == "False"
+
+
+def test_a_process_that_says_so_is_left_alone_by_the_wheels() -> None:
+    """The advice that the conflict gives: the wheels' start-up code then changes nothing."""
+    code = "import os; print(os.environ.get('LD_LIBRARY_PATH'))"
+    assert output(code, _ROS_WHEELS_BOOTSTRAP_COMPLETE="1") == "None"
+    assert "ros_" in output(code)
+
+
+def output(code: str, **environment: str) -> str:
+    """What a fresh interpreter prints, without what the wheels set in this one."""
+    inherited = {"LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"}
+    kept = {name: value for name, value in os.environ.items() if name not in inherited}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+        env={**kept, **environment},
+    )
+    return done.stdout.strip()

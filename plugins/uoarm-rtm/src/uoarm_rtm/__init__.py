@@ -1,0 +1,46 @@
+"""uoarm-rtm: OpenRTM components as components of uoarm, over real CORBA.
+
+Importing this package imports no middleware; making a bridge does.
+"""
+
+from __future__ import annotations
+
+from uoarm.bridge import Bridge, BridgeType, hookimpl
+from uoarm.errors import PluginError
+from uoarm.model import Options
+from uoarm_rtm._settings import BRIDGE_OPTIONS, mistake
+
+__all__ = ["uoarm_bridge_types"]
+
+_INSTALL = "omniORB cannot be imported: install it with `pip install jeteve-omniorb`"
+
+
+@hookimpl
+def uoarm_bridge_types() -> list[BridgeType]:
+    """Return the one bridge type of this plugin."""
+    return [
+        BridgeType(
+            name="rtm",
+            summary="OpenRTM components through CORBA",
+            create=_create,
+            options_schema=BRIDGE_OPTIONS,
+            check_endpoint=mistake,
+            doctor=_doctor,
+        )
+    ]
+
+
+def _create(name: str, options: Options) -> Bridge:
+    try:
+        from uoarm_rtm._bridge import RtmBridge  # noqa: PLC0415 - imports the middleware
+    except ImportError as error:
+        raise PluginError(f"bridge {name!r}: {_INSTALL} ({error})") from error
+    return RtmBridge(name, options)
+
+
+def _doctor() -> dict[str, str]:
+    try:
+        from uoarm_rtm._doctor import environment  # noqa: PLC0415 - imports the middleware
+    except ImportError as error:
+        return {"omniORB": f"missing: {_INSTALL} ({error})"}
+    return environment()

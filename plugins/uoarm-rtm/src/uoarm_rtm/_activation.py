@@ -1,0 +1,59 @@
+"""Activate on request, deactivate on kill: components are ACTIVE for as long as we use them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from uoarm.bridge import Channel
+from uoarm.errors import BridgeError
+from uoarm_rtm._control import change
+from uoarm_rtm._peer import Peer, state_of
+
+__all__ = ["Activations"]
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+class Activations:
+    """Counts which channels need which component ACTIVE.
+
+    A component that was ACTIVE before stays so afterwards: only what we began is ended.
+
+    Args:
+        seconds: limit of each call.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._lock = threading.Lock()
+        self._ours: dict[str, Peer] = {}
+        self._users: dict[str, set[Channel]] = {}
+
+    def enter(self, channel: Channel, peer: Peer) -> None:
+        """Have a component ACTIVE while a channel is open.
+
+        Raises:
+            BridgeError: it cannot be activated.
+        """
+        with self._lock:
+            if state_of(peer, self._seconds) != "active":
+                change(peer, "activate", self._seconds, there_is_fine=True)
+                self._ours[peer.path] = peer
+            self._users.setdefault(peer.path, set()).add(channel)
+
+    def tick(self) -> None:
+        """Deactivate what we activated and no open channel needs."""
+        with self._lock:
+            for path, users in list(self._users.items()):
+                users -= {each for each in users if each.closed}
+                if users:
+                    continue
+                del self._users[path]
+                peer = self._ours.pop(path, None)
+                if peer is None:
+                    continue
+                try:
+                    change(peer, "deactivate", self._seconds, there_is_fine=True)
+                except BridgeError as error:
+                    _log.warning("component %s could not be deactivated: %s", path, error)

@@ -1,0 +1,289 @@
+"""The bridge itself: addresses to ports, ports to channels."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Description,
+    Discovered,
+    Handler,
+    Sink,
+)
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm_rtm import _control
+from uoarm_rtm._activation import Activations
+from uoarm_rtm._directory import Directory
+from uoarm_rtm._discovery import discovered
+from uoarm_rtm._naming import NamingService
+from uoarm_rtm._native import Native
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._own import Own
+from uoarm_rtm._peer import Peer, Port
+from uoarm_rtm._place import Place
+from uoarm_rtm._service_call import Caller, described, offered
+from uoarm_rtm._service_port import Offer, servant_of
+from uoarm_rtm._settings import (
+    CONFIGURATION,
+    LIFECYCLE,
+    SELF,
+    Address,
+    Settings,
+    address_of,
+    bridge_settings,
+    settings_of,
+)
+from uoarm_rtm._sink import InPortSink
+from uoarm_rtm._source import Source
+from uoarm_rtm._types import Types
+from uoarm_rtm._watch import Attendance, Watch
+from uoarm_rtm.errors import IdlError
+
+__all__ = ["RtmBridge"]
+
+_PORT_KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
+
+
+class RtmBridge(Bridge):
+    """OpenRTM components through CORBA.
+
+    Args:
+        name: name of this instance in the configuration.
+        options: checked against `_settings.BRIDGE_OPTIONS`.
+
+    Raises:
+        BridgeError: the IDL of the options cannot be compiled, or the ORB cannot begin.
+    """
+
+    capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
+
+    def __init__(self, name: str, options: Options) -> None:
+        super().__init__(name, options)
+        self._settings = bridge_settings(name, options)
+        self._types = Types(self._settings.idl, self._settings.text)
+        seconds = self._settings.call_seconds
+        self._orb = Orb(self._settings.address, seconds)
+        self._services = [
+            NamingService(self._orb, each, seconds) for each in self._settings.nameservers
+        ]
+        self._directory = Directory(self._services, seconds)
+        self._guard = threading.Lock()
+        self._making = threading.Lock()
+        self._own: Own | None = None
+        self._callers: dict[tuple[str, ...], Caller] = {}
+        self._active = Activations(seconds)
+        self._ticking: dict[Channel, Callable[[], None]] = {}
+        own = f"{self._settings.component}.rtc"
+        self._attendance = Attendance(self._directory, self._component_changed, own)
+        self._watch = Watch(self._ticks, self._settings.watch_seconds)
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        address = address_of(endpoint)
+        if endpoint.role is Role.SERVICE:
+            return self._describe_service(address)
+        if address.component == SELF:
+            return Description(message=self._types.structure(address.type))
+        _, port = self._port(endpoint, address)
+        return Description(message=self._types.structure(port.data_type))
+
+    def _describe_service(self, address: Address) -> Description:
+        if address.component == SELF:
+            return described(*self._types.interface(address.type))
+        peer = self._directory.peer(address.component)
+        if address.port == LIFECYCLE:
+            return Description(request=_control.LIFECYCLE_REQUEST, reply=_control.LIFECYCLE_REPLY)
+        if address.port == CONFIGURATION:
+            return Description(
+                request=_control.CONFIGURATION_REQUEST, reply=_control.CONFIGURATION_REPLY
+            )
+        port = peer.port(address.port)
+        return described(*self._types.interface(address.type or _only_type(peer, port)))
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        del structure  # the data type is in the address, or at the port
+        address = address_of(endpoint)
+        if address.component == SELF:
+            return self._ours().source(endpoint, address.port, address.type, deliver)
+        place = self._place(endpoint)
+        source = Source(place, deliver)
+        return self._looked_after(source, source.tick, place)
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        del structure
+        address = address_of(endpoint)
+        if address.component == SELF:
+            return self._ours().sink(endpoint, address.port, address.type)
+        place = self._place(endpoint)
+        sink = InPortSink(place)
+        self._looked_after(sink, sink.tick, place)
+        return sink
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        address = address_of(endpoint)
+        seconds = min(timeout, self._settings.call_seconds)
+        if address.port == LIFECYCLE:
+            return _control.drive(self._directory.peer(address.component), message, seconds)
+        if address.port == CONFIGURATION:
+            return _control.configure(self._directory.peer(address.component), message, seconds)
+        key = (address.component, address.port, address.type)
+        caller = self._callers.get(key)
+        if caller is None:
+            caller = self._callers.setdefault(key, self._caller(address))
+        try:
+            return caller.call(message, timeout)
+        except (IdlError, BridgeTimeoutError):
+            raise
+        except BridgeError:
+            # The next call looks for the component anew: it may have come back elsewhere.
+            self._callers.pop(key, None)
+            raise
+
+    def _caller(self, address: Address) -> Caller:
+        peer = self._directory.peer(address.component)
+        port = peer.port(address.port)
+        wanted = address.type or _only_type(peer, port)
+        interface, operation = self._types.interface(wanted)
+        offer = offered(peer, port, interface.name, provided=True)
+        seconds = self._settings.call_seconds
+        return Caller(self._orb, peer, port, interface, offer, operation, seconds)
+
+    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+        address = address_of(endpoint)
+        if address.component == SELF:
+            interface, operation = self._types.interface(address.type)
+            return self._ours().service(endpoint, address.port, interface, operation, handler)
+        peer = self._directory.peer(address.component)
+        port = peer.port(address.port)
+        interface, operation = self._types.interface(address.type or _only_type(peer, port))
+        wanted = offered(peer, port, interface.name, provided=False)
+        servant = servant_of(interface, operation, handler)
+        seconds = self._settings.call_seconds
+        return Offer(self._orb, endpoint, peer, port, wanted, servant, seconds)
+
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        addresses = address_of(source), address_of(sink)
+        if any(each.component == SELF for each in addresses):
+            return None
+        start, end = self._port(source, addresses[0]), self._port(sink, addresses[1])
+        settings = settings_of(source)
+        if not self._types.same(start[1].data_type, end[1].data_type) or settings.stale_after:
+            return None
+        seconds = self._settings.call_seconds
+        native = Native(source, (start, end), settings, seconds, self._told, self._active.tick)
+        for (peer, _), wish in ((end, settings_of(sink)), (start, settings)):
+            self._activate(native, peer, wish)
+        with self._guard:
+            self._ticking[native] = native.tick
+        return native
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return discovered(self.name, self._directory, self._types, self._settings.call_seconds)
+
+    def _close(self) -> None:
+        self._watch.close()
+        with self._guard:
+            self._ticking.clear()
+        self._active.tick()
+        for caller in list(self._callers.values()):
+            with contextlib.suppress(BridgeError):
+                caller.close()
+        if self._own is not None:
+            self._own.close()
+        self._orb.close()
+
+    def _place(self, endpoint: Endpoint) -> Place:
+        peer, port = self._port(endpoint, address_of(endpoint))
+        return Place(
+            self._orb,
+            endpoint,
+            peer,
+            port,
+            self._types.codec(port.data_type),
+            settings_of(endpoint),
+            self._settings.call_seconds,
+            self._told,
+            self._active.tick,
+        )
+
+    def _port(self, endpoint: Endpoint, address: Address) -> tuple[Peer, Port]:
+        """Return the port of an address, whose kind and type are what is asked."""
+        peer = self._directory.peer(address.component)
+        port = peer.port(address.port)
+        wanted = _PORT_KINDS[endpoint.role]
+        if port.kind != wanted:
+            text = (
+                f"port {port.name!r} of component {peer.path!r} is a "
+                f"{port.kind or 'nameless kind'}, but an {endpoint.role.value} needs a {wanted}"
+            )
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        if address.type and not self._types.same(address.type, port.data_type):
+            text = (
+                f"port {port.name!r} of component {peer.path!r} carries {port.data_type}, "
+                f"the configuration says {address.type}: correct the endpoint"
+            )
+            raise BridgeError(text, FailureReason.REFUSED)
+        return peer, port
+
+    def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> Channel:
+        """Have a channel watched, and its component activated when that is asked."""
+        self._activate(channel, place.peer, place.settings)
+        with self._guard:
+            self._ticking[channel] = tick
+        return channel
+
+    def _activate(self, channel: Channel, peer: Peer, settings: Settings) -> None:
+        """Activate a component for as long as channels ask for it, where that is asked."""
+        if not settings.activate:
+            return
+        try:
+            self._active.enter(channel, peer)
+        except BridgeError:
+            channel.close()
+            raise
+
+    def _ours(self) -> Own:
+        """Return our own component, made when it is first needed."""
+        with self._making:
+            if self._own is None:
+                name, seconds = self._settings.component, self._settings.call_seconds
+                self._own = Own(
+                    self._orb, name, self._services, self._types, seconds, self._our_name_changed
+                )
+            return self._own
+
+    def _ticks(self) -> list[Callable[[], None]]:
+        with self._guard:
+            for channel in [each for each in self._ticking if each.closed]:
+                del self._ticking[channel]
+            ticks = [*self._ticking.values(), self._active.tick, self._attendance.tick]
+            return ticks if self._own is None else [*ticks, self._own.tick]
+
+    def _told(self, channel: Channel, health: Health, cause: str) -> None:
+        self.report(health, cause, channel=channel)
+
+    def _our_name_changed(self, health: Health, cause: str) -> None:
+        self.report(health, cause)
+
+    def _component_changed(self, health: Health, cause: str, path: str) -> None:
+        self.report(health, cause, component=path or None)
+
+
+def _only_type(peer: Peer, port: Port) -> str:
+    """Return the interface type of a port that has only one.
+
+    Raises:
+        BridgeError: BAD_ENDPOINT when it has none or several.
+    """
+    if len(port.interfaces) == 1:
+        return port.interfaces[0].type
+    names = ", ".join(each.type for each in port.interfaces) or "none"
+    text = f"port {port.name!r} of {peer.path!r} has interfaces {names}: say which, as third part"
+    raise BridgeError(text, FailureReason.BAD_ENDPOINT)

@@ -1,0 +1,216 @@
+"""Data ports of our own component: an InPort that others write to, an OutPort that they read."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+from omniORB import CORBA
+
+from uoarm.errors import BridgeError, MessageError
+from uoarm.model import Message
+from uoarm_rtm._calls import calls
+from uoarm_rtm._codec import Codec
+from uoarm_rtm._orb import Orb, narrowed
+from uoarm_rtm._peer import properties_of
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._publisher import Pulled, Pusher, Threaded
+from uoarm_rtm._scalars import Order
+from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
+from uoarm_rtm._types import plain_name
+from uoarm_rtm._wishes import Refusal, Wishes, read_wishes
+
+__all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
+
+INPORT_IOR = "dataport.corba_cdr.inport_ior"
+OUTPORT_IOR = "dataport.corba_cdr.outport_ior"
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+def _profile(kind: str, codec: Codec) -> Mapping[str, str]:
+    """Return the properties of a data port, lists separated as both lines of OpenRTM read them."""
+    properties = {
+        "port.port_type": kind,
+        "dataport.data_type": codec.name,
+        "dataport.interface_type": "corba_cdr",
+        "dataport.dataflow_type": "push, pull",
+        "dataport.marshaling_types": "corba",
+    }
+    if kind == "DataOutPort":
+        properties["dataport.subscription_type"] = "flush, new, periodic"
+    return properties
+
+
+class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
+    """One connector's way into an InPort."""
+
+    def __init__(self, codec: Codec, order: Order, take: Callable[[Message], None]) -> None:
+        self._codec = codec
+        self._order = order
+        self._take = take
+
+    def put(self, data: bytes) -> Any:
+        """Take one message (CORBA operation); a wrong one is answered with PORT_ERROR."""
+        try:
+            message = self._codec.decode(data, self._order)
+        except MessageError as error:
+            _log.warning("an InPort refuses data: %s", error)
+            return OpenRTM.PORT_ERROR
+        try:
+            self._take(message)
+        except Exception:  # noqa: BLE001 - whatever the listener raises stays here
+            _log.exception("an InPort's listener failed")
+            return OpenRTM.UNKNOWN_ERROR
+        return OpenRTM.PORT_OK
+
+
+class _DataPort(PortServant):
+    """What InPort and OutPort share: the check of a profile, references by connector."""
+
+    def __init__(self, orb: Orb, name: str, kind: str, codec: Codec, seconds: float) -> None:
+        super().__init__(orb, name, _profile(kind, codec), seconds)
+        self._codec = codec
+
+    def _wishes(self, profile: Any) -> Wishes:
+        wishes = read_wishes(properties_of(profile.properties))
+        mine = plain_name(self._codec.name)
+        if wishes.data_type and plain_name(wishes.data_type).split("/")[-1] != mine.split("/")[-1]:
+            text = f"its data type is {wishes.data_type}, this port's is {self._codec.name}"
+            raise Refusal(text, RTC.BAD_PARAMETER)
+        return wishes
+
+    def _reach(self, profile: Any, key: str, interface: Any) -> Any:
+        """Return the object that another port published under a key."""
+        text = properties_of(profile.properties).get(key)
+        if not text:
+            raise Refusal(f"no port published {key}", RTC.BAD_PARAMETER)
+        try:
+            what = f"port {self.name}: {key}"
+            return narrowed(self.orb.reference(text), interface, self._seconds, what)
+        except BridgeError as error:
+            raise Refusal(str(error), RTC.RTC_ERROR) from error
+
+
+class InPort(_DataPort):
+    """Takes messages of one type.
+
+    Args:
+        orb: where it is served.
+        name: `COMPONENT.PORT`.
+        codec: its data type.
+        take: called with each message, in a thread of the ORB; one at a time a connector.
+        seconds: limit of calls to other ports.
+    """
+
+    def __init__(
+        self, orb: Orb, name: str, codec: Codec, take: Callable[[Message], None], seconds: float
+    ) -> None:
+        super().__init__(orb, name, "DataInPort", codec, seconds)
+        self._take = take
+        self._inlets: dict[str, Any] = {}
+        self._pulls: dict[str, tuple[Any, Order]] = {}
+
+    def fetch(self) -> int:
+        """Ask every pull connector for one message; returns how many came."""
+        count = 0
+        for connector, (target, order) in list(self._pulls.items()):
+            try:
+                with calls:
+                    status, data = target.get()
+            except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
+                continue  # components in Python raise BAD_PARAM while they are empty
+            except CORBA.Exception:
+                self.drop(connector)
+                continue
+            if status == OpenRTM.PORT_OK:
+                self._take(self._codec.decode(data, order))
+                count += 1
+        return count
+
+    def _publish(self, profile: Any) -> None:
+        wishes = self._wishes(profile)
+        if wishes.push:
+            inlet = self.orb.serve(_Inlet(self._codec, wishes.order, self._take))
+            self._inlets[profile.connector_id] = inlet
+            self._offer(profile, {INPORT_IOR: self.orb.text(inlet)})
+
+    def _subscribe(self, profile: Any) -> None:
+        wishes = self._wishes(profile)
+        if not wishes.push:
+            target = self._reach(profile, OUTPORT_IOR, OpenRTM.OutPortCdr)
+            self._pulls[profile.connector_id] = target, wishes.order
+
+    def _release(self, connector_id: str) -> None:
+        self._pulls.pop(connector_id, None)
+        inlet = self._inlets.pop(connector_id, None)
+        if inlet is not None:
+            self.orb.withdraw(inlet)
+
+
+@frozen
+class _Outlet:
+    writer: Pusher | Threaded | Pulled
+    order: Order
+    reference: Any = None
+
+
+class OutPort(_DataPort):
+    """Emits messages of one type; `write` may be called from any thread.
+
+    Args:
+        orb: where it is served.
+        name: `COMPONENT.PORT`.
+        codec: its data type.
+        seconds: limit of one delivery, and of calls to other ports.
+    """
+
+    def __init__(self, orb: Orb, name: str, codec: Codec, seconds: float) -> None:
+        super().__init__(orb, name, "DataOutPort", codec, seconds)
+        self._outlets: dict[str, _Outlet] = {}
+        self._writing = threading.Lock()
+
+    def write(self, message: Message) -> None:
+        """Send a message to all connectors.
+
+        Blocks as long as the connectors with `flush` take.
+
+        Raises:
+            MessageError: it does not fit the port's type.
+        """
+        encoded: dict[Order, bytes] = {}
+        with self._writing:
+            for outlet in list(self._outlets.values()):
+                if outlet.order not in encoded:
+                    encoded[outlet.order] = self._codec.encode(message, outlet.order)
+                outlet.writer.write(encoded[outlet.order])
+            if not encoded:
+                self._codec.encode(message)
+
+    def _publish(self, profile: Any) -> None:
+        wishes = self._wishes(profile)
+        if not wishes.push:
+            buffer = Pulled()
+            reference = self.orb.serve(buffer)
+            self._outlets[profile.connector_id] = _Outlet(buffer, wishes.order, reference)
+            self._offer(profile, {OUTPORT_IOR: self.orb.text(reference)})
+
+    def _subscribe(self, profile: Any) -> None:
+        wishes = self._wishes(profile)
+        if not wishes.push:
+            return
+        target = self._reach(profile, INPORT_IOR, OpenRTM.InPortCdr)
+        connector = profile.connector_id
+        pusher = Pusher(target, lambda: self.drop(connector))
+        writer = pusher if wishes.subscription == "flush" else Threaded(pusher, wishes)
+        self._outlets[connector] = _Outlet(writer, wishes.order)
+
+    def _release(self, connector_id: str) -> None:
+        outlet = self._outlets.pop(connector_id, None)
+        if outlet is not None:
+            outlet.writer.close()
+            if outlet.reference is not None:
+                self.orb.withdraw(outlet.reference)

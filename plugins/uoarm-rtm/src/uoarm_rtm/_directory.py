@@ -1,0 +1,133 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""All naming services of a bridge together: components by path, and who of them is alive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from attrs import frozen
+from omniORB import CORBA
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._calls import calls
+from uoarm_rtm._naming import Name, NamingService
+from uoarm_rtm._orb import limit
+from uoarm_rtm._peer import Peer, peer_at
+
+__all__ = ["Directory", "Sighting"]
+
+_AT_ONCE = 8
+_SUFFIX = ".rtc"
+
+
+@frozen
+class Sighting:
+    """A component's name and what stands behind it: `alive`, `dead` or `hung`."""
+
+    path: str
+    reference: Any
+    condition: str
+
+
+class Directory:
+    """Finds components. Used from any thread.
+
+    Args:
+        services: naming services, asked in this order.
+        seconds: limit of one call.
+    """
+
+    def __init__(self, services: Sequence[NamingService], seconds: float) -> None:
+        self._services = services
+        self._seconds = seconds
+
+    def peer(self, path: str) -> Peer:
+        """Return the component at a path, or the only one whose path ends so.
+
+        Raises:
+            BridgeError: NOT_FOUND, also for two that are alive; UNAVAILABLE when it is dead or
+                no naming service answers.
+            BridgeTimeoutError: it hangs.
+        """
+        failures = []
+        for service in self._services:
+            try:
+                reference = service.resolve(path)
+            except BridgeError as error:
+                if error.reason is FailureReason.BAD_ENDPOINT:
+                    raise
+                failures.append(error)
+                continue
+            if reference is not None:
+                return peer_at(path, reference, self._seconds)
+        if len(failures) == len(self._services):
+            raise failures[0]
+        return self._below(path)
+
+    def sightings(self) -> tuple[Sighting, ...]:
+        """Return every component's name, with its condition; silent services are left out.
+
+        Raises:
+            BridgeError: no naming service answers.
+        """
+        names: dict[str, Name] = {}
+        failures = []
+        for service in self._services:
+            try:
+                for each in service.names():
+                    if each.path.endswith(_SUFFIX):
+                        names.setdefault(each.path, each)
+            except BridgeError as error:
+                failures.append(error)
+        if len(failures) == len(self._services):
+            raise failures[0]
+        if not names:
+            return ()
+        with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
+            return tuple(pool.map(self._look, names.values()))
+
+    def peers(self) -> tuple[tuple[Peer, ...], tuple[tuple[str, str], ...]]:
+        """Return the components that answer, and (path, what is wrong) of those that do not."""
+        found: list[Peer] = []
+        silent = []
+        for each in self.sightings():
+            if each.condition != "alive":
+                silent.append((each.path, each.condition))
+                continue
+            try:
+                found.append(peer_at(each.path, each.reference, self._seconds))
+            except BridgeError as error:
+                silent.append((each.path, str(error)))
+        return tuple(found), tuple(silent)
+
+    def _look(self, name: Name) -> Sighting:
+        try:
+            with calls:
+                gone = limit(name.reference, self._seconds)._non_existent()
+        except CORBA.TIMEOUT:
+            return Sighting(name.path, name.reference, "hung")
+        except CORBA.Exception:
+            gone = True
+        return Sighting(name.path, name.reference, "dead" if gone else "alive")
+
+    def _below(self, path: str) -> Peer:
+        """Return the component of this name in any context."""
+        seen = [each for each in self.sightings() if each.path.split("/")[-1] == path]
+        alive = [each for each in seen if each.condition == "alive"]
+        if len(alive) == 1:
+            return peer_at(alive[0].path, alive[0].reference, self._seconds)
+        where = ", ".join(service.address for service in self._services)
+        if alive:
+            paths = ", ".join(each.path for each in alive)
+            text = f"component {path!r} is there several times: {paths}; give one whole path"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        for each in seen:
+            if each.condition == "hung":
+                raise BridgeTimeoutError(f"component {each.path!r} does not answer")
+        if seen:
+            text = f"component {seen[0].path!r} is dead: only its name is left"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        text = f"there is no component {path!r} in {where}"
+        raise BridgeError(text, FailureReason.NOT_FOUND)

@@ -1,0 +1,62 @@
+"""Everything that is visible now, as components with endpoints and structures."""
+
+from __future__ import annotations
+
+from uoarm.bridge import Description, Discovered
+from uoarm.errors import BridgeError
+from uoarm.model import Endpoint, Role
+from uoarm_rtm import _control
+from uoarm_rtm._directory import Directory
+from uoarm_rtm._peer import Peer, Port, contexts_of, state_of
+from uoarm_rtm._settings import CONFIGURATION, LIFECYCLE
+from uoarm_rtm._types import Types
+
+__all__ = ["discovered"]
+
+_ROLES = {"DataOutPort": Role.OUTPUT, "DataInPort": Role.INPUT}
+
+
+def discovered(
+    bridge: str, directory: Directory, types: Types, seconds: float
+) -> tuple[Discovered, ...]:
+    """Return every component that has a name; those that do not answer have no endpoints."""
+    peers, silent = directory.peers()
+    found = [_component(bridge, peer, types, seconds) for peer in peers]
+    for path, condition in silent:
+        found.append(Discovered(path, (), condition))
+    return tuple(sorted(found, key=lambda each: each.name))
+
+
+def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discovered:
+    endpoints: list[tuple[Endpoint, Description]] = []
+    remarks = [f"{peer.type_name}, {_state(peer, seconds)}"]
+    for port in peer.ports:
+        role = _ROLES.get(port.kind)
+        if role is None:
+            continue
+        address = (peer.path, port.name, port.data_type)
+        description, remark = _description(port, types)
+        remarks += [remark] if remark else []
+        endpoints.append((Endpoint(bridge, peer.path, role, address, port=port.name), description))
+    for name, request, reply in (
+        (LIFECYCLE, _control.LIFECYCLE_REQUEST, _control.LIFECYCLE_REPLY),
+        (CONFIGURATION, _control.CONFIGURATION_REQUEST, _control.CONFIGURATION_REPLY),
+    ):
+        endpoint = Endpoint(bridge, peer.path, Role.SERVICE, (peer.path, name), port=name)
+        endpoints.append((endpoint, Description(request=request, reply=reply)))
+    return Discovered(peer.path, tuple(endpoints), "; ".join(remarks))
+
+
+def _description(port: Port, types: Types) -> tuple[Description, str]:
+    try:
+        return Description(message=types.structure(port.data_type)), ""
+    except BridgeError as error:
+        return Description(), str(error)
+
+
+def _state(peer: Peer, seconds: float) -> str:
+    try:
+        contexts = len(contexts_of(peer, seconds))
+        return f"{state_of(peer, seconds)}, {contexts} execution context{'s'[: contexts != 1]}"
+    except BridgeError as error:
+        return str(error)

@@ -1,0 +1,50 @@
+"""A back end for omniidl: the parameter names of every operation, which stubs do not keep.
+
+omniidl imports it by its name (`-buoarm_rtm._idl_names -Wbfile=PATH`) and calls `run`. It writes
+JSON: repository id of the interface -> operation -> list of [parameter, direction].
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+__all__ = ["run"]
+
+
+def run(tree: Any, arguments: list[str]) -> None:
+    """Write the names of a parsed file; called by omniidl."""
+    target = next(each.removeprefix("file=") for each in arguments if each.startswith("file="))
+    found: dict[str, Any] = {}
+    _visit(tree.declarations(), found)
+    Path(target).write_text(json.dumps(found), encoding="utf-8")
+
+
+def _visit(declarations: Any, found: dict[str, Any]) -> None:
+    from omniidl import idlast  # noqa: PLC0415 - only inside the compiler's own process
+
+    for each in declarations:
+        if isinstance(each, idlast.Module):
+            _visit(each.definitions(), found)
+        elif isinstance(each, idlast.Interface):
+            found[each.repoId()] = _operations(each)
+
+
+def _operations(interface: Any) -> dict[str, list[list[str]]]:
+    from omniidl import idlast  # noqa: PLC0415 - only inside the compiler's own process
+
+    found: dict[str, list[list[str]]] = {}
+    for parent in interface.inherits():
+        found.update(_operations(parent))
+    for each in interface.callables():
+        if isinstance(each, idlast.Attribute):
+            for name in each.identifiers():
+                found[f"_get_{name}"] = []
+                if not each.readonly():
+                    found[f"_set_{name}"] = [["value", "in"]]
+        else:
+            found[each.identifier()] = [
+                [one.identifier(), one.dirtext()] for one in each.parameters()
+            ]
+    return found

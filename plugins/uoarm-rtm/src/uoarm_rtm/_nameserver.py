@@ -1,0 +1,121 @@
+"""A naming service of our own: omniNames, listening on loopback, ended with its starter."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+
+from typing_extensions import Self
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._compiler import omniorb_programs
+
+__all__ = ["NameServer"]
+
+_START_SECONDS = 10.0
+_STOP_SECONDS = 3.0
+
+
+class NameServer:
+    """A running omniNames; a context manager that ends it.
+
+    Args:
+        port: TCP port; 0 for any that is free.
+        address: interface to listen on.
+        folder: where it keeps its names between runs; None: nowhere.
+
+    Raises:
+        BridgeError: UNAVAILABLE when omniNames is not there or ends at once.
+        BridgeTimeoutError: it does not listen within 10 s.
+    """
+
+    def __init__(
+        self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
+    ) -> None:
+        self.port = port or _free_port(address)
+        self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
+        self._own = None if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
+        folder = folder or self._own
+        programs = omniorb_programs()
+        program = str(programs / "omniNames") if programs is not None else "omniNames"
+        command = [
+            *(
+                program,
+                "-start",
+                str(self.port),
+                "-always",
+                "-datadir",
+                str(folder),
+                "-errlog",
+                "/dev/null",
+            ),
+            *("-ORBendPoint", f"giop:tcp:{address}:{self.port}"),
+        ]
+        try:
+            self.process = subprocess.Popen(  # noqa: S603 - a program of our dependency
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        except OSError as error:
+            text = f"omniNames cannot be started: {error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        try:
+            self._wait(address)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End it; names that were kept nowhere are forgotten."""
+        self.process.terminate()
+        try:
+            self.process.wait(_STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        if self._own is not None:
+            shutil.rmtree(self._own, ignore_errors=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _wait(self, address: str) -> None:
+        deadline = time.monotonic() + _START_SECONDS
+        while True:
+            code = self.process.poll()
+            if code is not None:
+                text = (
+                    f"omniNames ended with {code}: is port {self.port} in use, the folder writable?"
+                )
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+            try:
+                socket.create_connection((address, self.port), 1.0).close()
+            except OSError:
+                if time.monotonic() > deadline:
+                    text = f"omniNames did not listen on {address}:{self.port} within 10 s"
+                    raise BridgeTimeoutError(text) from None
+                time.sleep(0.01)
+            else:
+                return
+
+
+def _free_port(address: str) -> int:
+    with socket.socket() as probe:
+        probe.bind((address, 0))
+        port: int = probe.getsockname()[1]
+        return port

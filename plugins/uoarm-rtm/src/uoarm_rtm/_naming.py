@@ -1,0 +1,174 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""One naming service: reading its whole tree, finding and binding names.
+
+Every call has the time limit given, and every list an end: a service may be hung, or hold
+contexts that contain each other.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import CosNaming
+from attrs import frozen
+from omniORB import CORBA, URI
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm_rtm._faults import corba_errors
+from uoarm_rtm._orb import Orb, limit, narrowed
+
+__all__ = ["Name", "NamingService", "corbaloc", "path_of"]
+
+_BATCH = 200
+_MOST_NAMES = 10_000
+_DEEPEST = 16
+_HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
+
+
+@frozen
+class Name:
+    """One object bound in a naming service, as `context.kind/NAME.rtc`."""
+
+    path: str
+    reference: Any
+
+
+def corbaloc(address: str) -> str:
+    """Return the corbaloc of a naming service given as that, as an IOR or as `host:port`.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    if address.startswith(("corbaloc:", "corbaname:", "IOR:")):
+        return address
+    if not _HOST.fullmatch(address):
+        raise ValueError(f"expected corbaloc::HOST:PORT/NameService or HOST:PORT, got {address!r}")
+    if not re.search(r":\d{1,5}$", address):
+        address += ":2809"
+    return f"corbaloc:iiop:{address}/NameService"
+
+
+def path_of(name: Any) -> str:
+    """Return a CORBA name as text; dots and slashes inside a step are escaped."""
+    return str(URI.nameToString(name))
+
+
+class NamingService:
+    """A naming service at one address; nothing is called before it is used.
+
+    Every method raises BridgeError when the service is gone, BridgeTimeoutError when it hangs.
+
+    Args:
+        orb: the ORB to call through.
+        address: corbaloc, IOR or `host:port`.
+        seconds: limit of one call.
+    """
+
+    def __init__(self, orb: Orb, address: str, seconds: float) -> None:
+        self.address = address
+        self._orb = orb
+        self._corbaloc = corbaloc(address)
+        self._seconds = seconds
+        self._what = f"naming service {address}"
+
+    def names(self) -> list[Name]:
+        """Return every object bound below the root, contexts aside."""
+        found: list[Name] = []
+        seen: list[Any] = []
+        self._walk(self._root(), (), found, seen)
+        return found
+
+    def resolve(self, path: str) -> Any:
+        """Return the object bound at a path, None when there is none.
+
+        Raises:
+            BridgeError: BAD_ENDPOINT when the path cannot be read.
+        """
+        name = self._name(path)
+        with corba_errors(f"{self._what}: resolving {path!r}"):
+            try:
+                return limit(self._root().resolve(name), self._seconds)
+            except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
+                return None
+            except CosNaming.NamingContext.InvalidName:
+                text = f"{self._what}: {path!r} is not a name"
+                raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+    def bind(self, path: str, reference: Any) -> None:
+        """Bind an object, in place of whatever is bound there; contexts on the way are made."""
+        name = self._name(path)
+        with corba_errors(f"{self._what}: binding {path!r}"):
+            context = self._root()
+            for step in name[:-1]:
+                context = self._inner(context, step)
+            context.rebind(name[-1:], reference)
+
+    def unbind(self, path: str, reference: Any) -> None:
+        """Remove a name, if it still stands for this object."""
+        name = self._name(path)
+        with corba_errors(f"{self._what}: unbinding {path!r}"):
+            try:
+                root = self._root()
+                bound = root.resolve(name)
+                if bound is not None and bound._is_equivalent(reference):
+                    root.unbind(name)
+            except CosNaming.NamingContext.NotFound:
+                return
+
+    def _root(self) -> Any:
+        # Resolved anew each time: a service that came back empty has another root.
+        reference = self._orb.reference(self._corbaloc)
+        return narrowed(reference, CosNaming.NamingContext, self._seconds, self._what)
+
+    def _name(self, path: str) -> Any:
+        try:
+            return URI.stringToName(path)
+        except CORBA.Exception:
+            text = f"{self._what}: {path!r} is not a name such as host.host_cxt/Camera0.rtc"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+    def _inner(self, context: Any, step: Any) -> Any:
+        try:
+            inner = context.bind_new_context([step])
+        except CosNaming.NamingContext.AlreadyBound:
+            inner = context.resolve([step])
+        what = f"{self._what}: context {path_of([step])!r}"
+        return narrowed(inner, CosNaming.NamingContext, self._seconds, what)
+
+    def _walk(
+        self, context: Any, path: tuple[Any, ...], found: list[Name], seen: list[Any]
+    ) -> None:
+        if len(path) >= _DEEPEST or any(each._is_equivalent(context) for each in seen):
+            return
+        seen.append(context)
+        for binding in self._bindings(context):
+            if len(found) >= _MOST_NAMES:
+                return
+            name = (*path, *binding.binding_name)
+            with corba_errors(f"{self._what}: resolving {path_of(list(name))!r}"):
+                try:
+                    reference = context.resolve(binding.binding_name)
+                except CosNaming.NamingContext.NotFound:
+                    continue
+            if binding.binding_type == CosNaming.nobject:
+                found.append(Name(path_of(list(name)), limit(reference, self._seconds)))
+                continue
+            try:
+                what = f"{self._what}: context {path_of(list(name))!r}"
+                inner = narrowed(reference, CosNaming.NamingContext, self._seconds, what)
+                self._walk(inner, name, found, seen)
+            except BridgeError:
+                continue  # a context of another naming service, which may be gone
+
+    def _bindings(self, context: Any) -> list[Any]:
+        with corba_errors(f"{self._what}: listing names"):
+            bindings, rest = context.list(_BATCH)
+            while rest is not None:
+                limit(rest, self._seconds)
+                more, batch = rest.next_n(_BATCH)
+                bindings += batch
+                if not more or len(bindings) >= _MOST_NAMES:
+                    rest.destroy()
+                    break
+        return list(bindings)

@@ -1,0 +1,214 @@
+"""Interfaces of user IDL: their operations as requests and replies, checked field by field.
+
+Values pass through our codec, which checks them, and then through omniORB's own unmarshalling,
+which makes the objects that its stubs take. Strings cross as Latin-1 in both, so their bytes are
+those of the codec's encoding.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import _omnipy
+from attrs import field, frozen
+from omniORB import tcInternal
+
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Message, MessageStructure
+from uoarm_rtm._codec import Codec, codec_of
+from uoarm_rtm._descriptor import shape_of
+from uoarm_rtm._schema import structure_of
+from uoarm_rtm._shape import Field, Record
+from uoarm_rtm._user_idl import Stubs
+
+__all__ = ["RETURN", "Interface", "Operation", "interfaces"]
+
+RETURN = "return"
+"""Where a reply keeps what the operation returns, beside its out parameters."""
+
+
+@frozen
+class _Part:
+    name: str
+    descriptor: Any
+    codec: Codec
+
+
+@frozen
+class Operation:
+    """One operation.
+
+    Attributes:
+        name: as in IDL; attributes are `_get_NAME` and `_set_NAME`.
+        structures: of the request and of the reply.
+        raised: codec and descriptor of each declared exception, by repository id.
+    """
+
+    name: str
+    takes: tuple[_Part, ...]
+    gives: tuple[_Part, ...]
+    structures: tuple[MessageStructure, MessageStructure]
+    raised: Mapping[str, _Part] = field(hash=False)
+
+    def arguments(self, message: Message) -> list[Any]:
+        """Return omniORB's arguments for a request.
+
+        Raises:
+            MessageError: the request does not fit; the text names the field.
+        """
+        return _natives(self.takes, message, f"request of {self.name}")
+
+    def message(self, arguments: Sequence[Any]) -> Message:
+        """Return the request that omniORB's arguments make."""
+        return _message(self.takes, arguments)
+
+    def members(self, part: _Part, error: Any) -> Message:
+        """Return the members of a declared exception that was raised."""
+        return part.codec.decode(bytes(_omnipy.cdrMarshal(part.descriptor, error, 1)))
+
+    def exception(self, identifier: str, members: Mapping[str, Any]) -> Exception | None:
+        """Return a declared exception to raise; None when it is not declared.
+
+        Raises:
+            MessageError: the members do not fit.
+        """
+        part = self.raised.get(identifier)
+        if part is None:
+            return None
+        data = part.codec.encode(dict(members))
+        raised: Exception = _omnipy.cdrUnmarshal(part.descriptor, data, 1)
+        return raised
+
+    def reply(self, result: Any) -> Message:
+        """Return the reply that a stub's result makes."""
+        if len(self.gives) <= 1:
+            return _message(self.gives, [result])
+        return _message(self.gives, result)
+
+    def result(self, message: Message) -> Any:
+        """Return what a servant gives omniORB for a reply.
+
+        Raises:
+            MessageError: the reply does not fit; the text names the field.
+        """
+        values = _natives(self.gives, message, f"reply of {self.name}")
+        if not values:
+            return None
+        return values[0] if len(values) == 1 else tuple(values)
+
+
+@frozen
+class Interface:
+    """One interface: its stub and skeleton classes, and what can be called.
+
+    `refused` holds the operations that have no structure, each with the reason.
+    """
+
+    name: str
+    stub: Any
+    skeleton: Any
+    operations: Mapping[str, Operation] = field(hash=False)
+    refused: Mapping[str, str] = field(hash=False)
+
+    def operation(self, name: str) -> Operation:
+        """Return an operation by name.
+
+        Raises:
+            BridgeError: BAD_ENDPOINT when there is none, UNSUPPORTED when it has no structure.
+        """
+        if name in self.refused:
+            raise BridgeError(f"{self.name}: {self.refused[name]}", FailureReason.UNSUPPORTED)
+        if name not in self.operations:
+            names = ", ".join(self.operations)
+            text = f"interface {self.name} has no operation {name!r}; it has {names}"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+        return self.operations[name]
+
+
+def interfaces(stubs: Stubs, encoding: str) -> dict[str, Interface]:
+    """Return every interface of compiled IDL, by `Module/Name`."""
+    found = {}
+    for identifier, names in stubs.names.items():
+        path = identifier.split(":")[1].split("/")
+        if "." in path[0]:
+            path = path[1:]  # a prefix
+        scopes = {scope.__name__.split(".")[-1]: scope for scope in stubs.scopes}
+        if path[0] not in scopes or len(path) == 1:
+            continue  # an interface outside every module has no stubs of its own
+        stub, skeleton = (
+            scopes[path[0]],
+            importlib.import_module(f"{scopes[path[0]].__name__}__POA"),
+        )
+        for step in path[1:]:
+            stub, skeleton = getattr(stub, step), getattr(skeleton, step)
+        operations: dict[str, Operation] = {}
+        refused: dict[str, str] = {}
+        for name, parameters in names.items():
+            try:
+                operations[name] = _operation(name, parameters, stub, encoding)
+            except BridgeError as error:
+                refused[name] = str(error)
+        full = "/".join(path)
+        found[full] = Interface(full, stub, skeleton, operations, refused)
+    return found
+
+
+def _operation(
+    name: str, parameters: Sequence[Sequence[str]], stub: Any, encoding: str
+) -> Operation:
+    takes, gives, raised = getattr(stub, f"_d_{name}")[:3]
+    ins = [parameter for parameter, direction in parameters if direction != "out"]
+    outs = [parameter for parameter, direction in parameters if direction != "in"]
+    gives = gives or ()  # oneway
+    if len(gives) > len(outs):
+        outs.insert(0, RETURN)
+    taken = _parts(ins, takes, name, encoding)
+    given = _parts(outs, gives, name, encoding)
+    structures = _structure(taken), _structure(given)
+    errors = {
+        # Without its repository id, which an exception's own marshalling puts first.
+        identifier: _Part(
+            each[3],
+            (tcInternal.tv_struct, *each[1:]),
+            codec_of(shape_of(each, identifier), encoding),
+        )
+        for identifier, each in (raised or {}).items()
+    }
+    return Operation(name, taken, given, structures, errors)
+
+
+def _parts(
+    names: Sequence[str], descriptors: Sequence[Any], operation: str, encoding: str
+) -> tuple[_Part, ...]:
+    return tuple(
+        _Part(name, each, codec_of(shape_of(each, f"{operation}.{name}"), encoding))
+        for name, each in zip(names, descriptors, strict=True)
+    )
+
+
+def _structure(parts: Sequence[_Part]) -> MessageStructure:
+    return structure_of(Record("", tuple(Field(each.name, each.codec.shape) for each in parts)))
+
+
+def _natives(parts: Sequence[_Part], message: Message, what: str) -> list[Any]:
+    names = [each.name for each in parts]
+    if not isinstance(message, Mapping) or set(message) != set(names):
+        expected = ", ".join(names) or "no fields"
+        raise MessageError(f"{what}: expected an object with {expected}, got {message!r:.80}")
+    natives = []
+    for each in parts:
+        try:
+            data = each.codec.encode(message[each.name])
+        except MessageError as error:
+            raise MessageError(f"{what}, field {each.name!r}: {error}") from None
+        natives.append(_omnipy.cdrUnmarshal(each.descriptor, data, 1))
+    return natives
+
+
+def _message(parts: Sequence[_Part], values: Sequence[Any]) -> Message:
+    return {
+        each.name: each.codec.decode(bytes(_omnipy.cdrMarshal(each.descriptor, value, 1)))
+        for each, value in zip(parts, values, strict=False)
+    }

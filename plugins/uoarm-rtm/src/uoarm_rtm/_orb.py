@@ -1,0 +1,210 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""The process's one ORB: shared by all bridges, begun with the first and destroyed with the last.
+
+An ORB that the application itself has begun is used as it is and left alone.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import threading
+from typing import Any
+
+import omniORB
+from attrs import frozen
+from omniORB import CORBA
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm_rtm._calls import calls
+from uoarm_rtm._faults import corba_errors
+
+__all__ = ["Orb", "limit", "narrowed"]
+
+_MOST_BYTES = 1 << 28
+_DRAIN_SECONDS = 4.0
+_DESTROY_SECONDS = 5.0
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+@frozen
+class _Running:
+    orb: Any
+    address: str
+    foreign: bool
+
+
+class _Shared:
+    """Counts the users of the ORB."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.users = 0
+        self.running: _Running | None = None
+        self.destroying: threading.Thread | None = None
+
+
+_shared = _Shared()
+
+
+class Orb:
+    """One user's hold on the ORB, with a POA of its own for servants.
+
+    Args:
+        address: interface that servants listen on.
+        call_seconds: limit of every call that has no limit of its own.
+
+    Raises:
+        BridgeError: REFUSED when an ORB is running that listens elsewhere; RAISED when omniORB
+            cannot begin.
+    """
+
+    def __init__(self, address: str, call_seconds: float) -> None:
+        with _shared.lock:
+            self._orb = _begin(address, call_seconds)
+            _shared.users += 1
+        self._closed = False
+        with corba_errors("starting the ORB"):
+            root = self._orb.resolve_initial_references("RootPOA")
+            root._get_the_POAManager().activate()
+            self._poa = root.create_POA(f"uoarm-{id(self)}", None, [])
+            self._poa._get_the_POAManager().activate()
+
+    def serve(self, servant: Any) -> Any:
+        """Make a servant reachable and return its reference."""
+        with corba_errors("serving an object"):
+            return self._poa.id_to_reference(self._poa.activate_object(servant))
+
+    def withdraw(self, reference: Any) -> None:
+        """Make a servant unreachable; does not wait for calls under way, and may come twice."""
+        try:
+            self._poa.deactivate_object(self._poa.reference_to_id(reference))
+        except CORBA.Exception:
+            return  # it was withdrawn before, or everything has ended
+
+    def text(self, reference: Any) -> str:
+        """Return the stringified reference (IOR)."""
+        with corba_errors("writing a reference"):
+            return str(self._orb.object_to_string(reference))
+
+    def reference(self, text: str) -> Any:
+        """Return the object of a stringified reference or corbaloc address.
+
+        Raises:
+            BridgeError: it cannot be read.
+        """
+        with corba_errors(f"reading the reference {text[:60]!r}"):
+            return self._orb.string_to_object(text)
+
+    def close(self) -> None:
+        """Let go; the last user's call ends the ORB, in a thread, and waits at most 5 s for it."""
+        with _shared.lock:
+            if self._closed:
+                return
+            self._closed = True
+            _shared.users -= 1
+            last = _shared.users == 0
+            running, ending = _shared.running, None
+            if last and running is not None and not running.foreign:
+                ending = _end(running)
+        if ending is not None:
+            ending.join(_DESTROY_SECONDS)
+        else:
+            threading.Thread(target=_destroy_poa, args=(self._poa,), daemon=True).start()
+
+
+def limit(reference: Any, seconds: float) -> Any:
+    """Set the time limit of all calls through this reference, and return it."""
+    omniORB.setClientCallTimeout(reference, max(1, int(seconds * 1000)))
+    return reference
+
+
+def narrowed(reference: Any, interface: Any, seconds: float, what: str) -> Any:
+    """Return a reference as an interface, with a time limit on its calls.
+
+    Raises:
+        BridgeError: the peer is gone, hangs, or is something else.
+    """
+    with corba_errors(what):
+        if reference is None:
+            raise BridgeError(f"{what}: the reference is nil", FailureReason.UNAVAILABLE)
+        narrow = limit(reference, seconds)._narrow(interface)
+        if narrow is None:
+            kind = str(interface._NP_RepositoryId)
+            raise BridgeError(f"{what}: it is not a {kind}", FailureReason.REFUSED)
+        return limit(narrow, seconds)
+
+
+def _begin(address: str, call_seconds: float) -> Any:
+    if _shared.running is None:
+        if _shared.destroying is not None:
+            _shared.destroying.join(_DESTROY_SECONDS)
+        calls.begin()
+        foreign = omniORB.orb is not None
+        arguments = {
+            "clientCallTimeOutPeriod": str(int(call_seconds * 1000)),
+            "clientConnectTimeOutPeriod": str(int(call_seconds * 1000)),
+            "supportPerThreadTimeOut": "1",
+            "endPoint": f"giop:tcp:{address}:",
+            "giopMaxMsgSize": str(_MOST_BYTES),
+            "traceLevel": "0",
+        }
+        words = ["uoarm"]
+        for name, value in arguments.items():
+            words += [f"-ORB{name}", value]
+        with corba_errors(f"starting the ORB on {address}"):
+            _shared.running = _Running(CORBA.ORB_init(words, CORBA.ORB_ID), address, foreign)
+        _shared.users = 0
+    elif _shared.running.address != address and not _shared.running.foreign:
+        text = (
+            f"the ORB of this process listens on {_shared.running.address}, not on {address}: "
+            "give all bridges of the process one address, or this one a bridge host"
+        )
+        raise BridgeError(text, FailureReason.REFUSED)
+    return _shared.running.orb
+
+
+def _end(running: _Running) -> threading.Thread:
+    """Begin to destroy the ORB; it waits for calls under way, which have their limits."""
+    ending = threading.Thread(
+        target=_destroy, args=(running.orb,), name="uoarm-rtm-end", daemon=True
+    )
+    ending.start()
+    _shared.running, _shared.destroying = None, ending
+    return ending
+
+
+def _end_at_exit() -> None:
+    """End an ORB that is left when the process exits.
+
+    Its C++ threads must not be on their way into Python when the interpreter ends: that aborts
+    the process ("terminate called without an active exception").
+    """
+    with _shared.lock:
+        running = _shared.running
+        if running is not None and not running.foreign:
+            _end(running)
+        ending = _shared.destroying
+    if ending is not None:
+        ending.join(_DESTROY_SECONDS)
+
+
+atexit.register(_end_at_exit)
+
+
+def _destroy(orb: Any) -> None:
+    if not calls.end(_DRAIN_SECONDS):
+        _log.warning("a CORBA call does not come back: the ORB is left as it is")
+        return
+    try:
+        orb.destroy()
+    except CORBA.Exception:
+        return  # somebody else has ended it
+
+
+def _destroy_poa(poa: Any) -> None:
+    try:
+        poa.destroy(True, False)  # etherealise, do not wait
+    except CORBA.Exception:
+        return

@@ -1,0 +1,172 @@
+"""The bridge as a component itself: ports of ours that other components connect to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from uoarm.bridge import Channel, Delivery, Sink
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm_rtm._naming import NamingService
+from uoarm_rtm._operations import Interface
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._types import Types
+from uoarm_rtm.component import RtComponent, Sheet
+
+__all__ = ["Own"]
+
+
+class _OwnSource(Channel):
+    """An InPort of ours: what others write to it is delivered, one message at a time."""
+
+    def __init__(
+        self, own: Own, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver
+    ) -> None:
+        super().__init__(endpoint)
+        self._own = own
+        self._delivery = Delivery(deliver)
+        self._count = 0
+        self._port = own.component.add_in_port(name, type_id, own.types, self._take)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the count of messages and of connectors."""
+        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
+
+    def _take(self, message: Message) -> None:
+        self._count += 1
+        self._delivery.give(message)
+
+    def _close(self) -> None:
+        self._delivery.end()
+        self._own.remove(self._port)
+
+
+class _OwnSink(Sink):
+    """An OutPort of ours: what is sent goes to whoever is connected."""
+
+    def __init__(self, own: Own, endpoint: Endpoint, name: str, type_id: str) -> None:
+        super().__init__(endpoint)
+        self._own = own
+        self._count = 0
+        self._port = own.component.add_out_port(name, type_id, own.types)
+
+    def send(self, message: Message) -> None:
+        """Write one message; a hung reader with `flush` costs its time limit.
+
+        Raises:
+            MessageError: it does not fit the port's type.
+            BridgeError: the channel is closed.
+        """
+        if self._closed:
+            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+            raise BridgeError(text, FailureReason.CLOSED)
+        self._port.write(message)
+        self._count += 1
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the count of messages and of connectors."""
+        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
+
+    def _close(self) -> None:
+        self._own.remove(self._port)
+
+
+class _OwnService(Channel):
+    """A CorbaPort of ours that provides an interface."""
+
+    def __init__(self, own: Own, endpoint: Endpoint, port: ServicePort) -> None:
+        super().__init__(endpoint)
+        self._own = own
+        self._port = port
+        own.component.add_port(port)
+
+    def _close(self) -> None:
+        self._own.remove(self._port)
+
+
+class Own:
+    """The component of a bridge: made, bound and activated with its first port.
+
+    Args:
+        orb: where it is served.
+        name: its name; bound as `NAME.rtc`.
+        services: naming services to be visible in.
+        types: the bridge's types.
+        seconds: limit of calls to other components.
+        report: takes (health, sentence) when its name is lost or bound again.
+
+    Raises:
+        BridgeError: a naming service does not answer.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        name: str,
+        services: Sequence[NamingService],
+        types: Types,
+        seconds: float,
+        report: Callable[[Health, str], None],
+    ) -> None:
+        self.types = types
+        self._orb = orb
+        self._services = services
+        self._report = report
+        self.component = RtComponent(orb, Sheet(name), seconds=seconds)
+        self.component.lifecycle.activate()
+        try:
+            self.component.bind(services)
+        except BaseException:
+            self.component.close()
+            raise
+
+    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Channel:
+        """Open an InPort of ours."""
+        self._free(name)
+        return _OwnSource(self, endpoint, name, type_id, deliver)
+
+    def sink(self, endpoint: Endpoint, name: str, type_id: str) -> Sink:
+        """Open an OutPort of ours."""
+        self._free(name)
+        return _OwnSink(self, endpoint, name, type_id)
+
+    def service(
+        self,
+        endpoint: Endpoint,
+        name: str,
+        interface: Interface,
+        operation: str,
+        handler: Callable[[Message], Message],
+    ) -> Channel:
+        """Open a CorbaPort of ours that provides an interface."""
+        self._free(name)
+        servant = servant_of(interface, operation, handler)
+        full = f"{self.component.sheet.name}.{name}"
+        return _OwnService(self, endpoint, ServicePort(self._orb, full, interface, servant))
+
+    def remove(self, port: PortServant) -> None:
+        """Disconnect and remove a port."""
+        self.component.remove_port(port)
+
+    def tick(self) -> None:
+        """Bind the name again where a naming service has forgotten it."""
+        for service in self._services:
+            try:
+                if service.resolve(self.component.path) is None:
+                    self.component.bind([service])
+                    text = f"naming service {service.address} had forgotten us; bound again"
+                    self._report(Health.OK, text)
+            except BridgeError:
+                continue  # the attendance says that it is gone
+
+    def close(self) -> None:
+        """Disappear."""
+        self.component.close()
+
+    def _free(self, name: str) -> None:
+        full = f"{self.component.sheet.name}.{name}"
+        if any(each.name == full for each in self.component.ports):
+            text = f"our own component has a port {name!r} already: give one of them another name"
+            raise BridgeError(text, FailureReason.BAD_ENDPOINT)

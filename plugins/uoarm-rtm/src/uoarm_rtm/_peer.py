@@ -1,0 +1,145 @@
+"""A component of somebody else: its profile, its ports and its state, read in one go."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from attrs import field, frozen
+from omniORB import CORBA
+from omniORB import any as corba_any
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm_rtm._faults import corba_errors
+from uoarm_rtm._orb import limit, narrowed
+from uoarm_rtm._stubs import RTC, SDOPackage
+
+__all__ = [
+    "Peer",
+    "Port",
+    "PortInterface",
+    "contexts_of",
+    "pairs",
+    "peer_at",
+    "properties_of",
+    "state_of",
+]
+
+
+@frozen
+class PortInterface:
+    """One service at a CorbaPort."""
+
+    name: str
+    type: str
+    provided: bool
+
+
+@frozen
+class Port:
+    """One port of a component.
+
+    Attributes:
+        kind: `DataInPort`, `DataOutPort`, `CorbaPort`, or whatever the component says.
+        data_type: as the component writes it; empty for a CorbaPort.
+    """
+
+    name: str
+    reference: Any
+    kind: str
+    data_type: str
+    properties: Mapping[str, str] = field(hash=False)
+    interfaces: tuple[PortInterface, ...] = ()
+
+
+@frozen
+class Peer:
+    """One component, as its profile describes it."""
+
+    path: str
+    reference: Any
+    instance: str
+    type_name: str
+    ports: tuple[Port, ...]
+
+    def port(self, name: str) -> Port:
+        """Return a port by its name, with or without the component's before it.
+
+        Raises:
+            BridgeError: NOT_FOUND, with the ports that there are.
+        """
+        for each in self.ports:
+            if name in {each.name, f"{self.instance}.{each.name}"}:
+                return each
+        names = ", ".join(each.name for each in self.ports) or "none"
+        text = f"component {self.path!r} has no port {name!r}; it has {names}"
+        raise BridgeError(text, FailureReason.NOT_FOUND)
+
+
+def peer_at(path: str, reference: Any, seconds: float) -> Peer:
+    """Read the profile of the component behind a reference.
+
+    Raises:
+        BridgeError: it is gone, hangs, or is not a component.
+    """
+    what = f"component {path!r}"
+    component = narrowed(reference, RTC.RTObject, seconds, what)
+    with corba_errors(f"{what}: reading its profile"):
+        profile = component.get_component_profile()
+    ports = tuple(_port(each, profile.instance_name, seconds) for each in profile.port_profiles)
+    return Peer(path, component, profile.instance_name, profile.type_name, ports)
+
+
+def _port(profile: Any, instance: str, seconds: float) -> Port:
+    properties = properties_of(profile.properties)
+    interfaces = tuple(
+        PortInterface(each.instance_name, each.type_name, each.polarity == RTC.PROVIDED)
+        for each in profile.interfaces
+    )
+    return Port(
+        name=profile.name.removeprefix(f"{instance}."),
+        reference=limit(profile.port_ref, seconds),
+        kind=properties.get("port.port_type", ""),
+        data_type=properties.get("dataport.data_type", ""),
+        properties=properties,
+        interfaces=interfaces,
+    )
+
+
+def properties_of(listing: Any) -> dict[str, str]:
+    """Return the values of a property list that are strings; others say nothing to us."""
+    found = {}
+    for each in listing:
+        try:
+            value = each.value.value()
+        except (CORBA.Exception, AttributeError):
+            continue
+        if isinstance(value, str):
+            found[each.name] = value
+    return found
+
+
+def pairs(properties: Mapping[str, str]) -> list[Any]:
+    """Return a property list as CORBA wants it."""
+    return [
+        SDOPackage.NameValue(name, corba_any.to_any(value)) for name, value in properties.items()
+    ]
+
+
+def contexts_of(peer: Peer, seconds: float) -> list[Any]:
+    """Return the execution contexts that a component owns, then those it takes part in."""
+    what = f"component {peer.path!r}: execution contexts"
+    with corba_errors(what):
+        owned = peer.reference.get_owned_contexts()
+        found = owned or peer.reference.get_participating_contexts()
+    return [narrowed(each, RTC.ExecutionContext, seconds, what) for each in found]
+
+
+def state_of(peer: Peer, seconds: float) -> str:
+    """Return `created`, `inactive`, `active` or `error`; `none` without an execution context."""
+    contexts = contexts_of(peer, seconds)
+    if not contexts:
+        return "none"
+    with corba_errors(f"component {peer.path!r}: reading its state"):
+        state = contexts[0].get_component_state(peer.reference)
+    return str(state).removesuffix("_STATE").lower()

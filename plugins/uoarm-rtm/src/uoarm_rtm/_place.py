@@ -1,0 +1,84 @@
+"""What every channel to a data port stands on, and the pulse that its status shows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+from attrs import field, frozen
+
+from uoarm.bridge import Channel
+from uoarm.model import Endpoint, Health
+from uoarm_rtm._codec import Codec
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._peer import Peer, Port
+from uoarm_rtm._settings import Settings
+
+__all__ = ["Place", "Pulse"]
+
+
+@frozen
+class Place:
+    """One data port of a component, described and checked.
+
+    `ended` is called when a channel to the port has let go of it.
+    """
+
+    orb: Orb
+    endpoint: Endpoint
+    peer: Peer
+    port: Port
+    codec: Codec
+    settings: Settings = field(hash=False)
+    seconds: float
+    report: Callable[[Channel, Health, str], None]
+    ended: Callable[[], None]
+
+    @property
+    def where(self) -> str:
+        """The port's name, for errors."""
+        return f"port {self.port.name!r} of component {self.peer.path!r}"
+
+
+class Pulse:
+    """Counts what passes, and tells of a loss once."""
+
+    def __init__(self, channel: Channel, place: Place) -> None:
+        self._channel = channel
+        self._place = place
+        self._health: Health = Health.OK
+        self.count = 0
+        self.refused = 0
+        self.last = time.monotonic()
+
+    def beat(self) -> None:
+        """Count a message."""
+        self.count += 1
+        self.last = time.monotonic()
+        if self._health is Health.DEGRADED:
+            self.tell(Health.OK, f"{self._place.where} works again")
+
+    def tell(self, health: Health, cause: str) -> None:
+        """Report a change; nothing comes after LOST or from a closed channel."""
+        if self._health is Health.LOST or self._channel.closed:
+            return
+        if health is not self._health:
+            self._health = health
+            self._place.report(self._channel, health, cause)
+
+    def tick(self) -> None:
+        """Notice a silence that lasts longer than `stale_after`."""
+        limit = self._place.settings.stale_after
+        silence = time.monotonic() - self.last
+        if limit is not None and silence > limit:
+            self.tell(Health.LOST, f"no message from {self._place.where} for {silence:.1f} s")
+
+    def facts(self) -> Mapping[str, object]:
+        """Return counters and the port."""
+        return {
+            "count": self.count,
+            "refused": self.refused,
+            "component": self._place.peer.path,
+            "port": self._place.port.name,
+            "data_type": self._place.port.data_type,
+        }

@@ -1,0 +1,205 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""A port of our own component: connecting and disconnecting by the RTC specification.
+
+`connect` walks the ports of a profile: each publishes what it offers, hands the profile to the
+next, then takes from it what the others published. Whoever fails undoes the walk.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import uuid
+from collections.abc import Mapping
+from typing import Any
+
+from omniORB import CORBA
+
+from uoarm_rtm._calls import calls
+from uoarm_rtm._orb import Orb, limit
+from uoarm_rtm._peer import pairs
+from uoarm_rtm._stubs import RTC, RTC__POA
+from uoarm_rtm._wishes import Refusal
+
+__all__ = ["PortServant"]
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, without annotations
+    """What all ports have in common.
+
+    Calls come from threads of the ORB. No lock is held while another port is called.
+
+    Must implement: `_publish`, `_subscribe`, `_release`.
+
+    Args:
+        orb: where the port is served.
+        name: `COMPONENT.PORT`.
+        properties: what the profile says of the port.
+        seconds: limit of calls to other ports.
+    """
+
+    def __init__(self, orb: Orb, name: str, properties: Mapping[str, str], seconds: float) -> None:
+        self.name = name
+        self.orb = orb
+        self.properties = dict(properties)
+        self.interfaces: list[Any] = []
+        self.owner: Any = None
+        self._seconds = seconds
+        self._lock = threading.Lock()
+        self._profiles: dict[str, Any] = {}
+        self.reference = orb.serve(self)
+
+    def close(self) -> None:
+        """Disconnect everything, then stop serving."""
+        self.disconnect_all()
+        self.orb.withdraw(self.reference)
+
+    def get_port_profile(self) -> Any:
+        """Return the port's profile (CORBA operation)."""
+        connectors = self.get_connector_profiles()
+        properties = pairs(self.properties)
+        return RTC.PortProfile(
+            self.name, self.interfaces, self.reference, connectors, self.owner, properties
+        )
+
+    def get_connector_profiles(self) -> list[Any]:
+        """Return the profiles of all connectors (CORBA operation)."""
+        with self._lock:
+            return list(self._profiles.values())
+
+    def get_connector_profile(self, connector_id: str) -> Any:
+        """Return one connector's profile, an empty one when there is none (CORBA operation)."""
+        with self._lock:
+            empty = RTC.ConnectorProfile("", "", [], [])
+            return self._profiles.get(connector_id, empty)
+
+    def connect(self, profile: Any) -> tuple[Any, Any]:
+        """Connect the ports of a profile (CORBA operation)."""
+        if not profile.ports:
+            return RTC.BAD_PARAMETER, profile
+        if not profile.connector_id:
+            profile.connector_id = str(uuid.uuid4())
+        elif profile.connector_id in self._profiles:
+            return RTC.PRECONDITION_NOT_MET, profile
+        try:
+            with calls:
+                code, profile = limit(profile.ports[0], self._seconds).notify_connect(profile)
+        except CORBA.Exception:
+            code = RTC.RTC_ERROR
+        if code != RTC.RTC_OK:
+            self._undo(profile)
+        return code, profile
+
+    def notify_connect(self, profile: Any) -> tuple[Any, Any]:
+        """Take part in a connection (CORBA operation)."""
+        identifier = profile.connector_id
+        with self._lock:
+            if identifier in self._profiles:
+                return RTC.PRECONDITION_NOT_MET, profile
+            self._profiles[identifier] = profile
+        try:
+            self._publish(profile)
+            code, profile = self._next_connect(profile)
+            if code == RTC.RTC_OK:
+                self._subscribe(profile)
+        except Refusal as refusal:
+            _log.warning("port %s refuses connector %s: %s", self.name, profile.name, refusal)
+            code = refusal.code
+        if code != RTC.RTC_OK:
+            self._forget(identifier)
+            return code, profile
+        with self._lock:
+            if identifier in self._profiles:
+                self._profiles[identifier] = profile
+        return code, profile
+
+    def disconnect(self, connector_id: str) -> Any:
+        """End a connection at all its ports (CORBA operation)."""
+        with self._lock:
+            profile = self._profiles.get(connector_id)
+        if profile is None:
+            return RTC.BAD_PARAMETER
+        for port in profile.ports:
+            try:
+                with calls:
+                    return limit(port, self._seconds).notify_disconnect(connector_id)
+            except CORBA.Exception:
+                continue
+        return self.notify_disconnect(connector_id)
+
+    def disconnect_all(self) -> Any:
+        """End all connections (CORBA operation)."""
+        codes = [self.disconnect(each) for each in list(self._profiles)]
+        return next((code for code in codes if code != RTC.RTC_OK), RTC.RTC_OK)
+
+    def notify_disconnect(self, connector_id: str) -> Any:
+        """Take part in the end of a connection (CORBA operation)."""
+        profile = self._forget(connector_id)
+        if profile is None:
+            return RTC.BAD_PARAMETER
+        following = self._following(profile)
+        if following is None:
+            return RTC.RTC_OK
+        try:
+            with calls:
+                return limit(following, self._seconds).notify_disconnect(connector_id)
+        except CORBA.Exception:
+            return RTC.RTC_OK  # it is gone, and its end of the connection with it
+
+    def drop(self, connector_id: str) -> None:
+        """Forget a connector whose other side is gone."""
+        self._forget(connector_id)
+
+    def _publish(self, profile: Any) -> None:
+        """Add what this port offers to the profile, or raise Refusal."""
+        raise NotImplementedError
+
+    def _subscribe(self, profile: Any) -> None:
+        """Take what the others offer and begin, or raise Refusal."""
+        raise NotImplementedError
+
+    def _release(self, connector_id: str) -> None:
+        """End what `_publish` and `_subscribe` began; quick, also for an unknown connector."""
+        raise NotImplementedError
+
+    def _offer(self, profile: Any, properties: Mapping[str, str]) -> None:
+        kept = [each for each in profile.properties if each.name not in properties]
+        profile.properties = [*kept, *pairs(properties)]
+
+    def _next_connect(self, profile: Any) -> tuple[Any, Any]:
+        following = self._following(profile)
+        if following is None:
+            return RTC.RTC_OK, profile
+        try:
+            with calls:
+                code, profile = limit(following, self._seconds).notify_connect(profile)
+        except CORBA.Exception as error:
+            raise Refusal(f"the next port does not answer ({error})", RTC.RTC_ERROR) from error
+        return code, profile
+
+    def _following(self, profile: Any) -> Any:
+        """Return the port after this one in a profile, None for the last."""
+        mine = [
+            index
+            for index, port in enumerate(profile.ports)
+            if port is not None and self.reference._is_equivalent(port)
+        ]
+        if not mine or mine[0] + 1 >= len(profile.ports):
+            return None
+        return profile.ports[mine[0] + 1]
+
+    def _forget(self, connector_id: str) -> Any:
+        with self._lock:
+            profile = self._profiles.pop(connector_id, None)
+        self._release(connector_id)
+        return profile
+
+    def _undo(self, profile: Any) -> None:
+        for port in profile.ports:
+            try:
+                with calls:
+                    limit(port, self._seconds).notify_disconnect(profile.connector_id)
+            except CORBA.Exception:
+                continue

@@ -1,0 +1,262 @@
+"""From CDR to messages: one generated function per type and byte order.
+
+Every length is compared with what is left of the buffer before anything is made of it, so that
+no input allocates more than a fixed multiple of its own size. Arrays of numbers are views into
+the buffer where its byte order is the machine's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from struct import Struct
+from typing import Any
+
+import numpy as np
+
+from uoarm.model import Message
+from uoarm_rtm._arrays import is_block
+from uoarm_rtm._generate import Source
+from uoarm_rtm._scalars import CODES, SIZES, Misfit, Order
+from uoarm_rtm._schema import SWITCH
+from uoarm_rtm._shape import (
+    Choice,
+    Enumeration,
+    Listing,
+    Record,
+    Scalar,
+    Shape,
+    Text,
+    least_size,
+)
+from uoarm_rtm._texts import text_of, wchar_of
+
+__all__ = ["reader"]
+
+
+def reader(shape: Shape, order: Order, encoding: str) -> Callable[[bytes], Message]:
+    """Return the function that makes a message of CDR.
+
+    It raises Misfit for what the bytes hold and `struct.error` where they end too early.
+    """
+    source = Source("def read(data):")
+    source.line("at = 0; size = len(data)")
+    walk = _Walk(source, order, encoding)
+    made = walk.value(shape)
+    walk.flush()
+    text = source.constant(_left_over)
+    source.line(f"if at != size: {text}(at, size)")
+    source.line(f"return {made}")
+    return source.function("read")
+
+
+def _left_over(at: int, size: int) -> None:
+    raise Misfit(f"expected {at} bytes in all, got {size}")
+
+
+class _Walk:
+    """Writes the text for a shape. `value` returns the expression of what was read.
+
+    Names in `run` are assigned when the run is flushed; `late` are the checks that follow.
+    """
+
+    def __init__(self, source: Source, order: Order, encoding: str) -> None:
+        self._source = source
+        self._order = order
+        self._encoding = encoding
+        self._run: list[str] = []
+        self._late: list[str] = []
+        self._format = ""
+
+    def value(self, shape: Shape) -> str:
+        if isinstance(shape, Record):
+            items = [f"{each.name!r}: {self.value(each.shape)}" for each in shape.fields]
+            return f"{{{', '.join(items)}}}"
+        if isinstance(shape, Listing):
+            return (self._block if is_block(shape) else self._list)(shape)
+        if isinstance(shape, Choice):
+            return self._choice(shape)
+        if isinstance(shape, Enumeration):
+            return self._enumeration(shape)
+        if isinstance(shape, Text):
+            return self._text(shape)
+        if shape.name == "wchar":
+            self.flush()
+            return self._apply(wchar_of, "3")
+        return self._scalar(shape)
+
+    def flush(self) -> None:
+        """Read what waits."""
+        if self._run:
+            layout = Struct(self._order + self._format)
+            unpack = self._source.constant(layout.unpack_from)
+            self._source.line(f"{', '.join(self._run)}, = {unpack}(data, at)")
+            self._source.line(f"at += {layout.size}")
+            for line in self._late:
+                self._source.line(line)
+        self._run, self._late, self._format = [], [], ""
+
+    def _pack(self, code: str) -> str:
+        size = SIZES[code]
+        gap = self._source.gap(size)
+        if gap is None:
+            self._align(size)
+        elif gap:
+            self._format += f"{gap}x"
+            self._source.advance(gap)
+        name = self._source.name()
+        self._format += code
+        self._run.append(name)
+        self._source.advance(size)
+        return name
+
+    def _align(self, size: int) -> None:
+        gap = self._source.gap(size)
+        self.flush()
+        if gap is None:
+            self._source.line(f"at = at + {size - 1} & -{size}")
+            self._source.known(size)
+        elif gap:
+            self._source.line(f"at += {gap}")
+            self._source.advance(gap)
+
+    def _scalar(self, scalar: Scalar) -> str:
+        name = self._pack(CODES[scalar.name])
+        if scalar.name == "boolean":
+            check = self._source.constant(_boolean)
+            self._late.append(f"{name} = {check}({name})")
+        elif scalar.name == "char":
+            self._late.append(f"{name} = chr({name})")
+        return name
+
+    def _enumeration(self, enumeration: Enumeration) -> str:
+        name = self._pack("I")
+        fail = self._source.constant(_no_label)
+        self._late.append(f"if {name} >= {len(enumeration.labels)}: {fail}({name})")
+        self._late.append(f"{name} = {self._source.constant(enumeration.labels)}[{name}]")
+        return name
+
+    def _count(self, listing: Listing, least: int) -> str:
+        """Read a length, or take the fixed one, and compare it with what is left."""
+        if listing.fixed:
+            self.flush()
+            number = str(listing.size)
+        else:
+            number = self._pack("I")
+            self.flush()
+            if listing.size is not None:
+                fail = self._source.constant(_too_many)
+                size = listing.size
+                self._source.line(f"if {number} > {size}: {fail}({number}, {size})")
+        fail = self._source.constant(_too_long)
+        self._source.line(f"if {number} * {least} > size - at: {fail}({number}, size - at)")
+        return number
+
+    def _apply(self, make: Callable[[bytes], Any], length: str) -> str:
+        """Read so many bytes and make something of them."""
+        name, end = self._source.name(), self._source.name()
+        fail = self._source.constant(_too_long)
+        self._source.line(f"{end} = at + {length}")
+        self._source.line(f"if {end} > size: {fail}({length}, size - at)")
+        self._source.line(f"{name} = {self._source.constant(make)}(data[at:{end}])")
+        self._source.line(f"at = {end}")
+        self._source.known(1)
+        return name
+
+    def _text(self, text: Text) -> str:
+        number = self._pack("I")
+        self.flush()
+        encoding = self._encoding
+        return self._apply(lambda data: text_of(data, text, encoding), number)
+
+    def _block(self, listing: Listing) -> str:
+        assert isinstance(listing.element, Scalar)
+        size = SIZES[CODES[listing.element.name]]
+        number = self._count(listing, size)
+        if listing.element.name == "octet":
+            return self._apply(bytes, number)
+        if listing.element.name in {"boolean", "char"}:
+            return self._apply(_ITEMS[listing.element.name], number)
+        if listing.fixed:
+            self._align(size)
+        elif size > 4:  # noqa: PLR2004 - an empty sequence ends after its length, unpadded
+            self._source.line(f"if {number}: at = at + {size - 1} & -{size}")
+        name = self._source.name()
+        make = self._source.constant(_numbers(listing.element, self._order))
+        fail = self._source.constant(_too_long)
+        self._source.line(f"if at + {number} * {size} > size: {fail}({number} * {size}, size - at)")
+        self._source.line(f"{name} = {make}(data, {number}, at)")
+        self._source.line(f"at += {number} * {size}")
+        self._source.known(min(size, 4))
+        return name
+
+    def _list(self, listing: Listing) -> str:
+        source = self._source
+        number = self._count(listing, least_size(listing.element))
+        name = source.name()
+        source.line(f"{name} = []")
+        source.line(f"for _ in range({number}):")
+        source.depth += 1
+        source.known(1)
+        made = self.value(listing.element)
+        self.flush()
+        source.line(f"{name}.append({made})")
+        source.depth -= 1
+        source.known(1)
+        return name
+
+    def _choice(self, choice: Choice) -> str:
+        source = self._source
+        switch, name = self.value(choice.by), source.name()
+        self.flush()
+        modulus, rest = source.modulus, source.rest
+        word = "if"
+        for variant in sorted(choice.variants, key=lambda variant: not variant.labels):
+            labels = source.constant(variant.labels)
+            source.line(f"{word} {switch} in {labels}:" if variant.labels else f"{word} True:")
+            word = "elif"
+            source.depth += 1
+            source.known(modulus, rest)
+            made = self.value(variant.shape)
+            self.flush()
+            source.line(f"{name} = {{{SWITCH!r}: {switch}, {variant.name!r}: {made}}}")
+            source.depth -= 1
+        source.line(f"else: {name} = {{{SWITCH!r}: {switch}}}")
+        source.known(1)
+        return name
+
+
+def _numbers(scalar: Scalar, order: Order) -> Callable[[bytes, int, int], Any]:
+    native = np.dtype(CODES[scalar.name])
+    wire = native.newbyteorder(order)
+
+    def make(data: bytes, count: int, at: int) -> Any:
+        if not count:
+            return np.empty(0, native)
+        numbers = np.frombuffer(data, wire, count, at)
+        return numbers if wire == native else numbers.astype(native)
+
+    return make
+
+
+def _boolean(value: int) -> bool:
+    if value > 1:
+        raise Misfit(f"expected a boolean, 0 or 1, got {value}")
+    return value == 1
+
+
+def _no_label(value: int) -> None:
+    raise Misfit(f"enumerator number {value} does not exist")
+
+
+def _too_many(number: int, size: int) -> None:
+    raise Misfit(f"expected at most {size} elements, got {number}")
+
+
+def _too_long(number: int, left: int) -> None:
+    raise Misfit(f"a length of {number} goes beyond the end of the data, which is {left} bytes on")
+
+
+_ITEMS: dict[str, Callable[[bytes], Any]] = {
+    "boolean": lambda data: list(map(_boolean, data)),
+    "char": lambda data: list(data.decode("latin-1")),
+}

@@ -1,0 +1,187 @@
+"""Services of components, called: the object behind a provider's port, and its operations."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+from omniORB import CORBA
+
+from uoarm.bridge import Description
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Message, MessageStructure
+from uoarm_rtm._connector import Connector
+from uoarm_rtm._faults import corba_errors
+from uoarm_rtm._operations import Interface, Operation
+from uoarm_rtm._orb import Orb, limit, narrowed
+from uoarm_rtm._peer import Peer, Port, PortInterface
+from uoarm_rtm._types import plain_name
+from uoarm_rtm.errors import IdlError
+
+__all__ = ["Caller", "described", "offered", "split"]
+
+
+def described(interface: Interface, operation: str) -> Description:
+    """Return the structures of an operation; of all, told apart by `operation`, for an empty one.
+
+    Raises:
+        BridgeError: there is no such operation.
+    """
+    if operation:
+        request, reply = interface.operation(operation).structures
+        return Description(request=request, reply=reply)
+    several = []
+    replies = []
+    for each in interface.operations.values():
+        request, reply = each.structures
+        properties = {"operation": {"const": each.name}, "arguments": request.schema}
+        several.append(
+            {
+                "type": "object",
+                "properties": properties,
+                "required": list(properties),
+                "additionalProperties": False,
+            }
+        )
+        replies.append(reply.schema)
+    return Description(
+        request=MessageStructure({"oneOf": several}), reply=MessageStructure({"anyOf": replies})
+    )
+
+
+def split(interface: Interface, operation: str, message: Message) -> tuple[Operation, Message]:
+    """Return the operation that a request means, and its arguments.
+
+    Raises:
+        MessageError: the request does not say.
+        BridgeError: there is no such operation.
+    """
+    if operation:
+        return interface.operation(operation), message
+    if not isinstance(message, Mapping) or set(message) != {"operation", "arguments"}:
+        raise MessageError("$: expected an object with operation and arguments")
+    return interface.operation(str(message["operation"])), message["arguments"]
+
+
+def offered(peer: Peer, port: Port, wanted: str, *, provided: bool) -> PortInterface:
+    """Return the interface of a port that a type means; a port with one is not asked for names.
+
+    Type names at ports are free text: `MyService`, or `SimpleService::MyService`.
+
+    Raises:
+        BridgeError: BAD_ENDPOINT, with what there is.
+    """
+    there = [each for each in port.interfaces if each.provided is provided]
+    if len(there) == 1:
+        return there[0]
+    last = plain_name(wanted).split("/")[-1]
+    for each in there:
+        if plain_name(each.type).split("/")[-1] == last:
+            return each
+    side = "provided" if provided else "required"
+    names = ", ".join(each.type for each in there) or "none"
+    text = f"port {port.name!r} of {peer.path!r}: no {side} interface {wanted!r}; it has {names}"
+    raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+
+
+class Caller:
+    """A connection to one provided interface, made with the first call and again after a loss.
+
+    Used from any thread. A provider answers only while its component is ACTIVE.
+
+    Args:
+        orb: the ORB to call through.
+        peer: the component.
+        port: its CorbaPort.
+        interface: as our IDL has it.
+        offer: as the port has it.
+        operation: the one to call; empty for that which each request names.
+        seconds: limit of connecting.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        peer: Peer,
+        port: Port,
+        interface: Interface,
+        offer: PortInterface,
+        operation: str,
+        seconds: float,
+    ) -> None:
+        self._operation = operation
+        self._orb = orb
+        self._port = port
+        self._interface = interface
+        self._offer = offer
+        self._seconds = seconds
+        self._where = f"port {port.name!r} of component {peer.path!r}"
+        self._instance = peer.instance
+        self._lock = threading.Lock()
+        self._connector: Connector | None = None
+        self._object: Any = None
+
+    def call(self, message: Message, seconds: float) -> Message:
+        """Call the operation and return its reply.
+
+        Raises:
+            MessageError: the request does not fit.
+            IdlError: the service raised an exception that its IDL declares.
+            BridgeError: the component is gone, inactive, or failed.
+            BridgeTimeoutError: no reply in time.
+        """
+        chosen, arguments = split(self._interface, self._operation, message)
+        natives = chosen.arguments(arguments)
+        target = limit(self._reach(), seconds)
+        what = f"{self._where}: {self._interface.name}::{chosen.name}"
+        try:
+            with corba_errors(what):
+                try:
+                    result = getattr(target, chosen.name)(*natives)
+                except CORBA.OBJECT_NOT_EXIST as error:
+                    text = f"{what}: the service is not there; is its component active?"
+                    raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+                except CORBA.UserException as error:
+                    raise _declared(chosen, error, what) from error
+        except (IdlError, BridgeTimeoutError):
+            raise  # the connection is as good as before
+        except BridgeError:
+            self.close()
+            raise
+        return chosen.reply(result)
+
+    def close(self) -> None:
+        """Disconnect; the next call connects again."""
+        with self._lock:
+            connector, self._connector, self._object = self._connector, None, None
+        if connector is not None:
+            connector.disconnect()
+
+    def _reach(self) -> Any:
+        with self._lock:
+            if self._object is None:
+                connector = Connector(self._port, self._where, {}, self._seconds)
+                names = f"{self._offer.type}.{self._offer.name}"
+                ior = connector.published(
+                    f"{self._instance}.port.{self._port.name}.provided.{names}", f"port.{names}"
+                )
+                try:
+                    reference = self._orb.reference(ior)
+                    self._object = narrowed(
+                        reference, self._interface.stub, self._seconds, self._where
+                    )
+                except BridgeError:
+                    connector.disconnect()
+                    raise
+                self._connector = connector
+            return self._object
+
+
+def _declared(operation: Operation, error: Any, what: str) -> BridgeError:
+    identifier = str(getattr(error, "_NP_RepositoryId", type(error).__name__))
+    part = operation.raised.get(identifier)
+    if part is None:
+        return BridgeError(f"{what} raised {identifier}", FailureReason.RAISED)
+    members = operation.members(part, error)
+    return IdlError(f"{what} raised {part.name}: {members}", identifier, members)

@@ -1,0 +1,144 @@
+"""Functions of ours offered to components: to a port that requires them, or at a port of ours."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from omniORB import CORBA
+
+from uoarm.bridge import Channel
+from uoarm.errors import MessageError
+from uoarm.model import Endpoint, Message
+from uoarm_rtm._connector import Connector
+from uoarm_rtm._operations import Interface, Operation
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._peer import Peer, Port, PortInterface, properties_of
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._stubs import RTC
+from uoarm_rtm.errors import IdlError
+
+__all__ = ["Offer", "ServicePort", "servant_of"]
+
+_log = logging.getLogger("uoarm.rtm")
+Handler = Callable[[Message], Message]
+
+
+def servant_of(interface: Interface, operation: str, handler: Handler) -> Any:
+    """Return a CORBA servant whose operations call a handler.
+
+    Args:
+        interface: what it serves.
+        operation: the only one that it answers, its arguments being the request; empty for all,
+            as `{operation, arguments}`.
+        handler: called in threads of the ORB, several at a time.
+    """
+    methods = {}
+    for each in interface.operations.values():
+        if not operation:
+            methods[each.name] = _method(each, _named(each.name, handler))
+        elif each.name == operation:
+            methods[each.name] = _method(each, handler)
+    return type("Served", (interface.skeleton,), methods)()
+
+
+def _named(name: str, handler: Handler) -> Handler:
+    return lambda message: handler({"operation": name, "arguments": message})
+
+
+def _method(operation: Operation, handler: Handler) -> Callable[..., Any]:
+    def method(servant: Any, *arguments: Any) -> Any:
+        del servant
+        try:
+            return operation.result(handler(operation.message(arguments)))
+        except IdlError as error:
+            raised = operation.exception(error.exception, error.members)
+            if raised is not None:
+                raise raised from error
+            _log.warning("%s raised %s, which it does not declare", operation.name, error.exception)
+        except MessageError:
+            _log.exception("a reply of %s does not fit its IDL", operation.name)
+        except Exception:  # noqa: BLE001 - the caller gets UNKNOWN, whatever it was
+            _log.exception("a function that serves %s failed", operation.name)
+        raise CORBA.UNKNOWN(0, CORBA.COMPLETED_MAYBE)
+
+    return method
+
+
+class Offer(Channel):
+    """A function of ours, connected to a port of a component that requires it.
+
+    Args:
+        orb: where it is served.
+        endpoint: the endpoint served.
+        peer: the component.
+        port: its CorbaPort.
+        wanted: the required interface, as the port has it.
+        servant: what answers.
+        seconds: limit of connecting.
+
+    Raises:
+        BridgeError: the port refuses; nothing stays connected.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        endpoint: Endpoint,
+        peer: Peer,
+        port: Port,
+        wanted: PortInterface,
+        servant: Any,
+        seconds: float,
+    ) -> None:
+        super().__init__(endpoint)
+        self._orb = orb
+        self._reference = orb.serve(servant)
+        names = f"{wanted.type}.{wanted.name}"
+        ior = orb.text(self._reference)
+        # The first is the key that 2.x asks for, the second that of 1.x.
+        keys = {f"{peer.instance}.port.{port.name}.required.{names}": ior, f"port.{names}": ior}
+        where = f"port {port.name!r} of component {peer.path!r}"
+        try:
+            self._connector = Connector(port, where, keys, seconds)
+        except BaseException:
+            orb.withdraw(self._reference)
+            raise
+
+    def _close(self) -> None:
+        self._orb.withdraw(self._reference)
+        self._connector.disconnect()
+
+
+class ServicePort(PortServant):
+    """A CorbaPort of our own component that provides one interface."""
+
+    def __init__(self, orb: Orb, name: str, interface: Interface, servant: Any) -> None:
+        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
+        kind = interface.name.split("/")[-1]
+        self._served = orb.serve(servant)
+        instance, port = name.split(".", 1)
+        self._key = f"{kind}.{kind.lower()}"
+        self._long_key = f"{instance}.port.{port}.provided.{self._key}"
+        self.interfaces = [RTC.PortInterfaceProfile(kind.lower(), kind, RTC.PROVIDED)]
+
+    def close(self) -> None:
+        """Disconnect everything, then stop serving."""
+        super().close()
+        self.orb.withdraw(self._served)
+
+    def _publish(self, profile: Any) -> None:
+        ior = self.orb.text(self._served)
+        offers = {self._long_key: ior, f"port.{self._key}": ior}
+        for name, value in properties_of(profile.properties).items():
+            # A consumer of 2.x names the provider that it wants by its long key.
+            if value == self._long_key:
+                offers[name] = ior
+        self._offer(profile, offers)
+
+    def _subscribe(self, profile: Any) -> None:
+        """Do nothing: a provider takes nothing from the others."""
+
+    def _release(self, connector_id: str) -> None:
+        """Do nothing: one object serves all connectors."""

@@ -1,0 +1,232 @@
+"""Addresses and options as the configuration writes them, read without any middleware."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from attrs import field, frozen
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Options, Role, Schema
+
+__all__ = [
+    "BRIDGE_OPTIONS",
+    "CONFIGURATION",
+    "LIFECYCLE",
+    "SELF",
+    "Address",
+    "BridgeSettings",
+    "Settings",
+    "address_of",
+    "bridge_settings",
+    "mistake",
+    "settings_of",
+]
+
+SELF = "self"
+"""The component path that means the component that the bridge itself is."""
+
+LIFECYCLE, CONFIGURATION = "@lifecycle", "@configuration"
+"""Port names that mean a component itself rather than a port of it."""
+
+_NAMESERVER = "corbaloc::localhost:2809/NameService"
+_TEXTS: dict[str, object] = {"type": "array", "items": {"type": "string"}, "minItems": 1}
+_TEXT_OR_TEXTS: dict[str, object] = {"anyOf": [{"type": "string", "minLength": 1}, _TEXTS]}
+
+BRIDGE_OPTIONS: Schema = {
+    "type": "object",
+    "additionalProperties": False,
+    "properties": {
+        "nameserver": {
+            **_TEXT_OR_TEXTS,
+            "description": "one or several naming services, corbaloc or host:port",
+        },
+        "idl": {**_TEXT_OR_TEXTS, "description": "IDL files or texts with further data types"},
+        "address": {"type": "string", "description": "interface to listen on; default 127.0.0.1"},
+        "call_timeout": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "maximum": 60,
+            "description": "seconds that one CORBA call may take; default 2",
+        },
+        "watch": {
+            "type": "number",
+            "minimum": 0,
+            "maximum": 3600,
+            "description": "seconds between looks at who is there; 0 never; default 1",
+        },
+        "text": {
+            "enum": ["utf-8", "latin-1"],
+            "description": "encoding of strings in data; default utf-8",
+        },
+        "component": {
+            "type": "string",
+            "pattern": "^[A-Za-z0-9_]+$",
+            "description": "name of the bridge's own component; default: uoarm_ and its name",
+        },
+    },
+}
+
+
+@frozen
+class Address:
+    """A port of a component, or the component itself.
+
+    Attributes:
+        component: path in the naming service, its last step alone, or `self`.
+        port: the port's name, `@lifecycle` or `@configuration`.
+        type: data type, or `Interface::operation` of a service; empty for what the port says.
+    """
+
+    component: str
+    port: str
+    type: str = ""
+
+
+@frozen
+class BridgeSettings:
+    """The options of a bridge instance."""
+
+    component: str
+    nameservers: tuple[str, ...] = (_NAMESERVER,)
+    idl: tuple[str, ...] = ()
+    address: str = "127.0.0.1"
+    call_seconds: float = 2.0
+    watch_seconds: float = 1.0
+    text: str = "utf-8"
+
+
+@frozen
+class Settings:
+    """The options of an endpoint; meaning in docs/rtm.md."""
+
+    flow: Literal["push", "pull"] = "push"
+    subscription: Literal["flush", "new", "periodic"] = "flush"
+    rate: float = 20.0
+    endian: Literal["little", "big"] = "little"
+    activate: bool = False
+    timeout: float | None = None
+    stale_after: float | None = None
+    properties: Mapping[str, str] = field(factory=dict, hash=False)
+
+
+def bridge_settings(name: str, options: Options) -> BridgeSettings:
+    """Read the options of a bridge, which have been checked against BRIDGE_OPTIONS."""
+    defaults = BridgeSettings(str(options.get("component", f"uoarm_{name}")))
+    return BridgeSettings(
+        defaults.component,
+        _texts(options.get("nameserver")) or defaults.nameservers,
+        _texts(options.get("idl")),
+        str(options.get("address", defaults.address)),
+        _seconds(options, "call_timeout") or defaults.call_seconds,
+        _number(options.get("watch", defaults.watch_seconds), "watch"),
+        str(options.get("text", defaults.text)),
+    )
+
+
+def address_of(endpoint: Endpoint) -> Address:
+    """Read an endpoint's address.
+
+    Raises:
+        BridgeError: with BAD_ENDPOINT and what is wrong.
+    """
+    try:
+        address = _address(endpoint.address)
+        _fits(address, endpoint.role)
+    except ValueError as error:
+        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+    return address
+
+
+def settings_of(endpoint: Endpoint) -> Settings:
+    """Read an endpoint's options.
+
+    Raises:
+        BridgeError: with BAD_ENDPOINT and what is wrong.
+    """
+    try:
+        return _settings(endpoint.options)
+    except ValueError as error:
+        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+
+def mistake(address: tuple[str, ...], options: Options) -> str:
+    """Return what is wrong with an address or its options, or ""."""
+    try:
+        _address(address)
+        _settings(options)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _address(parts: tuple[str, ...]) -> Address:
+    if not 2 <= len(parts) <= 3 or not all(parts[:2]):  # noqa: PLR2004 - as the sentence says
+        text = "expected [component, port] or [component, port, type]"
+        raise ValueError(f"{text}, such as [Camera0.rtc, image], got {list(parts)}")
+    return Address(*parts)
+
+
+def _fits(address: Address, role: Role) -> None:
+    if role is not Role.SERVICE and address.port in {LIFECYCLE, CONFIGURATION}:
+        raise ValueError(f"{address.port} is a service, not an {role.value}")
+    if address.component == SELF and not address.type:
+        raise ValueError("a port of our own component needs its type as third part")
+
+
+def _settings(options: Options) -> Settings:
+    known = [each.name for each in Settings.__attrs_attrs__]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
+    activate = options.get("activate", False)
+    if not isinstance(activate, bool):
+        raise ValueError(f"activate must be true or false, got {activate!r}")  # noqa: TRY004 - one kind
+    return Settings(
+        _one_of(options, "flow", ("push", "pull")),  # type: ignore[arg-type]  # checked there
+        _one_of(options, "subscription", ("flush", "new", "periodic")),  # type: ignore[arg-type]  # checked there
+        _seconds(options, "rate") or Settings().rate,
+        _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
+        activate,
+        _seconds(options, "timeout"),
+        _seconds(options, "stale_after"),
+        _properties(options.get("properties", {})),
+    )
+
+
+def _one_of(options: Options, name: str, values: tuple[str, ...]) -> str:
+    value = options.get(name, values[0])
+    if value not in values:
+        raise ValueError(f"{name} must be {' or '.join(values)}, got {value!r}")
+    return str(value)
+
+
+def _seconds(options: Options, name: str) -> float | None:
+    value = options.get(name)
+    if value is None:
+        return None
+    number = _number(value, name)
+    if not number > 0:
+        raise ValueError(f"{name} must be more than 0, got {value!r}")
+    return number
+
+
+def _number(value: object, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{name} must be a number, got {value!r}")  # noqa: TRY004 - one kind
+    return float(value)
+
+
+def _texts(value: object) -> tuple[str, ...]:
+    if value is None:
+        return ()
+    return (value,) if isinstance(value, str) else tuple(map(str, value))  # type: ignore[call-overload]  # by the schema
+
+
+def _properties(value: object) -> Mapping[str, str]:
+    if not isinstance(value, Mapping) or not all(isinstance(each, str) for each in value.values()):
+        raise ValueError(f"properties must be a table of strings, got {value!r}")
+    return dict(value)

@@ -1,0 +1,131 @@
+"""The IDL types that a bridge knows: ours and the configuration's, found by name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Any
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import MessageStructure
+from uoarm_rtm._codec import Codec, codec_of
+from uoarm_rtm._descriptor import descriptors, shape_of
+from uoarm_rtm._operations import Interface, interfaces
+from uoarm_rtm._schema import structure_of
+from uoarm_rtm._stubs import RTC, OpenRTM, SDOPackage
+from uoarm_rtm._user_idl import load_idl
+
+__all__ = ["Types", "plain_name"]
+
+_ID = re.compile(r"(?:IDL:)?(?P<name>[^:]+?)(?::\d+\.\d+)?")
+
+
+def plain_name(type_id: str) -> str:
+    """Return `RTC/TimedLong` for any way of writing that type.
+
+    Known are repository ids with and without a prefix, `RTC::TimedLong`, and bare names, which
+    stay bare: `TimedLong` matches a type of that name in any module.
+    """
+    text = type_id.strip().replace("::", "/").strip("/")
+    found = _ID.fullmatch(text)
+    parts = (found["name"] if found else text).split("/")
+    return "/".join(parts[1:] if len(parts) > 1 and "." in parts[0] else parts)
+
+
+class Types:
+    """The types of one bridge.
+
+    Args:
+        sources: IDL texts or files of the configuration; later ones win.
+        encoding: of narrow strings.
+
+    Raises:
+        BridgeError: a source cannot be compiled.
+    """
+
+    def __init__(self, sources: Iterable[str] = (), encoding: str = "utf-8") -> None:
+        self._encoding = encoding
+        self._stubs = [load_idl(source) for source in sources]
+        self._codecs: dict[str, Codec] = {}
+
+    def codec(self, type_id: str) -> Codec:
+        """Return the codec of a type.
+
+        Raises:
+            BridgeError: UNSUPPORTED, when the type is unknown or holds what has no structure.
+        """
+        codec = self._codecs.get(type_id)
+        if codec is None:
+            codec = codec_of(shape_of(self.descriptor(type_id), type_id), self._encoding)
+            self._codecs[type_id] = codec
+        return codec
+
+    def structure(self, type_id: str) -> MessageStructure:
+        """Return the message structure of a type; raises as `codec` does."""
+        return structure_of(self.codec(type_id).shape)
+
+    def descriptor(self, type_id: str) -> Any:
+        """Return omniORB's descriptor of a type.
+
+        Raises:
+            BridgeError: UNSUPPORTED, when the type is unknown.
+        """
+        name = plain_name(type_id)
+        if name in self._known:
+            return self._known[name]
+        if "/" not in name:
+            ends = [each for each in self._known if each.endswith(f"/{name}")]
+            if len(ends) == 1:
+                return self._known[ends[0]]
+        close = difflib.get_close_matches(name, self._known, n=1)
+        hint = f"did you mean {close[0]!r}? Otherwise give" if close else "give"
+        text = f"data type {type_id!r} is not known: {hint} its IDL in the bridge's option `idl`"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+
+    def interface(self, name: str) -> tuple[Interface, str]:
+        """Return the interface that a text names, and the operation, empty for all of them.
+
+        Args:
+            name: `Module::Interface` or `Module::Interface::operation`, module optional.
+
+        Raises:
+            BridgeError: UNSUPPORTED, when no IDL of the configuration declares it.
+        """
+        plain = plain_name(name)
+        known = self._interfaces
+        for wanted, operation in ((plain, ""), tuple(plain.rpartition("/")[::2])):
+            ends = [each for each in known if f"/{each}".endswith(f"/{wanted}")]
+            if wanted and len(ends) == 1:
+                return known[ends[0]], operation
+        there = ", ".join(known) or "none"
+        text = (
+            f"interface {name!r} is not known (the option `idl` of the bridge declares {there}): "
+            "give its IDL there"
+        )
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+
+    def same(self, first: str, second: str) -> bool:
+        """Whether two ways of writing a type name the same one."""
+        one, other = plain_name(first), plain_name(second)
+        return one == other or (
+            ("/" in one) != ("/" in other) and one.split("/")[-1] == other.split("/")[-1]
+        )
+
+    @cached_property
+    def _interfaces(self) -> dict[str, Interface]:
+        found: dict[str, Interface] = {}
+        for stubs in self._stubs:
+            found.update(interfaces(stubs, self._encoding))
+        return found
+
+    @cached_property
+    def _known(self) -> dict[str, Any]:
+        known: dict[str, Any] = {}
+        for module in (RTC, OpenRTM, SDOPackage):
+            known.update((plain_name(name), each) for name, each in descriptors(module))
+        for stubs in self._stubs:
+            for scope in stubs.scopes:
+                known.update((plain_name(name), each) for name, each in descriptors(scope))
+        return known

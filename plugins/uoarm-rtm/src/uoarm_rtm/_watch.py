@@ -1,0 +1,98 @@
+"""The bridge's look at the world: channels first, then who is in the naming services."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from uoarm.errors import BridgeError
+from uoarm.model import Health
+from uoarm_rtm._directory import Directory
+
+__all__ = ["Attendance", "Watch"]
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+class Attendance:
+    """Which components are there, compared with the last look.
+
+    Args:
+        directory: where to look.
+        report: takes (health, sentence, component's path).
+        own: path to leave out: the bridge's own component.
+    """
+
+    def __init__(
+        self, directory: Directory, report: Callable[[Health, str, str], None], own: str
+    ) -> None:
+        self._directory = directory
+        self._report = report
+        self._own = own
+        self._conditions: dict[str, str] | None = None
+        self._deaf = False
+
+    def tick(self) -> None:
+        """Report who came, left, died, hung or woke up; the first look reports nothing."""
+        try:
+            sightings = self._directory.sightings()
+        except BridgeError as error:
+            # A naming service that is gone says nothing of the components.
+            if not self._deaf:
+                self._deaf = True
+                self._report(Health.DEGRADED, str(error), "")
+            return
+        if self._deaf:
+            self._deaf = False
+            self._report(Health.OK, "a naming service answers again", "")
+        now = {each.path: each.condition for each in sightings if each.path != self._own}
+        before, self._conditions = self._conditions, now
+        if before is None:
+            return
+        for path in sorted(before.keys() | now.keys()):
+            was, is_now = before.get(path), now.get(path)
+            if was != is_now:
+                self._tell(path, was, is_now)
+
+    def _tell(self, path: str, was: str | None, is_now: str | None) -> None:
+        if is_now == "alive":
+            word = "answers again" if was == "hung" else "appeared"
+            self._report(Health.OK, f"component {path} {word}", path)
+        elif is_now == "hung":
+            self._report(Health.LOST, f"component {path} does not answer: it hangs", path)
+        elif was in {"alive", "hung"}:
+            end = "left" if is_now is None else "died: only its name is left"
+            self._report(Health.LOST, f"component {path} {end}", path)
+
+
+class Watch:
+    """A thread that calls some ticks again and again, each on its own.
+
+    Args:
+        ticks: returns what to call now.
+        seconds: pause between rounds; 0 for no thread at all.
+    """
+
+    def __init__(self, ticks: Callable[[], list[Callable[[], None]]], seconds: float) -> None:
+        self._ticks = ticks
+        self._seconds = seconds
+        self._ended = threading.Event()
+        if seconds:
+            threading.Thread(target=self._run, name="uoarm-rtm-watch", daemon=True).start()
+
+    def close(self) -> None:
+        """End the thread after the tick under way."""
+        self._ended.set()
+
+    def _run(self) -> None:
+        while True:
+            for tick in self._ticks():
+                if self._ended.is_set():
+                    return
+                try:
+                    tick()
+                except Exception:  # noqa: BLE001 - one that fails hurts no other
+                    _log.exception("a look at OpenRTM failed")
+            if self._ended.wait(self._seconds):
+                return

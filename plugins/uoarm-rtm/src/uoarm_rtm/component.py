@@ -1,0 +1,279 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""An RT-Component of our own: what other components, RT System Editor and rtshell see of us.
+
+orb = Orb("127.0.0.1", call_seconds=2.0)
+component = RtComponent(orb, Sheet("Counter0"))
+out = component.add_out_port("count", "RTC::TimedLong", Types())
+component.bind([NamingService(orb, "localhost:2809", 2.0)])
+out.write({"tm": {"sec": 1, "nsec": 0}, "data": 1})
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm.model import Message
+from uoarm_rtm._configuration_servant import ConfigurationServant
+from uoarm_rtm._context_servant import ContextServant
+from uoarm_rtm._data_ports import InPort, OutPort
+from uoarm_rtm._faults import corba_errors
+from uoarm_rtm._lifecycle import Callbacks, Lifecycle
+from uoarm_rtm._naming import NamingService
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._stubs import RTC, OpenRTM__POA, SDOPackage
+from uoarm_rtm._types import Types
+
+__all__ = ["Callbacks", "NamingService", "Orb", "RtComponent", "Sheet", "Types"]
+
+_CONTEXT = 0
+_OK = RTC.RTC_OK
+
+
+def _ignored(values: Mapping[str, str]) -> None:
+    """Take no notice of a configuration."""
+
+
+@frozen
+class Sheet:
+    """What a component says of itself."""
+
+    name: str
+    type_name: str = "Uoarm"
+    description: str = "functions of uoarm"
+    version: str = "0.1.0"
+    vendor: str = "uoarm"
+    category: str = "Generic"
+    configuration: Mapping[str, Mapping[str, str]] = field(factory=dict, hash=False)
+
+
+class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # generated
+    """A component with one execution context of its own.
+
+    Made inactive; whoever sees it activates it. Callbacks run in threads of the ORB.
+
+    Args:
+        orb: where it is served.
+        sheet: what it says of itself.
+        callbacks: what it does at changes of its lifecycle.
+        rate: steps a second for `callbacks.executed`; 0 for none.
+        configured: told the configuration in force when it changes.
+        seconds: limit of every call to other components.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        sheet: Sheet,
+        *,
+        callbacks: Callbacks = Callbacks(),  # noqa: B008 - a frozen value
+        rate: float = 0.0,
+        configured: Callable[[Mapping[str, str]], None] | None = None,
+        seconds: float = 2.0,
+    ) -> None:
+        self.sheet = sheet
+        self.lifecycle = Lifecycle(callbacks)
+        self._orb = orb
+        self._seconds = seconds
+        self._lock = threading.Lock()
+        self._ports: list[PortServant] = []
+        self._bound: list[tuple[NamingService, str]] = []
+        self._exiting = threading.Event()
+        self._context = ContextServant(orb, self.lifecycle, rate)
+        self._configuration = ConfigurationServant(orb, sheet.configuration, configured or _ignored)
+        self.reference = orb.serve(self)
+        self._context.component = self.reference
+
+    @property
+    def path(self) -> str:
+        """The name under which it is bound when no other is given."""
+        return f"{self.sheet.name}.rtc"
+
+    @property
+    def ports(self) -> tuple[PortServant, ...]:
+        """The ports there are now."""
+        with self._lock:
+            return tuple(self._ports)
+
+    def add_in_port(
+        self, name: str, type_id: str, types: Types, take: Callable[[Message], None]
+    ) -> InPort:
+        """Add a port that takes messages; `take` gets them while the component is ACTIVE.
+
+        Raises:
+            BridgeError: the type is not known.
+        """
+
+        def taken(message: Message) -> None:
+            if self.lifecycle.state == RTC.ACTIVE_STATE:
+                take(message)
+
+        codec = types.codec(type_id)
+        port = InPort(self._orb, f"{self.sheet.name}.{name}", codec, taken, self._seconds)
+        self.add_port(port)
+        return port
+
+    def add_out_port(self, name: str, type_id: str, types: Types) -> OutPort:
+        """Add a port that emits messages.
+
+        Raises:
+            BridgeError: the type is not known.
+        """
+        codec = types.codec(type_id)
+        port = OutPort(self._orb, f"{self.sheet.name}.{name}", codec, self._seconds)
+        self.add_port(port)
+        return port
+
+    def add_port(self, port: PortServant) -> None:
+        """Add any port."""
+        port.owner = self.reference
+        with self._lock:
+            self._ports.append(port)
+
+    def remove_port(self, port: PortServant) -> None:
+        """Disconnect and remove a port."""
+        with self._lock:
+            if port in self._ports:
+                self._ports.remove(port)
+        port.close()
+
+    def bind(self, services: Sequence[NamingService], path: str | None = None) -> None:
+        """Become visible in naming services; may be repeated after one came back empty.
+
+        Raises:
+            BridgeError: a service does not answer.
+        """
+        for service in services:
+            bound = service, path or self.path
+            if bound not in self._bound:
+                self._bound.append(bound)
+            service.bind(bound[1], self.reference)
+
+    def wait_for_exit(self, seconds: float | None = None) -> bool:
+        """Wait until somebody calls `exit` on the component; returns whether that came."""
+        return self._exiting.wait(seconds)
+
+    def close(self) -> None:
+        """Disappear: from naming services, then from connectors, then altogether."""
+        for service, path in self._bound:
+            try:
+                service.unbind(path, self.reference)
+            except Exception:  # noqa: BLE001, S112 - a service that is gone has forgotten us
+                continue
+        for port in list(self._ports):
+            self.remove_port(port)
+        self._context.close()
+        self._configuration.close()
+        self._orb.withdraw(self.reference)
+
+    def get_component_profile(self) -> Any:
+        """Return the profile (CORBA operation)."""
+        sheet = self.sheet
+        words = (sheet.type_name, sheet.description, sheet.version, sheet.vendor, sheet.category)
+        with self._lock:
+            ports = [port.get_port_profile() for port in self._ports]
+        return RTC.ComponentProfile(sheet.name, *words, ports, None, [])
+
+    def get_ports(self) -> list[Any]:
+        """Return references of the ports (CORBA operation)."""
+        with self._lock:
+            return [port.reference for port in self._ports]
+
+    def get_configuration(self) -> Any:
+        """Return the configuration sets (CORBA operation)."""
+        return self._configuration.reference
+
+    def initialize(self) -> Any:
+        """Answer that this has happened (CORBA operation)."""
+        return RTC.PRECONDITION_NOT_MET
+
+    def finalize(self) -> Any:
+        """Refuse while a context drives the component (CORBA operation)."""
+        return RTC.PRECONDITION_NOT_MET
+
+    def exit(self) -> Any:
+        """Ask whoever made the component to end it (CORBA operation)."""
+        self._exiting.set()
+        return _OK
+
+    def is_alive(self, exec_context: Any) -> bool:
+        """Whether it takes part in a context (CORBA operation)."""
+        return self._is_mine(exec_context)
+
+    def attach_context(self, exec_context: Any) -> int:
+        """Refuse: it has its context (CORBA operation)."""
+        return _CONTEXT if self._is_mine(exec_context) else -1
+
+    def detach_context(self, exec_handle: int) -> Any:
+        """Refuse: it keeps its context (CORBA operation)."""
+        return RTC.UNSUPPORTED if exec_handle == _CONTEXT else RTC.BAD_PARAMETER
+
+    def get_context(self, exec_handle: int) -> Any:
+        """Return the context of a handle (CORBA operation)."""
+        return self._context.reference if exec_handle == _CONTEXT else None
+
+    def get_owned_contexts(self) -> list[Any]:
+        """Return the one context (CORBA operation)."""
+        return [self._context.reference]
+
+    def get_participating_contexts(self) -> list[Any]:
+        """Return nothing: it is in no context of others (CORBA operation)."""
+        return []
+
+    def get_context_handle(self, context: Any) -> int:
+        """Return the handle of a context, -1 for a stranger (CORBA operation)."""
+        return _CONTEXT if self._is_mine(context) else -1
+
+    def get_sdo_id(self) -> str:
+        """Return the instance's name (CORBA operation)."""
+        return self.sheet.name
+
+    def get_sdo_type(self) -> str:
+        """Return the description (CORBA operation)."""
+        return self.sheet.description
+
+    def get_device_profile(self) -> Any:
+        """Return what the component is, as a device (CORBA operation)."""
+        sheet = self.sheet
+        words = (sheet.category, sheet.vendor, sheet.type_name, sheet.version)
+        return SDOPackage.DeviceProfile(*words, [])
+
+    def get_service_profiles(self) -> list[Any]:
+        """Return nothing: it has no SDO services (CORBA operation)."""
+        return []
+
+    def get_service_profile(self, identifier: str) -> Any:
+        """Raise: it has no SDO services (CORBA operation)."""
+        raise SDOPackage.InvalidParameter(f"there is no service {identifier!r}")
+
+    def get_sdo_service(self, identifier: str) -> Any:
+        """Raise: it has no SDO services (CORBA operation)."""
+        raise SDOPackage.InvalidParameter(f"there is no service {identifier!r}")
+
+    def get_monitoring(self) -> Any:
+        """Raise: it has no monitoring (CORBA operation)."""
+        raise SDOPackage.InterfaceNotImplemented("there is no monitoring")
+
+    def get_organizations(self) -> list[Any]:
+        """Return nothing: it is in no organisation (CORBA operation)."""
+        return []
+
+    def get_owned_organizations(self) -> list[Any]:
+        """Return nothing: it owns no organisation (CORBA operation)."""
+        return []
+
+    def get_status_list(self) -> list[Any]:
+        """Return nothing: it keeps no status list (CORBA operation)."""
+        return []
+
+    def get_status(self, name: str) -> Any:
+        """Raise: it keeps no status list (CORBA operation)."""
+        raise SDOPackage.InvalidParameter(f"there is no status {name!r}")
+
+    def _is_mine(self, context: Any) -> bool:
+        with corba_errors("comparing contexts"):
+            return context is not None and bool(self._context.reference._is_equivalent(context))

@@ -1,0 +1,139 @@
+"""The world of the conformance kit: one component in another process that sends back what comes."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from peers import Peer
+from uoarm_rtm._shape import Choice, Listing, Record, Scalar, Shape
+from uoarm_rtm._types import Types
+
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing.conformance import Pair, Served, Victim, World
+
+__all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld"]
+
+HERE = Path(__file__).parent
+IDL, TYPES_IDL = str(HERE / "service.idl"), str(HERE / "types.idl")
+KINDS = {
+    "long": "IDL:RTC/TimedLong:1.0",
+    "text": "IDL:RTC/TimedStringSeq:1.0",
+    "numbers": "IDL:RTC/TimedFloatSeq:1.0",
+    "image": "IDL:RTC/CameraImage:1.0",
+    "ranges": "IDL:RTC/RangeData:1.0",
+    "mixed": "IDL:Odd/Mixed:1.0",
+    "union": "IDL:Odd/ByNumber:1.0",
+}
+
+
+@lru_cache
+def types() -> Types:
+    return Types([TYPES_IDL])
+
+
+class RtmWorld(World):
+    """Ports of a component in another process.
+
+    Args:
+        nameserver: where everybody is.
+        start: starts a component for one test alone.
+    """
+
+    def __init__(self, nameserver: str, start: Callable[..., Peer]) -> None:
+        self._nameserver = nameserver
+        self._start = start
+
+    def bridge(self) -> Bridge:
+        options = {"nameserver": self._nameserver, "watch": 0.1, "idl": [IDL, TYPES_IDL]}
+        return Registry().create(BridgeSpec("rtm", "rtm", options))
+
+    def pair(self, kind: str) -> Pair:
+        return Pair(at(Role.INPUT, f"{kind}_in"), at(Role.OUTPUT, f"{kind}_out"))
+
+    def missing(self) -> Endpoint:
+        return Endpoint("rtm", "nobody", Role.OUTPUT, ("Nobody.rtc", "out"))
+
+    def carried(self, kind: str, message: Message) -> Message:
+        return rounded(types().codec(KINDS[kind]).shape, message)
+
+    def takes(self, kind: str, message: Message) -> bool:
+        """CORBA's strings cannot hold a zero, nor half a surrogate pair."""
+        texts = list(strings(message)) if kind in {"text", "image", "union"} else []
+        return not any("\0" in each or surrogate(each) for each in texts)
+
+    def samples(self, kind: str) -> Sequence[Message]:
+        tm = {"sec": 1, "nsec": 2}
+        if kind == "numbers":
+            return [{"tm": tm, "data": [math.nan, math.inf, -math.inf, 0.1]}]
+        if kind == "text":
+            return [{"tm": tm, "data": ["", "grüezi", "日本", "\U0001f916"]}]
+        if kind == "image":
+            pixels = bytes(range(256)) * 4096
+            size = {"width": 1024, "height": 1024, "bpp": 8, "format": "mono8", "fDiv": 0.0}
+            return [{"tm": tm, **size, "pixels": pixels}]
+        return []
+
+    def victim(self) -> Victim:
+        mortal = self._start("Mortal")
+        return Victim(Endpoint("rtm", "mortal", Role.OUTPUT, ("Mortal.rtc", "out")), mortal.kill)
+
+    def served(self) -> Served:
+        request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
+        reply = {"return": 0.5, "steps": 4, "path": [1.0]}
+        service, failing, silent = (
+            Endpoint("rtm", "loop", Role.SERVICE, ("Loop.rtc", "served", f"Mover::{name}"))
+            for name in ("move", "broken", "stuck")
+        )
+        return Served(service, request, reply, failing, silent)
+
+    def servable(self) -> tuple[Endpoint, Endpoint]:
+        offered, called = (
+            Endpoint("rtm", "offered", Role.SERVICE, (path, "offered", "Arm::Mover::echo"))
+            for path in ("self", "uoarm_rtm.rtc")
+        )
+        return offered, called
+
+    def linkable(self) -> Pair:
+        return Pair(at(Role.INPUT, "long_in"), at(Role.OUTPUT, "long_out"))
+
+
+def at(role: Role, port: str) -> Endpoint:
+    return Endpoint("rtm", "loop", role, ("Loop.rtc", port))
+
+
+def strings(message: Message) -> Any:
+    if isinstance(message, str):
+        yield message
+    elif isinstance(message, dict):
+        for each in message.values():
+            yield from strings(each)
+    elif isinstance(message, list):
+        for each in message:
+            yield from strings(each)
+
+
+def surrogate(text: str) -> bool:
+    return any(0xD800 <= ord(each) <= 0xDFFF for each in text)
+
+
+def rounded(shape: Shape, value: Any) -> Any:
+    """The message with every number as the float or double of its field has it."""
+    if isinstance(shape, Record):
+        return {each.name: rounded(each.shape, value[each.name]) for each in shape.fields}
+    if isinstance(shape, Choice):
+        inner = {each.name: each.shape for each in shape.variants}
+        return {
+            name: rounded(inner[name], each) if name in inner else each
+            for name, each in value.items()
+        }
+    if isinstance(shape, Listing) and not isinstance(value, bytes):
+        return [rounded(shape.element, each) for each in value]
+    if shape == Scalar("float"):
+        return struct.unpack("f", struct.pack("f", value))[0]
+    return float(value) if shape == Scalar("double") else value

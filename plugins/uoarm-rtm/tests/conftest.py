@@ -1,0 +1,67 @@
+"""Everything on loopback, with a naming service and components of this test run."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
+
+from peers import Peer
+from uoarm_rtm._nameserver import NameServer
+
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec
+
+settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
+settings.register_profile("rtm-long", max_examples=2000, deadline=None)
+settings.load_profile(f"rtm-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+
+
+@pytest.fixture(scope="session")
+def nameserver() -> Iterator[str]:
+    """The address of a naming service of this run."""
+    with NameServer() as server:
+        yield server.address
+
+
+@pytest.fixture
+def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
+    """Makes bridges and closes them all at the end."""
+    made: list[Bridge] = []
+    registry = Registry()
+
+    def make(name: str = "rtm", **options: object) -> Bridge:
+        given = {"nameserver": nameserver, "watch": 0.1, **options}
+        bridge = registry.create(BridgeSpec(name, "rtm", given))
+        made.append(bridge)
+        return bridge
+
+    yield make
+    for bridge in made:
+        bridge.close()
+
+
+@pytest.fixture
+def bridge(make_bridge: Callable[..., Bridge]) -> Bridge:
+    return make_bridge()
+
+
+@pytest.fixture
+def peer(nameserver: str) -> Iterator[Callable[..., Peer]]:
+    """Starts peer processes and ends them all, frozen ones too."""
+    started: list[Peer] = []
+
+    def start(name: str, *words: str, at: str = nameserver) -> Peer:
+        process = Peer(at, name, *words)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.end()

@@ -1,0 +1,85 @@
+"""Endpoints and listeners that the tests share."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from uoarm.bridge import Bridge, Channel, HealthEvent
+from uoarm.model import Endpoint, Health, Role
+
+__all__ = ["Inbox", "endpoint", "looked", "sink", "source", "stamped", "until"]
+
+
+def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
+    return Endpoint("rtm", "thing", role, address, options=options)
+
+
+def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:
+    structure = bridge.describe(at).message
+    assert structure is not None
+    return bridge.open_source(at, structure, take)
+
+
+def sink(bridge: Bridge, at: Endpoint) -> Any:
+    structure = bridge.describe(at).message
+    assert structure is not None
+    return bridge.open_sink(at, structure)
+
+
+def stamped(data: Any, sec: int = 1) -> Any:
+    return {"tm": {"sec": sec, "nsec": 2}, "data": data}
+
+
+def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def looked(bridge: Bridge) -> None:
+    """Wait until the bridge has seen who is there, from when on it tells of changes."""
+    attendance: Any = vars(bridge)["_attendance"]
+    until(lambda: attendance._conditions is not None)
+
+
+class Inbox:
+    """Collects messages or events, and waits for a number of them, or for one."""
+
+    def __init__(self) -> None:
+        self.messages: list[Any] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, message: Any) -> None:
+        with self._changed:
+            self.messages.append(message)
+            self._changed.notify_all()
+
+    def numbers(self) -> list[int]:
+        return [message["data"] for message in self.messages]
+
+    def wait_for(self, count: int, timeout: float = 20.0) -> list[Any]:
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
+                f"{len(self.messages)} of {count} messages"
+            )
+            return list(self.messages)
+
+    def event(self, health: Health, words: str, timeout: float = 20.0) -> HealthEvent:
+        """Wait for a health event with these words in its cause."""
+
+        def found() -> HealthEvent | None:
+            for each in self.messages:
+                if each.health is health and words in each.cause:
+                    event: HealthEvent = each
+                    return event
+            return None
+
+        with self._changed:
+            assert self._changed.wait_for(lambda: found() is not None, timeout), self.messages
+            event = found()
+            assert event is not None
+            return event

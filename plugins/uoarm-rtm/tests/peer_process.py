@@ -1,0 +1,224 @@
+"""A real RT-Component in a process of its own, driven by lines on standard input.
+
+It binds itself as NAME.rtc and has an OutPort `out`, an InPort `in` and a counter of what came.
+Answers are lines of JSON on standard output. It ends when standard input does.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from plain import plain
+from uoarm_rtm._naming import NamingService
+from uoarm_rtm._operations import Interface
+from uoarm_rtm._orb import Orb, narrowed
+from uoarm_rtm._peer import pairs, peer_at, properties_of
+from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._stubs import RTC
+from uoarm_rtm._types import Types
+from uoarm_rtm._wishes import Refusal
+from uoarm_rtm.component import Callbacks, RtComponent, Sheet
+from uoarm_rtm.errors import IdlError
+
+
+class Wanted(PortServant):
+    """A CorbaPort that requires one interface."""
+
+    def __init__(self, orb: Orb, name: str, interface: Interface) -> None:
+        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
+        self._interface = interface
+        kind = interface.name.split("/")[-1]
+        self._key = f"port.{kind}.{kind.lower()}"
+        self.interfaces = [RTC.PortInterfaceProfile(kind.lower(), kind, RTC.REQUIRED)]
+        self._object: Any = None
+
+    def ask(self, operation: str, arguments: Any) -> Any:
+        chosen = self._interface.operation(operation)
+        return chosen.reply(getattr(self._object, operation)(*chosen.arguments(arguments)))
+
+    def _publish(self, profile: Any) -> None:
+        pass
+
+    def _subscribe(self, profile: Any) -> None:
+        ior = properties_of(profile.properties)[self._key]
+        self._object = narrowed(self.orb.reference(ior), self._interface.stub, 2.0, self.name)
+
+    def _release(self, connector_id: str) -> None:
+        self._object = None
+
+
+class _Service:
+    """What the operations of tests/service.idl do."""
+
+    def __init__(self, component: RtComponent) -> None:
+        self._component = component
+
+    def answer(self, message: Any) -> Any:
+        operation, arguments = message["operation"], message["arguments"]
+        if operation == "move":
+            if arguments["target"]["x"] > 1.0:
+                members = {"limit": 1.0, "why": "too far"}
+                raise IdlError("too far", "IDL:Arm/OutOfReach:1.0", members)
+            return {
+                "return": arguments["target"]["x"],
+                "steps": arguments["steps"] + 1,
+                "path": [1.0],
+            }
+        if operation == "stuck":
+            time.sleep(3.0)
+        if operation == "sleep":
+            time.sleep(arguments["seconds"])
+            return {}
+        if operation == "echo":
+            return {"return": arguments["words"]}
+        raise RuntimeError(operation)
+
+
+class Process:
+    """The component and the commands that it obeys, one method each."""
+
+    def __init__(self, nameserver: str, name: str, type_id: str, idl: str) -> None:
+        self._orb = Orb("127.0.0.1", 2.0)
+        self._types = Types([idl] if idl else [])
+        self._received: list[Any] = []
+        self._calls: list[str] = []
+        self._fail = ""
+        self._configured: dict[str, str] = {}
+        callbacks = Callbacks(
+            activated=lambda: self._called("activated"),
+            deactivated=lambda: self._called("deactivated"),
+            aborting=lambda: self._called("aborting"),
+            reset=lambda: self._called("reset"),
+        )
+        sheet = Sheet(name, configuration={"default": {"gain": "1"}, "fast": {"gain": "9"}})
+        self._component = RtComponent(
+            self._orb, sheet, callbacks=callbacks, configured=self._take_configuration
+        )
+        self._in = self._component.add_in_port("in", type_id, self._types, self._take)
+        self._out = self._component.add_out_port("out", type_id, self._types)
+        path = name if name.endswith(".rtc") else f"{name}.rtc"
+        self._component.bind([NamingService(self._orb, nameserver, 2.0)], path)
+
+    def write(self, message: Any) -> None:
+        self._out.write(message)
+
+    def count(self, start: int, stop: int) -> None:
+        for number in range(start, stop):
+            self._out.write({"tm": {"sec": number, "nsec": 0}, "data": number})
+
+    def received(self) -> list[Any]:
+        return self._received
+
+    def fetch(self) -> int:
+        return self._in.fetch()
+
+    def calls(self) -> list[str]:
+        return self._calls
+
+    def fail(self, name: str) -> None:
+        self._fail = name
+
+    def abort(self) -> None:
+        self._component.lifecycle.fail()
+
+    def configuration(self) -> dict[str, str]:
+        return self._configured
+
+    def connectors(self) -> list[int]:
+        ports = (self._in, self._out)
+        return [len(port.get_connector_profiles()) for port in ports]
+
+    def refuse(self) -> None:
+        """Let every later connection fail after the port has published what it offers."""
+
+        def fail(profile: Any) -> None:
+            raise self._refusal
+
+        self._refusal = Refusal("half-way", RTC.OUT_OF_RESOURCES)
+        for port in (self._in, self._out):
+            setattr(port, "_subscribe", fail)  # noqa: B010 - of this instance alone
+
+    def provide(self, idl: str, interface: str) -> None:
+        """Add a CorbaPort `served` whose operations are those of `_Service`."""
+        types = Types([idl])
+        found, _ = types.interface(interface)
+        name = f"{self._component.sheet.name}.served"
+        servant = servant_of(found, "", _Service(self._component).answer)
+        self._component.add_port(ServicePort(self._orb, name, found, servant))
+
+    def require(self, idl: str, interface: str) -> None:
+        """Add a CorbaPort `wanted` that calls whatever is connected to it."""
+        types = Types([idl])
+        found, _ = types.interface(interface)
+        self._wanted = Wanted(self._orb, f"{self._component.sheet.name}.wanted", found)
+        self._component.add_port(self._wanted)
+
+    def ask(self, operation: str, arguments: Any) -> Any:
+        return self._wanted.ask(operation, arguments)
+
+    def connect(self, nameserver: str, path: str, port: str, properties: dict[str, str]) -> str:
+        """Connect our OutPort to an InPort of another component, as a tool would."""
+        found = peer_at(path, NamingService(self._orb, nameserver, 2.0).resolve(path), 2.0)
+        ports = [self._out.reference, found.port(port).reference]
+        profile = RTC.ConnectorProfile("tool", "", ports, pairs(properties))
+        code, _ = self._out.connect(profile)
+        return str(code)
+
+    def loop(self, name: str, type_id: str) -> None:
+        """Add ports `NAME_in` and `NAME_out`: what comes in goes out, from another thread."""
+        out = self._component.add_out_port(f"{name}_out", type_id, self._types)
+        waiting: queue.Queue[Any] = queue.Queue(100)
+        self._component.add_in_port(f"{name}_in", type_id, self._types, waiting.put)
+
+        def forward() -> None:
+            while True:
+                out.write(waiting.get())
+
+        threading.Thread(target=forward, daemon=True).start()
+
+    def activate(self) -> None:
+        self._component.lifecycle.activate()
+
+    def cut(self) -> None:
+        for port in (self._in, self._out):
+            port.disconnect_all()
+
+    def close(self) -> None:
+        self._component.close()
+        self._orb.close()
+
+    def _take(self, message: Any) -> None:
+        self._received.append(plain(message))
+
+    def _called(self, name: str) -> None:
+        self._calls.append(name)
+        if self._fail == name:
+            raise RuntimeError(name)
+
+    def _take_configuration(self, values: Mapping[str, str]) -> None:
+        self._configured = dict(values)
+
+
+def _say(answer: Any) -> None:
+    sys.stdout.write(json.dumps(answer) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    process = Process(*sys.argv[1:5])
+    _say("ready")
+    for line in sys.stdin:
+        command, *arguments = json.loads(line)
+        _say(getattr(process, command)(*arguments))
+    process.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+"""Messages as plain JSON; apart from the strategies, which take long to import."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+__all__ = ["plain"]
+
+
+def plain(value: Any) -> Any:
+    """Return a message with lists for buffers and texts for NaN, so that == compares it."""
+    if isinstance(value, dict):
+        return {name: plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, bytes | list):
+        return [plain(each) for each in value]
+    if isinstance(value, float):
+        return repr(value)
+    return value

@@ -1,0 +1,316 @@
+"""CDR: known bytes, round trips of every type, agreement with omniORB, and hostile input."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tracemalloc
+from array import array
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import omniORB
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from messages import messages
+from plain import plain
+from uoarm_rtm._codec import BIG, LITTLE, Codec
+from uoarm_rtm._explain import Cursor, read_slowly
+from uoarm_rtm._orb import Orb
+from uoarm_rtm._scalars import Order
+from uoarm_rtm._stubs import RTC
+from uoarm_rtm._types import Types
+
+from uoarm.errors import BridgeError, MessageError
+
+HERE = Path(__file__).parent
+VECTORS = json.loads((HERE / "cdr_vectors.json").read_text())["vectors"]
+ODD = ["Mixed", "Bounded", "Grid", "Weather", "Deep", "Unions", "Wide"]
+# omniORB 4.3.3 writes wchar and cannot read what it wrote (MARSHAL_MessageTooLong).
+NOT_FOR_OMNIORB = ["RTC/TimedWChar", "RTC/TimedWCharSeq", "Odd/Wide"]
+ORDERS = {"little": LITTLE, "big": BIG}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def orb() -> Iterator[None]:
+    """An ORB, without which omniORB does not marshal."""
+    held = Orb("127.0.0.1", 2.0)
+    yield
+    held.close()
+
+
+@lru_cache
+def types() -> Types:
+    return Types([str(HERE / "types.idl")])
+
+
+def every_type() -> list[str]:
+    text = "".join(
+        path.read_text() for path in sorted((HERE / "../src/uoarm_rtm/idl").glob("*Data*.idl"))
+    )
+    names = [word.split()[1] for word in text.split("\n") if word.strip().startswith("struct ")]
+    return [f"RTC/{name}" for name in names] + [f"Odd/{name}" for name in ODD]
+
+
+def type_code(name: str) -> Any:
+    return omniORB.tcInternal.createTypeCode(types().descriptor(name))
+
+
+def codec(name: str) -> Codec:
+    return types().codec(name)
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda each: f"{each['type']}-{each['endian']}")
+def test_known_bytes_are_written_and_read(vector: dict[str, Any]) -> None:
+    known = codec(vector["type"])
+    data = bytes.fromhex(vector["hex"])
+    order = ORDERS[vector["endian"]]
+    assert known.encode(vector["value"], order).hex() == vector["hex"]
+    assert plain(known.decode(data, order)) == plain(vector["value"])
+    dirty = bytearray(data)
+    for offset in vector["padding"]:
+        dirty[offset] = 0xAA
+    assert plain(known.decode(bytes(dirty), order)) == plain(vector["value"])
+
+
+def test_all_types_are_there() -> None:
+    assert len(every_type()) == 26 + 56 + 44 + len(ODD)
+
+
+@pytest.mark.parametrize("order", [LITTLE, BIG])
+@pytest.mark.parametrize("name", every_type())
+def test_every_type_survives_a_round_trip_and_omniorb_agrees(name: str, order: Order) -> None:
+    known = codec(name)
+    code = type_code(name)
+
+    @given(messages(known.shape))
+    def check(message: Any) -> None:
+        data = known.encode(message, order)
+        wanted = plain(message)
+        assert plain(known.decode(data, order)) == wanted
+        assert plain(read_slowly(known.shape, Cursor(data, order, "utf-8"))) == wanted
+        if name in NOT_FOR_OMNIORB:
+            return
+        native = omniORB.cdrUnmarshal(code, data, order == LITTLE)
+        assert (
+            plain(known.decode(omniORB.cdrMarshal(code, native, order == LITTLE), order)) == wanted
+        )
+
+    check()
+
+
+@pytest.mark.parametrize(
+    "name", ["RTC/TimedPose3D", "RTC/RangeData", "Odd/Unions", "Odd/Deep", "Odd/Wide"]
+)
+def test_no_shorter_and_no_longer_buffer_is_read(name: str) -> None:
+    known = codec(name)
+
+    @given(messages(known.shape), st.data())
+    def check(message: Any, data: Any) -> None:
+        whole = known.encode(message)
+        cut = data.draw(st.integers(0, len(whole) - 1))
+        with pytest.raises(MessageError, match="bytes received as"):
+            known.decode(whole[:cut])
+        with pytest.raises(MessageError, match="bytes received as"):
+            known.decode(whole + b"\0")
+
+    check()
+
+
+@pytest.mark.parametrize("name", every_type())
+def test_any_bytes_are_read_or_refused_with_a_path(name: str) -> None:
+    known = codec(name)
+
+    @given(st.binary(max_size=300), st.sampled_from([LITTLE, BIG]))
+    def check(data: bytes, order: Order) -> None:
+        try:
+            message = known.decode(data, order)
+        except MessageError as error:
+            assert "$" in str(error) or "message ends after" in str(error)  # noqa: PT017 - either
+        else:
+            assert plain(known.decode(known.encode(message, order), order)) == plain(message)
+
+    check()
+
+
+def test_wide_characters_are_written_as_omniorb_writes_them() -> None:
+    stamped = RTC.TimedWChar(RTC.Time(1, 2), "é")
+    for order in ORDERS.values():
+        data = omniORB.cdrMarshal(type_code("TimedWChar"), stamped, order == LITTLE)
+        message = {"tm": {"sec": 1, "nsec": 2}, "data": "é"}
+        assert codec("TimedWChar").encode(message, order) == data
+        assert codec("TimedWChar").decode(data, order) == message
+
+
+def test_lengths_that_lie_allocate_nothing() -> None:
+    for name in every_type():
+        for order in ORDERS.values():
+            for fill in (b"\xff", b"\x7f", b"\x01", b"\x10"):
+                data = fill * 4096
+                tracemalloc.start()
+                with contextlib.suppress(MessageError):
+                    codec(name).decode(data, order)
+                peak = tracemalloc.get_traced_memory()[1]
+                tracemalloc.stop()
+                assert peak < 1_500_000, (name, order, fill)
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "words"),
+    [
+        (
+            "TimedLong",
+            {"tm": {"sec": 1, "nsec": 2}, "data": 2**31},
+            r"\$\.data: expected -2147483648",
+        ),
+        (
+            "TimedLong",
+            {"tm": {"sec": 1, "nsec": 2}, "data": True},
+            r"\$\.data: expected an integer",
+        ),
+        ("TimedLong", {"tm": {"sec": 1, "nsec": 2}, "data": 1.5}, r"\$\.data: expected an integer"),
+        ("TimedLong", {"tm": {"sec": 1}, "data": 1}, r"\$\.tm: field 'nsec' is missing"),
+        (
+            "TimedLong",
+            {"tm": {"sec": 1, "nsec": 2, "x": 0}, "data": 1},
+            r"\$\.tm: there is no field 'x'",
+        ),
+        ("TimedLong", {"tm": 5, "data": 1}, r"\$\.tm: expected an object, got int 5"),
+        ("TimedLong", [], r"\$: expected an object"),
+        ("TimedDouble", {"tm": {"sec": 1, "nsec": 2}, "data": "1"}, r"\$\.data: expected a number"),
+        (
+            "TimedDouble",
+            {"tm": {"sec": 1, "nsec": 2}, "data": False},
+            r"\$\.data: expected a number",
+        ),
+        (
+            "TimedFloat",
+            {"tm": {"sec": 1, "nsec": 2}, "data": 1e39},
+            r"\$\.data: expected at most 3.4e38",
+        ),
+        (
+            "TimedBoolean",
+            {"tm": {"sec": 1, "nsec": 2}, "data": 1},
+            r"\$\.data: expected true or false",
+        ),
+        (
+            "TimedString",
+            {"tm": {"sec": 1, "nsec": 2}, "data": b"x"},
+            r"\$\.data: expected a string",
+        ),
+        (
+            "TimedString",
+            {"tm": {"sec": 1, "nsec": 2}, "data": "a\0b"},
+            r"\$\.data: a string cannot hold",
+        ),
+        (
+            "TimedLongSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2, "x"]},
+            r"\$\.data\[2\] expected",
+        ),
+        (
+            "TimedLongSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": [1, 2**40]},
+            r"\$\.data\[1\] expected",
+        ),
+        (
+            "TimedLongSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": b"ab"},
+            r"\$\.data: expected an array of long",
+        ),
+        (
+            "TimedLongSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": np.array([1, 2**40])},
+            r"\$\.data\[1\] expected",
+        ),
+        (
+            "TimedLongSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": np.array([1.0])},
+            r"\$\.data: expected an array of long, got an array of float64",
+        ),
+        (
+            "TimedStringSeq",
+            {"tm": {"sec": 1, "nsec": 2}, "data": ["a", 5]},
+            r"\$\.data\[1\]: expected",
+        ),
+        (
+            "GripperState",
+            {"tm": {"sec": 1, "nsec": 2}, "status": "OPEN"},
+            r"\$\.status: expected one of",
+        ),
+        (
+            "Odd/Bounded",
+            {"few": [1, 2, 3, 4], "word": "", "words": []},
+            r"\$\.few: expected at most 3",
+        ),
+        (
+            "Odd/Bounded",
+            {"few": [], "word": "12345", "words": []},
+            r"\$\.word: expected at most 4 char",
+        ),
+        ("Odd/ByMood", {"switch": "CALM", "shout": ""}, r"\$: field 'rest' is missing"),
+        ("Odd/ByMood", {"switch": "SAD", "rest": 1.0}, r"switch: expected one of CALM, ANGRY"),
+        ("Odd/ByNumber", {"switch": 1, "small": 256}, r"\$\.small: expected 0 to 255"),
+    ],
+)
+def test_a_message_that_does_not_fit_names_the_field(name: str, message: Any, words: str) -> None:
+    with pytest.raises(MessageError, match=words):
+        codec(name).encode(message)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("Odd/Holder", r"Holder\.what: any has no structure"),
+        ("Odd/Node", "Node.*: it contains itself"),
+        ("RTC/TimedLnog", "did you mean 'RTC/TimedLong'"),
+        ("ConnectorProfile", "an object reference means nothing outside CORBA"),
+    ],
+)
+def test_types_without_a_structure_are_refused_with_the_reason(name: str, words: str) -> None:
+    with pytest.raises(BridgeError, match=words):
+        codec(name)
+
+
+def test_buffers_pass_without_lists() -> None:
+    known = codec("TimedDoubleSeq")
+    values = np.arange(1000.0)
+    tm = {"sec": 1, "nsec": 2}
+    data = known.encode({"tm": tm, "data": values})
+    for same in (values.tolist(), tuple(values), array("d", values), values.astype(">f8")):
+        assert known.encode({"tm": tm, "data": same}) == data
+    read = known.decode(data)["data"]
+    assert isinstance(read, np.ndarray)
+    assert read.base is not None
+    assert codec("TimedDoubleSeq").encode({"tm": tm, "data": np.arange(3)[::-1]}) == known.encode(
+        {"tm": tm, "data": [2.0, 1.0, 0.0]}
+    )
+    octets = codec("TimedOctetSeq").decode(
+        codec("TimedOctetSeq").encode({"tm": tm, "data": b"abc"})
+    )
+    assert octets["data"] == b"abc"
+
+
+def test_texts_of_another_encoding_are_an_error_or_are_asked_for() -> None:
+    message = {"tm": {"sec": 1, "nsec": 2}, "data": "é"}
+    latin = Types(encoding="latin-1").codec("TimedString")
+    assert latin.decode(latin.encode(message)) == message
+    with pytest.raises(MessageError, match=r"\$\.data: not a text in utf-8"):
+        codec("TimedString").decode(latin.encode(message))
+    with pytest.raises(MessageError, match="cannot be written as latin-1"):
+        latin.encode({**message, "data": "€"})
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["IDL:RTC/TimedLong:1.0", "RTC::TimedLong", "::RTC::TimedLong", "TimedLong", "RTC/TimedLong",
+     "IDL:omg.org/RTC/TimedLong:1.0", "IDL:RTC/TimedLong"],
+)  # fmt: skip
+def test_a_type_is_known_by_every_way_of_writing_it(name: str) -> None:
+    assert types().descriptor(name)[2] == "IDL:RTC/TimedLong:1.0"
+    assert types().same(name, "IDL:RTC/TimedLong:1.0")
+    assert not types().same(name, "IDL:RTC/TimedULong:1.0")

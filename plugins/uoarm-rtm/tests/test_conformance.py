@@ -1,0 +1,33 @@
+"""The OpenRTM bridge passes the suite that every bridge passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from conformance_world import IDL, KINDS, TYPES_IDL, RtmWorld
+from peers import Peer
+
+from uoarm.testing.conformance import BridgeConformance, World
+
+
+@pytest.fixture(scope="module")
+def loop(nameserver: str) -> Iterator[Peer]:
+    """One component for every test: it sends back what comes, and serves."""
+    component = Peer(nameserver, "Loop", KINDS["long"], TYPES_IDL)
+    for name, type_id in KINDS.items():
+        component.loop(name, type_id)
+    component.provide(IDL, "Mover")
+    component.activate()
+    yield component
+    component.end()
+
+
+class TestRtmBridge(BridgeConformance):
+    """The whole suite."""
+
+    kinds = tuple(KINDS)
+
+    @pytest.fixture
+    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
+        return RtmWorld(nameserver, peer)

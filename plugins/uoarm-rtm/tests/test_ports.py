@@ -1,0 +1,159 @@
+"""Data ports of real components in other processes: both directions, every way of moving data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from endpoints import Inbox, endpoint, sink, source, stamped, until
+from peers import Peer
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Role
+
+IDL = str(Path(__file__).parent / "types.idl")
+Start = Callable[..., Peer]
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"endian": "big"}, {"flow": "pull", "rate": 200},
+], ids=str)  # fmt: skip
+def test_an_out_port_delivers_everything_in_order(
+    bridge: Bridge, peer: Start, options: dict[str, Any]
+) -> None:
+    component = peer("Talker")
+    inbox = Inbox()
+    channel = source(bridge, endpoint(Role.OUTPUT, "Talker.rtc", "out", **options), inbox)
+    component.count(0, 5)
+    inbox.wait_for(5)
+    component.count(5, 8)
+    inbox.wait_for(8)
+    assert inbox.numbers() == list(range(8))
+    assert inbox.messages[3] == {"tm": {"sec": 3, "nsec": 0}, "data": 3}
+    assert channel.facts()["count"] == 8
+    channel.close()
+    assert component.connectors() == [0, 0]
+    component.count(8, 9)
+    assert inbox.numbers() == list(range(8))
+
+
+@pytest.mark.parametrize("subscription", ["new", "periodic"])
+def test_other_subscriptions_end_with_the_newest(
+    bridge: Bridge, peer: Start, subscription: str
+) -> None:
+    component = peer("Talker")
+    inbox = Inbox()
+    at = endpoint(Role.OUTPUT, "Talker.rtc", "out", subscription=subscription, rate=100)
+    source(bridge, at, inbox)
+    component.count(0, 50)
+    until(lambda: 49 in inbox.numbers())
+    assert inbox.numbers() == sorted(set(inbox.numbers()))
+
+
+@pytest.mark.parametrize("options", [{}, {"endian": "big"}], ids=str)
+def test_an_in_port_gets_everything_in_order(
+    bridge: Bridge, peer: Start, options: dict[str, Any]
+) -> None:
+    component = peer("Listener")
+    at = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True, **options)
+    into = sink(bridge, at)
+    for number in range(5):
+        into.send(stamped(number))
+    assert component.received() == [stamped(number) for number in range(5)]
+    assert component.calls() == ["activated"]
+    into.close()
+    assert component.connectors() == [0, 0]
+    with pytest.raises(BridgeError, match="is closed") as caught:
+        into.send(stamped(5))
+    assert caught.value.reason is FailureReason.CLOSED
+
+
+def test_an_in_port_that_pulls(bridge: Bridge, peer: Start) -> None:
+    component = peer("Listener")
+    at = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True, flow="pull")
+    into = sink(bridge, at)
+    assert not into.blocking
+    assert component.fetch() == 0
+    into.send(stamped(1))
+    into.send(stamped(2))
+    assert [component.fetch() for _ in range(3)] == [1, 1, 0]
+    assert component.received() == [stamped(1), stamped(2)]
+
+
+@pytest.mark.parametrize("name", ["in", "Listener.in"])
+def test_a_message_that_does_not_fit_never_leaves(bridge: Bridge, peer: Start, name: str) -> None:
+    component = peer("Listener")
+    into = sink(bridge, endpoint(Role.INPUT, "Listener.rtc", name, activate=True))
+    with pytest.raises(MessageError, match=r"\$\.data: expected an integer"):
+        into.send(stamped("five"))
+    assert component.received() == []
+
+
+def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: Start) -> None:
+    bridge = make_bridge(idl=IDL)
+    odd = peer("Odd", "IDL:Odd/Deep:1.0", IDL)
+    camera = peer("Camera", "IDL:RTC/CameraImage:1.0")
+    seen = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "Odd.rtc", "out"), seen)
+    odd.write({"rows": [[1.0, 2.0], []], "mixes": [], "end": 7})
+    message = seen.wait_for(1)[0]
+    assert np.array_equal(message["rows"][0], [1.0, 2.0])
+    into = sink(bridge, endpoint(Role.INPUT, "Camera.rtc", "in", activate=True))
+    image = {
+        "tm": {"sec": 1, "nsec": 2}, "width": 640, "height": 480, "bpp": 24, "format": "rgb8",
+        "fDiv": 0.0, "pixels": bytes(640 * 480 * 3),
+    }  # fmt: skip
+    into.send(image)
+    assert camera.received()[0]["pixels"] == [0] * (640 * 480 * 3)
+
+
+@pytest.mark.parametrize(
+    ("address", "words", "reason"),
+    [
+        (("Nobody.rtc", "out"), "there is no component 'Nobody.rtc'", FailureReason.NOT_FOUND),
+        (("Talker.rtc", "left"), "has no port 'left'; it has in, out", FailureReason.NOT_FOUND),
+        (("Talker.rtc", "in"), "is a DataInPort, but an output needs", FailureReason.BAD_ENDPOINT),
+        (
+            ("Talker.rtc", "out", "RTC::TimedDouble"),
+            "carries IDL:RTC/TimedLong:1.0, the configuration says RTC::TimedDouble",
+            FailureReason.REFUSED,
+        ),
+        (("Talker.rtc",), "expected \\[component, port\\]", FailureReason.BAD_ENDPOINT),
+    ],
+    ids=str,
+)
+def test_what_is_not_there_is_said(
+    bridge: Bridge, peer: Start, address: tuple[str, ...], words: str, reason: FailureReason
+) -> None:
+    peer("Talker")
+    with pytest.raises(BridgeError, match=words) as caught:
+        bridge.describe(endpoint(Role.OUTPUT, *address))
+    assert caught.value.reason is reason
+
+
+@pytest.mark.parametrize(("role", "port"), [(Role.OUTPUT, "out"), (Role.INPUT, "in")])
+def test_a_refusal_half_way_leaves_nothing_behind(
+    bridge: Bridge, peer: Start, role: Role, port: str
+) -> None:
+    component = peer("Stubborn")
+    component.refuse()
+    at = endpoint(role, "Stubborn.rtc", port)
+    with pytest.raises(BridgeError, match="refuses to connect: OUT_OF_RESOURCES") as caught:
+        _ = sink(bridge, at) if role is Role.INPUT else source(bridge, at, Inbox())
+    assert caught.value.reason is FailureReason.REFUSED
+    assert component.connectors() == [0, 0]
+    assert bridge.open_channels == 0
+
+
+def test_a_component_in_a_context_is_found_by_its_last_step(bridge: Bridge, peer: Start) -> None:
+    peer("some\\.host.host_cxt/deep.mgr/Far.rtc")
+    peer("Other")
+    for path in ("some\\.host.host_cxt/deep.mgr/Far.rtc", "Far.rtc"):
+        assert bridge.describe(endpoint(Role.OUTPUT, path, "out")).message is not None
+    peer("elsewhere.host_cxt/Far.rtc")
+    with pytest.raises(BridgeError, match="is there several times"):
+        bridge.describe(endpoint(Role.OUTPUT, "Far.rtc", "out"))

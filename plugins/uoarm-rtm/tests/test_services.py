@@ -1,0 +1,223 @@
+"""Services in both directions, lifecycle and configuration as calls, links, our own component."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, endpoint, sink, source, stamped, until
+from jsonschema import Draft202012Validator
+from peers import Peer
+from uoarm_rtm.errors import IdlError
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health, Role
+
+IDL = str(Path(__file__).parent / "service.idl")
+Start = Callable[..., Peer]
+Make = Callable[..., Bridge]
+MOVE = endpoint(Role.SERVICE, "Robot.rtc", "served", "Arm::Mover::move")
+PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
+
+
+@pytest.fixture
+def robot(peer: Start) -> Peer:
+    component = peer("Robot")
+    component.provide(IDL, "Mover")
+    return component
+
+
+def test_a_service_is_described_called_and_checked(make_bridge: Make, robot: Peer) -> None:
+    bridge = make_bridge(idl=IDL)
+    described = bridge.describe(MOVE)
+    request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
+    assert described.request is not None
+    assert described.reply is not None
+    reply = bridge.call(MOVE, request)
+    assert {**reply, "path": list(reply["path"])} == {"return": 0.5, "steps": 4, "path": [1.0]}
+    Draft202012Validator(described.request.schema).validate(request)
+    Draft202012Validator(described.reply.schema).validate({**reply, "path": [1.0]})
+    with pytest.raises(MessageError, match=r"field 'steps': .* expected an integer"):
+        bridge.call(MOVE, {**request, "steps": "3"})
+    with pytest.raises(MessageError, match="expected an object with target, steps"):
+        bridge.call(MOVE, {"target": {"x": 0.5, "y": 0.0}})
+
+
+def test_a_declared_exception_comes_back_with_its_members(make_bridge: Make, robot: Peer) -> None:
+    bridge = make_bridge(idl=IDL)
+    with pytest.raises(IdlError, match="raised OutOfReach") as caught:
+        bridge.call(MOVE, {"target": {"x": 2.0, "y": 0.0}, "steps": 0})
+    assert caught.value.exception == "IDL:Arm/OutOfReach:1.0"
+    assert caught.value.members == {"limit": 1.0, "why": "too far"}
+
+
+def test_a_whole_interface_is_one_service_with_operations(make_bridge: Make, robot: Peer) -> None:
+    bridge = make_bridge(idl=IDL)
+    for at in (
+        endpoint(Role.SERVICE, "Robot.rtc", "served"),
+        endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover"),
+    ):
+        described = bridge.describe(at)
+        message = {"operation": "echo", "arguments": {"words": "grüezi €"}}
+        assert described.request is not None
+        Draft202012Validator(described.request.schema).validate(message)
+        assert bridge.call(at, message) == {"return": "grüezi €"}
+        with pytest.raises(BridgeError, match="any has no structure"):
+            bridge.call(at, {"operation": "anything", "arguments": {}})
+        with pytest.raises(BridgeError, match="has no operation 'jump'; it has move"):
+            bridge.call(at, {"operation": "jump", "arguments": {}})
+
+
+def test_a_slow_or_failing_service_is_an_error_in_time(make_bridge: Make, robot: Peer) -> None:
+    bridge = make_bridge(idl=IDL)
+    slow = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::sleep")
+    begun = time.monotonic()
+    with pytest.raises(BridgeTimeoutError):
+        bridge.call(slow, {"seconds": 3.0}, timeout=0.3)
+    assert time.monotonic() - begun < 2.0
+    with pytest.raises(BridgeError, match="UNKNOWN"):
+        bridge.call(endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::fail"), {})
+    with pytest.raises(BridgeError, match=r"is not known \(the option `idl`"):
+        bridge.describe(endpoint(Role.SERVICE, "Robot.rtc", "served", "Unheard"))
+
+
+def test_a_service_that_came_back_is_reached_again(make_bridge: Make, peer: Start) -> None:
+    bridge = make_bridge(idl=IDL)
+    first = peer("Robot")
+    first.provide(IDL, "Mover")
+    echo = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::echo")
+    assert bridge.call(echo, {"words": "a"}) == {"return": "a"}
+    first.kill()
+    with pytest.raises(BridgeError) as caught:
+        bridge.call(echo, {"words": "b"})
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+    second = peer("Robot")
+    second.provide(IDL, "Mover")
+    assert bridge.call(echo, {"words": "c"}) == {"return": "c"}
+
+
+def test_a_function_of_ours_serves_a_port_that_requires_it(make_bridge: Make, peer: Start) -> None:
+    bridge = make_bridge(idl=IDL)
+    component = peer("Needy")
+    component.require(IDL, "Mover")
+    at = endpoint(Role.SERVICE, "Needy.rtc", "wanted", "Mover::echo")
+    channel = bridge.serve(at, lambda message: {"return": message["words"] + "!"})
+    assert component.ask("echo", {"words": "hello"}) == {"return": "hello!"}
+    channel.close()
+    wanted = endpoint(Role.SERVICE, "Needy.rtc", "wanted")
+    again = bridge.serve(wanted, lambda message: {"return": message["operation"]})
+    assert component.ask("echo", {"words": "hello"}) == {"return": "echo"}
+    again.close()
+
+
+def test_lifecycle_as_calls(bridge: Bridge, peer: Start) -> None:
+    component = peer("Worker")
+    at = endpoint(Role.SERVICE, "Worker.rtc", "@lifecycle")
+
+    def drive(action: str) -> Any:
+        return bridge.call(at, {"action": action})["state"]
+
+    assert drive("state") == "inactive"
+    assert drive("activate") == "active"
+    with pytest.raises(BridgeError, match="PRECONDITION_NOT_MET, being active"):
+        drive("activate")
+    component.abort()
+    assert drive("state") == "error"
+    assert drive("reset") == "inactive"
+    component.fail("activated")
+    with pytest.raises(BridgeError, match="it failed and is in error now"):
+        drive("activate")
+    assert drive("reset") == "inactive"
+    assert component.calls() == [
+        "activated", "aborting", "reset", "activated", "aborting", "reset",
+    ]  # fmt: skip
+    with pytest.raises(MessageError, match="expected one of activate"):
+        drive("dance")
+
+
+def test_configuration_sets_as_calls(bridge: Bridge, peer: Start) -> None:
+    component = peer("Worker")
+    at = endpoint(Role.SERVICE, "Worker.rtc", "@configuration")
+    sets = {"default": {"gain": "1"}, "fast": {"gain": "9"}}
+    assert bridge.call(at, {}) == {"active": "default", "sets": sets}
+    assert bridge.call(at, {"set": "fast", "activate": True})["active"] == "fast"
+    assert component.configuration() == {"gain": "9"}
+    bridge.call(at, {"values": {"gain": "10"}})
+    assert component.configuration() == {"gain": "10"}
+    with pytest.raises(BridgeError, match="InvalidParameter: there is no configuration set 'x'"):
+        bridge.call(at, {"set": "x", "activate": True})
+
+
+def test_activated_on_request_and_deactivated_on_kill(bridge: Bridge, peer: Start) -> None:
+    component = peer("Worker")
+    one = sink(bridge, endpoint(Role.INPUT, "Worker.rtc", "in", activate=True))
+    two = source(bridge, endpoint(Role.OUTPUT, "Worker.rtc", "out", activate=True), Inbox())
+    one.close()
+    assert component.calls() == ["activated"]
+    two.close()
+    assert component.calls() == ["activated", "deactivated"]
+    bridge.call(endpoint(Role.SERVICE, "Worker.rtc", "@lifecycle"), {"action": "activate"})
+    sink(bridge, endpoint(Role.INPUT, "Worker.rtc", "in", activate=True)).close()
+    assert component.calls() == ["activated", "deactivated", "activated"]
+
+
+def test_two_components_are_linked_directly(bridge: Bridge, peer: Start) -> None:
+    talker, listener = peer("Talker"), peer("Listener")
+    events = Inbox()
+    bridge.watch(events)
+    out = endpoint(Role.OUTPUT, "Talker.rtc", "out")
+    into = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True)
+    channel = bridge.link(out, into)
+    assert channel is not None
+    talker.count(0, 3)
+    assert listener.received() == [{"tm": {"sec": n, "nsec": 0}, "data": n} for n in range(3)]
+    channel.close()
+    assert (talker.connectors(), listener.connectors()) == ([0, 0], [0, 0])
+    again = bridge.link(out, into)
+    talker.cut()
+    assert events.event(Health.LOST, "have ended the connection").channel is again
+    other = peer("Other", "IDL:RTC/TimedDouble:1.0")
+    assert bridge.link(out, endpoint(Role.INPUT, "Other.rtc", "in")) is None
+    assert other.connectors() == [0, 0]
+
+
+def test_we_are_a_component_that_others_connect_to(
+    make_bridge: Make, peer: Start, nameserver: str
+) -> None:
+    bridge = make_bridge(idl=IDL, component="Manager")
+    talker = peer("Talker")
+    inbox = Inbox()
+    at = endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong")
+    channel = source(bridge, at, inbox)
+    assert talker.connect(nameserver, "Manager.rtc", "heard", PUSH) == "RTC_OK"
+    talker.count(0, 3)
+    assert inbox.numbers() == [0, 1, 2]
+    wrong = {**PUSH, "dataport.data_type": "IDL:RTC/TimedDouble:1.0"}
+    assert talker.connect(nameserver, "Manager.rtc", "heard", wrong) == "BAD_PARAMETER"
+    assert talker.connect(nameserver, "Manager.rtc", "heard", {}) == "BAD_PARAMETER"
+    assert talker.connectors() == [0, 1]
+    with pytest.raises(BridgeError, match="has a port 'heard' already"):
+        source(bridge, at, inbox)
+    channel.close()
+    assert talker.connectors() == [0, 0]
+
+
+def test_another_manager_uses_our_ports_as_those_of_any_component(make_bridge: Make) -> None:
+    ours, theirs = make_bridge(idl=IDL, component="Manager"), make_bridge("other", idl=IDL)
+    said = sink(ours, endpoint(Role.INPUT, "self", "said", "RTC::TimedLong"))
+    echo = endpoint(Role.SERVICE, "self", "helper", "Mover::echo")
+    ours.serve(echo, lambda message: {"return": message["words"].upper()})
+    inbox = Inbox()
+    source(theirs, endpoint(Role.OUTPUT, "Manager.rtc", "said"), inbox)
+    said.send(stamped(7))
+    inbox.wait_for(1)
+    at = endpoint(Role.SERVICE, "Manager.rtc", "helper", "Mover::echo")
+    assert theirs.call(at, {"words": "hi"}) == {"return": "HI"}
+    names = [each.name for each in theirs.discover()]
+    assert "Manager.rtc" in names
+    ours.close()
+    until(lambda: "Manager.rtc" not in [each.name for each in theirs.discover()])

@@ -1,0 +1,10 @@
+"""Bridge hosts: a bridge, unchanged, in a process and Python environment of its own.
+
+Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
+"""
+
+from uoarm.host._remote import RemoteBridge
+from uoarm.host._settings import HostSettings
+from uoarm.host._xmlrpc import XmlRpcFace
+
+__all__ = ["HostSettings", "RemoteBridge", "XmlRpcFace"]

@@ -1,0 +1,95 @@
+"""What the configuration says of a host: which Python, which variables, which limits."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm.environments import environment_python
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Options
+
+__all__ = ["HostSettings"]
+
+_OF_A_PYTHON = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
+_MARK_OF_ROS_WHEELS = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+_LIBRARIES = "LD_LIBRARY_PATH"
+
+
+@frozen
+class HostSettings:
+    """Settings of one bridge host.
+
+    Attributes:
+        environment: name of an environment made with `uoarm env create`.
+        python: path of an interpreter; where neither is given, the application's own.
+        variables: environment variables to set, or with None to take away.
+        silence: seconds without an answer after which the host counts as dead.
+        start: seconds within which it must be ready.
+        restarts: deaths in a row after which the manager gives it up.
+        shared_memory: whether large messages cross in shared memory.
+    """
+
+    environment: str | None = None
+    python: str | None = None
+    variables: Mapping[str, str | None] = field(factory=dict, hash=False)
+    silence: float = 3.0
+    start: float = 30.0
+    restarts: int = 5
+    shared_memory: bool = False
+
+    @classmethod
+    def read(cls, options: Options) -> HostSettings:
+        """Return the settings of a `host:` mapping, whose keys the configuration has checked."""
+        given: dict[str, Any] = dict(options)
+        return cls(**given)
+
+    def interpreter(self) -> Path:
+        """Return the interpreter that runs the host.
+
+        Raises:
+            BridgeError: it is not there; the text says how to make it.
+        """
+        if self.environment is not None:
+            found = environment_python(self.environment)
+            hint = f"make it: uoarm env create {self.environment} --plugin ..."
+        elif self.python is not None:
+            found, hint = Path(self.python).expanduser(), "check the path under `python`"
+        else:
+            return Path(sys.executable)
+        if not os.access(found, os.X_OK):
+            text = f"there is no Python interpreter at {found}; {hint}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        return found
+
+    def process_variables(self, inherited: Mapping[str, str]) -> dict[str, str]:
+        """Return the variables of the host's process.
+
+        Wheels of ROS from a package index put their libraries on the loader's path and mark
+        that they did (`ros-*-rclpy` 2026 bootstrap); a child that inherits either loads the
+        libraries of its parent's ROS. Both are taken away, and what belongs to the
+        application's Python is when the host's is another.
+        """
+        left = dict(inherited)
+        if left.pop(_MARK_OF_ROS_WHEELS, None) is not None and _LIBRARIES in left:
+            ours = [str(Path(prefix)) for prefix in (sys.prefix, sys.base_prefix)]
+            paths = [
+                path
+                for path in left.pop(_LIBRARIES).split(os.pathsep)
+                if path and not any(path.startswith(prefix) for prefix in ours)
+            ]
+            if paths:
+                left[_LIBRARIES] = os.pathsep.join(paths)
+        if self.environment is not None:
+            for name in _OF_A_PYTHON:
+                left.pop(name, None)
+        for name, value in self.variables.items():
+            left.pop(name, None)
+            if value is not None:
+                left[name] = value
+        return left

@@ -1,0 +1,37 @@
+"""Starting a bridge in a host, where the configuration says so."""
+
+from __future__ import annotations
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason, PluginError
+from uoarm.manager._restarts import Restarts
+from uoarm.model import BridgeSpec, Options
+
+__all__ = ["start_hosted"]
+
+
+def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts) -> Bridge:
+    """Start the host of a bridge and return when it is ready.
+
+    Args:
+        spec: the bridge.
+        host: the settings of its host, see `HostSettings`.
+        restarts: what is known of earlier deaths.
+
+    Raises:
+        PluginError: the extra `uoarm[hosts]`, or the plugin in the host, is missing.
+        BridgeError: the host could not be started, or died too often.
+    """
+    try:
+        from uoarm.host import HostSettings, RemoteBridge  # noqa: PLC0415 - needs an extra
+    except ImportError as error:
+        text = f"bridge {spec.name!r} has a host, which needs: pip install 'uoarm[hosts]' ({error})"
+        raise PluginError(text) from error
+    restarts.check(spec.name, HostSettings.read(host).restarts)
+    restarts.began(spec.name)
+    try:
+        return RemoteBridge(spec)
+    except BridgeError as error:
+        if error.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}:
+            restarts.died(spec.name, str(error))
+        raise

@@ -1,0 +1,145 @@
+"""Patterns made deterministic as they are walked, one character at a time.
+
+A state says what stood before (the start, a word character, another one) and which threads there
+are: a state of the automaton that may have been reached, with what the rest of the text must or
+must not begin with. Free edges are followed when it is known what comes next.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TypeAlias
+
+from uoarm.schema._charsets import CLASSES, contains
+from uoarm.schema._nfa import Nfa, UnsupportedPatternError
+from uoarm.schema._regex import compile_pattern
+
+__all__ = ["WalkState", "Walker", "found_in", "walker_of"]
+
+_START, _WORD, _OTHER, _END = range(4)
+_MAX_THREADS = 3_000
+
+Duty: TypeAlias = "tuple[bool, int, WalkState]"
+"""Whether the rest must or must not match, which automaton is looking, and how far it is."""
+Thread: TypeAlias = "tuple[int, frozenset[Duty]]"
+WalkState: TypeAlias = "tuple[int, frozenset[Thread]]"
+
+_NO_DUTIES: frozenset[Duty] = frozenset()
+
+
+class Walker:
+    """One pattern, made deterministic on the way."""
+
+    def __init__(self, nfa: Nfa) -> None:
+        self._nfa = nfa
+        self.last = nfa.last
+        self._sees_words = nfa.sees_words()
+        self._lookers: list[Walker] = []
+        self._looks: list[list[tuple[bool, int, int]]] = [[] for _ in nfa.looks]
+        for state, looks in enumerate(nfa.looks):
+            for sign, inner, target in looks:
+                self._looks[state].append((sign, len(self._lookers), target))
+                self._lookers.append(Walker(inner))
+        self._steps: dict[tuple[WalkState, int], WalkState] = {}
+        self._accepting: dict[WalkState, bool] = {}
+        self.start = self.begin(_START)
+
+    def step(self, state: WalkState, code: int) -> WalkState:
+        """Return the state after one more character."""
+        known = self._steps.get((state, code))
+        if known is None:
+            follows = self._context(code)
+            reached: set[Thread] = set()
+            for at, duties in self._closure(state, follows):
+                targets = [to for chars, to in self._nfa.edges[at] if contains(chars, code)]
+                kept = self._advance(duties, code) if targets else None
+                if kept is not None:
+                    reached.update((to, kept) for to in targets)
+            known = self._steps[state, code] = (follows, frozenset(reached))
+        return known
+
+    def accepts(self, state: WalkState) -> bool:
+        """Say whether the text may end here."""
+        known = self._accepting.get(state)
+        if known is None:
+            known = self._accepting[state] = any(
+                at == self.last
+                and all(self._lookers[n].accepts(inner) == sign for sign, n, inner in duties)
+                for at, duties in self._closure(state, _END)
+            )
+        return known
+
+    def begin(self, before: int) -> WalkState:
+        """Return the state before the first character, given what stood before that."""
+        return before, frozenset({(self._nfa.first, _NO_DUTIES)})
+
+    def _context(self, code: int) -> int:
+        return _WORD if self._sees_words and contains(CLASSES["w"], code) else _OTHER
+
+    def _advance(self, duties: frozenset[Duty], code: int) -> frozenset[Duty] | None:
+        """Return what is left of some duties after a character; None when one is failed."""
+        left: set[Duty] = set()
+        for sign, number, inner in duties:
+            looker = self._lookers[number]
+            after = looker.step(inner, code)
+            settled = _settled(looker, after)
+            if settled is None:
+                left.add((sign, number, after))
+            elif settled != sign:
+                return None
+        return frozenset(left)
+
+    def _closure(self, state: WalkState, follows: int) -> set[Thread]:
+        before, threads = state
+        reached: set[Thread] = set()
+        waiting = list(threads)
+        while waiting:
+            thread = waiting.pop()
+            if thread in reached:
+                continue
+            reached.add(thread)
+            if len(reached) > _MAX_THREADS:
+                raise UnsupportedPatternError("it looks ahead in too many ways at once")
+            at, duties = thread
+            waiting.extend((to, duties) for to in self._nfa.always[at])
+            waiting.extend(
+                (to, duties) for kind, to in self._nfa.asserts[at] if _holds(kind, before, follows)
+            )
+            for sign, number, to in self._looks[at]:
+                duty = (sign, number, self._lookers[number].begin(before))
+                waiting.append((to, duties | {duty}))
+        return reached
+
+
+def _settled(looker: Walker, state: WalkState) -> bool | None:
+    """Return whether a look matches already, or cannot any more; None when it is open."""
+    if not state[1]:
+        return False
+    return True if any(at == looker.last and not more for at, more in state[1]) else None
+
+
+def _holds(kind: str, before: int, follows: int) -> bool:
+    if kind == "begin":
+        return before == _START
+    if kind == "end":
+        return follows == _END
+    return ((before == _WORD) != (follows == _WORD)) == (kind == "boundary")
+
+
+@lru_cache(maxsize=1024)
+def walker_of(pattern: str) -> Walker:
+    """Return the walker of a pattern, which remembers what it has walked."""
+    return Walker(compile_pattern(pattern))
+
+
+def found_in(pattern: str, text: str) -> bool:
+    """Say whether a pattern is found in a text, with ECMA-262 meaning.
+
+    Raises:
+        UnsupportedPatternError: the pattern is not decided here.
+    """
+    walker = walker_of(pattern)
+    state = walker.start
+    for char in text:
+        state = walker.step(state, ord(char))
+    return walker.accepts(state)

@@ -1,0 +1,112 @@
+"""A hosted `python` bridge with a few components, and what tests ask of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from uoarm.bridge import HealthEvent
+from uoarm.host._remote import RemoteBridge
+from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
+
+COMPONENTS = """
+import ctypes, os, time
+from collections.abc import Iterator
+
+def count() -> Iterator[int]:
+    yield from range(1000)
+
+def forever() -> Iterator[int]:
+    number = 0
+    while True:
+        yield number
+        number += 1
+        time.sleep(0.002)
+
+def fails() -> Iterator[int]:
+    yield 1
+    raise RuntimeError("the camera is unplugged")
+
+def double(value: int) -> int:
+    return 2 * value
+
+def refuse(value: int) -> int:
+    raise ValueError(f"{value} is not wanted")
+
+def slow(value: int) -> int:
+    time.sleep(0.05)
+    return value
+
+def die(value: int) -> int:
+    os._exit(value)
+
+def hang(value: int) -> int:
+    ctypes.PyDLL(None).sleep(value)  # keeps the interpreter lock
+    return value
+
+def process_id(value: int) -> int:
+    return os.getpid()
+
+class takes_long:
+    def __init__(self) -> None:
+        open(os.path.join(os.path.dirname(__file__), "begun"), "w").close()
+        time.sleep(30)
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+
+def say(value: int) -> int:
+    print("spoken", value)
+    return value
+
+def echo(message: dict) -> dict:
+    return message
+"""
+
+ANY = MessageStructure(True)
+
+
+def spec(folder: Path, **host: object) -> BridgeSpec:
+    """Write the components to a folder and describe a hosted bridge that finds them."""
+    (folder / "hosted_parts.py").write_text(COMPONENTS)
+    return BridgeSpec("far", "python", {"path": [str(folder)]}, host)
+
+
+def bridge(folder: Path, **host: object) -> RemoteBridge:
+    """Start a hosted bridge."""
+    return RemoteBridge(spec(folder, **host))
+
+
+def at(name: str, role: Role = Role.OUTPUT, port: str = "default") -> Endpoint:
+    """Return the endpoint of a component in the hosted module."""
+    return Endpoint("far", name, role, (f"hosted_parts:{name}",), port)
+
+
+class Events:
+    """Keeps the health events of a bridge."""
+
+    def __init__(self) -> None:
+        self.all: list[HealthEvent] = []
+
+    def __call__(self, event: HealthEvent) -> None:
+        self.all.append(event)
+
+
+def wait(ready: Callable[[], Any], seconds: float = 10.0) -> None:
+    """Wait until something is true."""
+    deadline = time.monotonic() + seconds
+    pause = threading.Event()
+    while not ready():
+        assert time.monotonic() < deadline, "it did not come to pass"
+        pause.wait(0.005)
+
+
+def lives(process: int) -> bool:
+    """Say whether a process is there and has not ended."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"

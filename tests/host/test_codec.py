@@ -1,0 +1,117 @@
+"""Every message comes back as it left; every broken frame is refused."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from array import array
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uoarm.errors import MessageError
+from uoarm.host._codec import pack, unpack
+
+_leaves = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**80), 2**80)
+    | st.floats(allow_nan=False)
+    | st.text(st.characters())
+    | st.binary()
+)
+_messages = st.recursive(
+    _leaves, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=20
+)
+
+
+@given(_messages)
+def test_a_message_comes_back_as_it_left(message: object) -> None:
+    assert unpack(pack(message)) == message
+
+
+def test_half_of_a_surrogate_pair_passes() -> None:
+    assert unpack(pack({"text": "\ud800"})) == {"text": "\ud800"}
+
+
+def test_what_is_not_a_number_stays_so() -> None:
+    assert math.isnan(unpack(pack({"x": math.nan}))["x"])
+
+
+@pytest.mark.parametrize("kind", ["?", "i1", "u1", "<i2", ">u2", "<i4", "<u8", "<f2", ">f4", "<f8"])
+@pytest.mark.parametrize("shape", [(0,), (5,), (3, 2), (2, 0, 3), ()])
+def test_numeric_arrays_keep_type_shape_and_values(kind: str, shape: tuple[int, ...]) -> None:
+    sent = (np.arange(math.prod(shape)) % 2).astype(kind).reshape(shape)
+    got = unpack(pack({"a": sent, "b": [sent, "text"]}))
+    for one in (got["a"], got["b"][0]):
+        assert one.dtype == sent.dtype
+        assert one.shape == sent.shape
+        assert (one == sent).all()
+
+
+def test_a_strided_array_is_sent_as_it_reads() -> None:
+    sent = np.arange(20).reshape(4, 5)[::2, ::-1]
+    assert (unpack(pack(sent)) == sent).all()
+
+
+@pytest.mark.parametrize("code", "bBhHiIlLqQfd")
+def test_arrays_keep_type_and_values(code: str) -> None:
+    got = unpack(pack([array(code, [1, 2, 3]), "after"]))
+    assert got[0].tolist() == [1, 2, 3]
+    assert got[0].itemsize == array(code).itemsize
+    assert got[1] == "after"
+
+
+def test_numbers_of_numpy_become_plain() -> None:
+    got = unpack(pack([np.int64(3), np.float32(0.5), np.bool_(True)]))
+    assert got == [3, 0.5, True]
+    assert [type(one) for one in got] == [int, float, bool]
+
+
+@pytest.mark.parametrize("code", "bBhHiIqQfd")
+def test_without_numpy_a_flat_buffer_arrives_as_an_array(
+    code: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = pack(array(code, [1, 2]))
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    got = unpack(frame)
+    assert isinstance(got, array)
+    assert got.tolist() == [1, 2]
+
+
+def test_without_numpy_other_shapes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = pack(np.zeros((2, 2)))
+    monkeypatch.setitem(sys.modules, "numpy", None)
+    with pytest.raises(MessageError, match="needs numpy"):
+        unpack(frame)
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, np.array(["a"]), np.array([object()]), 1j])
+def test_other_values_are_refused_by_name(value: object) -> None:
+    with pytest.raises(MessageError, match=f"cannot carry a {type(value).__name__}"):
+        pack({"x": value})
+
+
+def test_a_message_nested_too_deep_is_refused() -> None:
+    message: object = []
+    for _ in range(5000):
+        message = [message]
+    with pytest.raises(MessageError, match="cannot be written"):
+        pack(message)
+
+
+def test_every_cut_of_a_frame_is_refused() -> None:
+    frame = pack({"a": np.arange(10), "b": b"octets", "c": "text"})
+    for end in range(len(frame)):
+        if end % 8 or end < len(frame) - 8:
+            with pytest.raises(MessageError):
+                unpack(frame[:end])
+
+
+@given(st.binary(max_size=64))
+def test_noise_is_read_or_refused_and_nothing_else(noise: bytes) -> None:
+    with contextlib.suppress(MessageError):
+        unpack(noise)

@@ -1,0 +1,243 @@
+"""What becomes of a hosted bridge when its host is harmed: noticed, counted, and cleaned up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.host import hosted
+from tests.host.hosted import ANY, Events, at, lives, wait
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.host import RemoteBridge
+from uoarm.model import Health, Role
+from uoarm.testing import Census
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left(tmp_path: Path) -> Iterator[None]:
+    """Hold that threads, descriptors, folders and processes return to where they were."""
+    hosted.bridge(tmp_path).close()  # what stays for the next one, Zenoh's own threads, is there
+    before = Census()
+    yield
+    before.check()
+    left = Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*")
+    assert not list(left)
+
+
+def _lost(events: Events) -> list[str]:
+    return [event.cause for event in events.all if event.health is Health.LOST]
+
+
+def _harmed(
+    folder: Path, harm: Callable[[RemoteBridge], object], says: str, within: float
+) -> RemoteBridge:
+    """Have traffic both ways, harm the host, and hold that its death is told once, in time."""
+    bridge = hosted.bridge(folder, silence=1.0)
+    process, events = bridge.process, Events()
+    bridge.watch(events)
+    got: list[int] = []
+    bridge.open_source(at("forever"), ANY, got.append)
+    sink = bridge.open_sink(at("echo", Role.INPUT), ANY)
+    wait(lambda: len(got) > 10)
+    begun = time.monotonic()
+    harm(bridge)
+    wait(lambda: _lost(events), within)
+    assert time.monotonic() - begun < within
+    assert len(_lost(events)) == 1
+    assert says in _lost(events)[0]
+    assert got == list(range(len(got)))
+    with pytest.raises(BridgeError, match="died"):
+        sink.send(1)
+    with pytest.raises(BridgeError, match="is dead") as caught:
+        bridge.describe(at("echo"))
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+    bridge.close()
+    wait(lambda: not lives(process))
+    return bridge
+
+
+def test_a_killed_host_is_noticed_at_once(tmp_path: Path) -> None:
+    _harmed(tmp_path, lambda far: os.kill(far.process, signal.SIGKILL), "killed by SIGKILL", 1.0)
+
+
+def test_a_host_that_ends_by_itself_is_noticed_at_once(tmp_path: Path) -> None:
+    def end(far: RemoteBridge) -> None:
+        with pytest.raises(BridgeError, match="ended with status 9"):
+            far.call(at("die", Role.SERVICE), 9)
+
+    _harmed(tmp_path, end, "ended with status 9", 1.0)
+
+
+def test_a_stopped_host_is_given_up_after_its_silence(tmp_path: Path) -> None:
+    _harmed(tmp_path, lambda far: os.kill(far.process, signal.SIGSTOP), "has not answered", 4.0)
+
+
+def test_a_host_that_hangs_with_the_interpreter_lock_is_given_up(tmp_path: Path) -> None:
+    def hang(far: RemoteBridge) -> None:
+        with pytest.raises(BridgeError, match="has not answered"):
+            far.call(at("hang", Role.SERVICE), 60)
+
+    _harmed(tmp_path, hang, "has not answered", 4.0)
+
+
+def test_a_host_that_is_stopped_for_a_moment_goes_on_and_loses_nothing(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path, silence=6.0)
+    events, got = Events(), list[int]()
+    bridge.watch(events)
+    channel = bridge.open_source(at("forever"), ANY, got.append)
+    wait(lambda: len(got) > 10)
+    os.kill(bridge.process, signal.SIGSTOP)
+    wait(lambda: events.all)
+    assert events.all[0].health is Health.DEGRADED
+    os.kill(bridge.process, signal.SIGCONT)
+    before = len(got)
+    wait(lambda: len(events.all) == 2)
+    assert events.all[1].health is Health.OK
+    wait(lambda: len(got) > before + 10)
+    assert got == list(range(len(got)))
+    assert channel.facts()["lost_on_link"] == 0
+    bridge.close()
+
+
+def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    sink = bridge.open_sink(at("refuse", Role.INPUT), ANY)
+    for number in range(5000):
+        sink.send(number)
+    assert sink.drain(20)
+    wait(lambda: sink.facts()["failed_in_host"] == 5000)
+    assert bridge.call(at("double", Role.SERVICE), 1) == 2
+    bridge.close()
+
+
+def test_messages_under_way_at_a_death_are_counted(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    sink = bridge.open_sink(at("slow", Role.INPUT), ANY)
+    for number in range(40):
+        sink.send(number)
+    os.kill(bridge.process, signal.SIGKILL)
+    sent = 40
+    while not _refused(lambda: sink.send(0)):
+        sent += 1
+    under_way = sink.facts()["unconfirmed"]
+    assert isinstance(under_way, int)
+    assert sent - 20 <= under_way <= sent
+    bridge.close()
+
+
+def _refused(action: Callable[[], object]) -> bool:
+    try:
+        action()
+    except BridgeError:
+        return True
+    return False
+
+
+def test_a_kill_while_a_channel_opens_fails_the_opening(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    failures: list[BridgeError] = []
+
+    def open_it() -> None:
+        try:
+            bridge.open_source(at("takes_long"), ANY, lambda _: None, timeout=30.0)
+        except BridgeError as error:
+            failures.append(error)
+
+    opening = threading.Thread(target=open_it)
+    opening.start()
+    wait((tmp_path / "begun").exists)
+    os.kill(bridge.process, signal.SIGKILL)
+    opening.join(5)
+    assert not opening.is_alive()
+    assert "SIGKILL" in str(failures[0])
+    assert bridge.open_channels == 0
+    bridge.close()
+
+
+def test_a_kill_while_the_host_starts_fails_the_start(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nkill -KILL $$\n")
+    python.chmod(0o755)
+    with pytest.raises(BridgeError, match="killed by SIGKILL"):
+        hosted.bridge(tmp_path, python=str(python))
+
+
+def test_a_kill_while_it_closes_does_not_stop_the_closing(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    process = bridge.process
+    bridge.open_source(at("forever"), ANY, lambda _: None)
+    closing = threading.Thread(target=lambda: _refused(bridge.close))
+    closing.start()
+    os.kill(process, signal.SIGKILL)
+    closing.join(8)
+    assert not closing.is_alive()
+    assert not lives(process)
+
+
+def test_a_component_that_never_ends_cannot_keep_its_host_alive(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    process = bridge.process
+    busy = threading.Thread(
+        target=lambda: _refused(lambda: bridge.call(at("hang", Role.SERVICE), 60, timeout=30))
+    )
+    busy.start()
+    wait(lambda: _cpu_is_idle(process))
+    begun = time.monotonic()
+    _refused(bridge.close)
+    wait(lambda: not lives(process), 8)
+    assert time.monotonic() - begun < 8
+    busy.join(10)
+    assert not busy.is_alive()
+
+
+def _cpu_is_idle(process: int) -> bool:
+    """Say whether the process sleeps, as it does in a call that hangs."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "S"
+
+
+APPLICATION = """
+    import os, signal, sys
+    from pathlib import Path
+    from tests.host import hosted
+    from tests.host.hosted import ANY, at
+    bridge = hosted.bridge(Path(sys.argv[1]))
+    bridge.open_source(at("forever"), ANY, lambda message: None)
+    print(bridge.process, flush=True)
+    {end}
+"""
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        "sys.exit(0)",
+        "raise RuntimeError('the application fails')",
+        "os._exit(1)",
+        "os.kill(os.getpid(), signal.SIGKILL)",
+        "bridge.open_source(at('count'), ANY, lambda message: os.abort()); signal.pause()",
+    ],
+    ids=["exit", "exception", "hard exit", "SIGKILL", "crash in a callback"],
+)
+def test_a_host_ends_with_its_application(end: str, tmp_path: Path) -> None:
+    code = textwrap.dedent(APPLICATION).format(end=end)
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=Path(__file__).parents[2],
+    ) as application:
+        assert application.stdout is not None
+        host = int(application.stdout.readline())
+        application.wait(20)
+    wait(lambda: not lives(host), 5)
+    assert not list(Path(tempfile.gettempdir()).glob(f"uoarm-host-{application.pid}-*"))

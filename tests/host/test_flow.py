@@ -1,0 +1,198 @@
+"""Flows: order, windows, and a count for every message that is lost."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.host._flow import Ending, Incoming, Outgoing
+from uoarm.host._link import Link
+
+Ends = tuple[Link, Link]
+
+
+def _wait(ready: Callable[[], bool], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    pause = threading.Event()
+    while not ready():
+        assert time.monotonic() < deadline, "it did not come to pass"
+        pause.wait(0.005)
+
+
+class _Taker:
+    """Takes messages, each after the gate lets it."""
+
+    def __init__(self) -> None:
+        self.got: list[Any] = []
+        self.endings: list[Ending] = []
+        self.gate = threading.Event()
+        self.gate.set()
+
+    def take(self, message: object) -> None:
+        self.gate.wait(30)
+        if message == "bad":
+            raise ValueError("it was bad")
+        self.got.append(message)
+
+    def incoming(self, link: Link) -> Incoming:
+        return Incoming(link, "flow/1", name="test", take=self.take, ended=self.endings.append)
+
+
+def test_messages_arrive_in_order_from_the_first_one_on(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    for number in range(5000):
+        outgoing.send(number)
+    _wait(lambda: len(taker.got) == 5000)
+    assert taker.got == list(range(5000))
+    assert (incoming.received, incoming.lost) == (5000, 0)
+
+
+def test_large_messages_arrive_whole(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    for number in range(30):
+        outgoing.send({"n": number, "data": bytes([number]) * 2_000_000})
+    _wait(lambda: incoming.received + incoming.lost == 30)
+    assert incoming.lost == 0
+    assert all(one["data"] == bytes([one["n"]]) * 2_000_000 for one in taker.got)
+
+
+def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=30.0)
+    taker.gate.clear()
+
+    def fill() -> None:
+        for number in range(500):
+            outgoing.send(number)
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    _wait(lambda: outgoing.unconfirmed >= 64)
+    assert outgoing.unconfirmed <= 80
+    assert thread.is_alive()
+    taker.gate.set()
+    thread.join(10)
+    _wait(lambda: len(taker.got) == 500)
+    assert incoming.lost == 0
+
+
+def test_a_consumer_that_hangs_costs_the_producer_its_patience_once(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=0.5)
+    taker.gate.clear()
+    refused = 0
+    begun = time.monotonic()
+    for number in range(400):
+        try:
+            outgoing.send(number)
+        except BridgeError as error:
+            assert error.reason is FailureReason.UNAVAILABLE
+            outgoing.skip()
+            refused += 1
+    assert 0.5 <= time.monotonic() - begun < 5
+    assert refused > 300
+    taker.gate.set()
+    _wait(lambda: outgoing.unconfirmed < 64)
+    outgoing.send("last")
+    _wait(lambda: bool(taker.got) and taker.got[-1] == "last")
+    assert incoming.received + incoming.lost == 401
+    assert incoming.lost >= refused
+
+
+def test_a_flow_that_is_cut_lets_its_sender_go(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=60.0)
+    taker.gate.clear()
+    failures: list[str] = []
+
+    def fill() -> None:
+        try:
+            for number in range(500):
+                outgoing.send(number)
+        except BridgeError as error:
+            failures.append(str(error))
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    _wait(lambda: outgoing.unconfirmed >= 64)
+    outgoing.cut("the host died")
+    thread.join(5)
+    assert not thread.is_alive()
+    assert failures == ["flow/1: the host died"]
+    taker.gate.set()
+
+
+def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    seen: list[int] = []
+    Incoming(
+        near,
+        "flow/1",
+        name="test",
+        take=taker.take,
+        ended=lambda ending: seen.append(len(taker.got)),
+    )
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    for number in range(50):
+        outgoing.send(number)
+    outgoing.finish(Ending("finished", "no more"))
+    _wait(lambda: bool(seen))
+    assert seen == [50]
+
+
+def test_what_the_consumer_raises_is_counted_and_told(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    for number in range(64):
+        outgoing.send("bad" if number % 2 else number)
+    _wait(lambda: incoming.received == 64)
+    outgoing.confirm(incoming.handled())
+    assert outgoing.failed == incoming.failed == 32
+    assert outgoing.unconfirmed == 0
+    assert outgoing.last_error == "ValueError: it was bad"
+
+
+def test_a_message_that_cannot_be_written_is_refused_and_uses_no_number(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    with pytest.raises(MessageError):
+        outgoing.send(object())
+    outgoing.send("good")
+    _wait(lambda: taker.got == ["good"])
+    assert incoming.lost == 0
+
+
+def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing.send(1)
+    _wait(lambda: taker.got == [1])
+    incoming.close()
+    incoming.join(5)
+    outgoing.send(2)
+    assert not incoming._thread.is_alive()
+    assert taker.got == [1]

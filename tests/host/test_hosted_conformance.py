@@ -1,0 +1,54 @@
+"""The python bridge passes the same suite in a host as in this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from uoarm.bridge import Bridge
+from uoarm.host import RemoteBridge
+from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
+
+TESTS = Path(__file__).parents[1]
+
+
+class HostedWorld(World):
+    """The components of the in-process suite, and two that are told through a file."""
+
+    def __init__(self, folder: Path) -> None:
+        self._killed = folder / "killed"
+
+    def bridge(self) -> Bridge:
+        path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
+        return RemoteBridge(BridgeSpec("python", "python", {"path": path}, {}))
+
+    def pair(self, kind: str) -> Pair:
+        return Pair(at(f"parts:{kind}", Role.INPUT), at(f"parts:{kind}", Role.OUTPUT))
+
+    def missing(self) -> Endpoint:
+        return at("parts:Nowhere", Role.OUTPUT)
+
+    def victim(self) -> Victim:
+        endpoint = at("hosted_kit_parts:until_killed", Role.OUTPUT, killed=str(self._killed))
+        return Victim(endpoint, self._killed.touch)
+
+    def served(self) -> Served:
+        double, broken = at("parts:double", Role.SERVICE), at("parts:broken", Role.SERVICE)
+        silent = at("hosted_kit_parts:silent", Role.SERVICE)
+        return Served(double, {"value": 21}, {"value": 42}, broken, silent)
+
+
+def at(target: str, role: Role, **parameters: object) -> Endpoint:
+    return Endpoint("python", target.partition(":")[2], role, (target,), parameters=parameters)
+
+
+class TestHostedPythonBridge(BridgeConformance):
+    """The whole suite."""
+
+    kinds = ("Numbers", "Texts", "Pixels", "Everything")
+
+    @pytest.fixture
+    def world(self, tmp_path: Path) -> World:
+        return HostedWorld(tmp_path)

@@ -1,0 +1,140 @@
+"""Requests over a link are always answered, and errors cross it whole."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import pytest
+
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    FailureReason,
+    MessageError,
+    PluginError,
+    UoarmError,
+)
+from uoarm.host._link import Link, Reply
+
+Ends = tuple[Link, Link]
+
+
+def _settle(near: Link, far: Link) -> None:
+    """Wait until what `far` declared before is known to `near`."""
+    seen = threading.Event()
+    near.watch_alive("test/settled", lambda alive: seen.set())
+    far.show_alive("test/settled")
+    assert seen.wait(5)
+
+
+def test_a_request_is_answered(ends: Ends) -> None:
+    near, far = ends
+    far.answer("test/ask", lambda request, reply: reply({"got": request}))
+    _settle(near, far)
+    assert near.ask("test/ask", [1, b"two"], timeout=5) == {"got": [1, b"two"]}
+
+
+def test_both_ends_may_ask(ends: Ends) -> None:
+    near, far = ends
+    near.answer("test/ask", lambda request, reply: reply(request + 1))
+    _settle(far, near)
+    assert far.ask("test/ask", 1, timeout=5) == 2
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        BridgeError("no such thing", FailureReason.NOT_FOUND),
+        BridgeTimeoutError("too slow"),
+        MessageError("of another shape"),
+        PluginError("not installed"),
+    ],
+)
+def test_an_error_keeps_kind_text_and_reason(ends: Ends, error: UoarmError) -> None:
+    def take(request: Any, reply: Reply) -> None:
+        raise error
+
+    near, far = ends
+    far.answer("test/ask", take)
+    _settle(near, far)
+    with pytest.raises(type(error), match=f"^{error}$") as caught:
+        near.ask("test/ask", None, timeout=5)
+    assert type(caught.value) is type(error)
+    assert getattr(caught.value, "reason", None) == getattr(error, "reason", None)
+
+
+def test_a_foreign_error_is_answered_by_name(ends: Ends) -> None:
+    near, far = ends
+    far.answer("test/ask", lambda request, reply: reply(1 // request))
+    _settle(near, far)
+    with pytest.raises(BridgeError, match="ZeroDivisionError"):
+        near.ask("test/ask", 0, timeout=5)
+
+
+def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
+    near, far = ends
+    far.answer("test/ask", lambda request, reply: reply(object()))
+    _settle(near, far)
+    with pytest.raises(MessageError, match="cannot carry a object"):
+        near.ask("test/ask", 0, timeout=5)
+
+
+def test_nobody_there_is_unavailable(ends: Ends) -> None:
+    with pytest.raises(BridgeError, match="nobody answers") as caught:
+        ends[0].ask("test/nothing", None, timeout=5)
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+def test_no_answer_in_time_is_a_timeout(ends: Ends) -> None:
+    near, far = ends
+    kept: list[Reply] = []
+    far.answer("test/ask", lambda request, reply: kept.append(reply))
+    _settle(near, far)
+    with pytest.raises(BridgeTimeoutError):
+        near.ask("test/ask", None, timeout=0.3)
+
+
+def test_an_answer_may_come_from_another_thread(ends: Ends) -> None:
+    near, far = ends
+    far.answer(
+        "test/ask", lambda request, reply: threading.Thread(target=reply, args=(request,)).start()
+    )
+    _settle(near, far)
+    assert near.ask("test/ask", "later", timeout=5) == "later"
+
+
+def test_a_token_comes_and_goes(ends: Ends) -> None:
+    near, far = ends
+    seen: list[bool] = []
+    changed = threading.Event()
+
+    def note(alive: bool) -> None:
+        seen.append(alive)
+        changed.set()
+
+    far.show_alive("test/alive")
+    near.watch_alive("test/alive", note)
+    assert changed.wait(5)
+    changed.clear()
+    far.close()
+    assert changed.wait(5)
+    assert seen == [True, False]
+
+
+def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
+    near, far = ends
+    receive, end = near.subscribe("test/frames", 4)
+    _settle(far, near)
+    got: list[object] = []
+
+    def run() -> None:
+        while (frame := receive()) is not None:
+            got.append(frame)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    far.publish("test/frames", b"one", b"1")
+    end()
+    thread.join(5)
+    assert not thread.is_alive()

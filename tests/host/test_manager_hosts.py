@@ -1,0 +1,119 @@
+"""A robot whose bridge has a host, from its configuration: the same as without, and deaths told."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.host import hosted
+from tests.host.hosted import lives, wait
+
+from uoarm import BridgeError, ConnectionClosedError, RobotManager
+from uoarm.host import RemoteBridge
+from uoarm.model import ConnectionState, Health, StatusEvent
+from uoarm.testing import Census
+
+ROBOT = """
+version: 1
+bridges:
+  far: {plugin: python, host: {silence: 1.0, restarts: 2}}
+functions:
+  numbers: {components: [{name: counter, bridge: far, output: {endpoint: ["hosted_parts:count"]}}]}
+  ticks: {components: [{name: ticker, bridge: far, output: {endpoint: ["hosted_parts:forever"]}}]}
+  doubled:
+    components:
+      - name: doubler
+        bridge: far
+        input: {from: numbers, endpoint: ["hosted_parts:double"]}
+        output: {endpoint: ["hosted_parts:double"]}
+  where:
+    components:
+      - {name: asker, bridge: far, service: {endpoint: ["hosted_parts:process_id"]}}
+  end: {components: [{name: killer, bridge: far, service: {endpoint: ["hosted_parts:die"]}}]}
+"""
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[RobotManager]:
+    (tmp_path / "hosted_parts.py").write_text(hosted.COMPONENTS)
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    with RobotManager.from_file(tmp_path / "robot.yaml") as manager:
+        yield manager
+
+
+def test_a_chain_through_a_host_delivers_every_message_and_finishes(robot: RobotManager) -> None:
+    got = list(robot.request("doubled"))
+    assert got[-1] == 1998
+    assert got == sorted(got)
+
+
+def test_a_service_in_a_host_answers(robot: RobotManager) -> None:
+    assert robot.call("where", 0) != os.getpid()
+
+
+def test_killing_the_host_fails_its_connections_with_the_cause(robot: RobotManager) -> None:
+    events: list[StatusEvent] = []
+    robot.listen(events.append)
+    connection = robot.request("ticks")
+    assert connection.get(5) == 0
+    os.kill(robot.call("where", 0), signal.SIGKILL)
+    with pytest.raises(ConnectionClosedError, match="killed by SIGKILL"):
+        for _ in connection:
+            pass
+    assert connection.state is ConnectionState.FAILED
+    wait(lambda: any(event.subject == "bridge far" for event in events))
+    assert any("SIGKILL" in event.cause for event in events)
+
+
+def test_the_next_request_starts_a_new_host(robot: RobotManager) -> None:
+    first = robot.call("where", 0)
+    os.kill(first, signal.SIGKILL)
+    wait(lambda: not lives(first))
+    found: list[int] = []
+    assert robot.status().bridges
+
+    def again() -> bool:
+        try:
+            found.append(robot.call("where", 0))
+        except BridgeError:
+            return False
+        return True
+
+    wait(again)
+    assert found[0] != first
+
+
+def test_a_host_that_dies_again_and_again_is_given_up(robot: RobotManager) -> None:
+    for _ in range(2):
+        with pytest.raises(BridgeError, match="ended with status 7"):
+            robot.call("end", 7)
+        wait(lambda: robot.status().bridges[0].health is Health.LOST)
+        assert "ended with status 7" in robot.status().bridges[0].cause
+    with pytest.raises(Exception, match=r"given up.*status 7"):
+        robot.call("end", 7)
+
+
+def test_two_bridges_of_one_plugin_run_side_by_side(tmp_path: Path) -> None:
+    one, two = hosted.bridge(tmp_path), hosted.bridge(tmp_path)
+    try:
+        assert one.process != two.process
+    finally:
+        one.close()
+        two.close()
+
+
+def test_a_manager_leaves_nothing_behind(tmp_path: Path) -> None:
+    hosted.bridge(tmp_path).close()
+    before = Census()
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    with RobotManager.from_file(tmp_path / "robot.yaml") as manager:
+        connection = manager.request("ticks")
+        connection.get(5)
+        bridge = manager._bridges.get("far")
+        assert isinstance(bridge, RemoteBridge)
+        process = bridge.process
+    assert not lives(process)
+    before.check()

@@ -1,0 +1,187 @@
+"""A hosted bridge keeps the contract: what goes in comes out, errors keep their reason."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.host import hosted
+from tests.host.hosted import ANY, Events, at, wait
+
+from uoarm.errors import BridgeError, FailureReason, PluginError
+from uoarm.host._remote import RemoteBridge
+from uoarm.model import BridgeSpec, Health, Role
+from uoarm.testing import Census
+
+
+@pytest.fixture
+def far(tmp_path: Path) -> Iterator[RemoteBridge]:
+    bridge = hosted.bridge(tmp_path)
+    yield bridge
+    bridge.close()
+
+
+def test_structures_are_described_as_in_process(far: RemoteBridge) -> None:
+    described = far.describe(at("double", Role.INPUT))
+    assert described.message is not None
+    assert isinstance(described.message.schema, dict)
+    assert described.message.schema["type"] == "integer"
+
+
+def test_an_endpoint_that_does_not_exist_keeps_its_reason(far: RemoteBridge) -> None:
+    with pytest.raises(BridgeError, match="no_such") as caught:
+        far.describe(at("no_such"))
+    assert caught.value.reason is FailureReason.NOT_FOUND
+
+
+def test_a_source_delivers_all_in_order_and_then_finishes(far: RemoteBridge) -> None:
+    events, got = Events(), list[int]()
+    far.watch(events)
+    channel = far.open_source(at("count"), ANY, got.append)
+    wait(lambda: events.all)
+    assert got == list(range(1000))
+    assert events.all[0].health is Health.FINISHED
+    assert events.all[0].channel is channel
+    assert channel.facts()["lost_on_link"] == 0
+
+
+def test_a_source_that_raises_is_lost_with_its_cause(far: RemoteBridge) -> None:
+    events = Events()
+    far.watch(events)
+    far.open_source(at("fails"), ANY, lambda _: None)
+    wait(lambda: events.all)
+    assert events.all[0].health is Health.LOST
+    assert "the camera is unplugged" in events.all[0].cause
+
+
+def test_messages_go_through_a_component_and_come_back(far: RemoteBridge) -> None:
+    got: list[dict[str, object]] = []
+    far.open_source(at("echo"), ANY, got.append)
+    sink = far.open_sink(at("echo", Role.INPUT), ANY)
+    image = np.arange(300_000, dtype="u1").reshape(300, 1000)
+    for number in range(200):
+        sink.send({"n": number, "octets": b"abc", "image": image})
+    wait(lambda: len(got) == 200)
+    assert [one["n"] for one in got] == list(range(200))
+    assert got[0]["octets"] == b"abc"
+    assert (got[-1]["image"] == image).all()
+
+
+def test_what_is_under_way_when_a_sink_closes_is_still_handled(far: RemoteBridge) -> None:
+    got: list[int] = []
+    far.open_source(at("slow"), ANY, got.append)
+    sink = far.open_sink(at("slow", Role.INPUT), ANY)
+    for number in range(8):
+        sink.send(number)
+    sink.close()
+    wait(lambda: len(got) == 8, 2)
+
+
+def test_a_component_that_raises_is_counted(far: RemoteBridge) -> None:
+    sink = far.open_sink(at("refuse", Role.INPUT), ANY)
+    for number in range(20):
+        sink.send(number)
+    wait(lambda: sink.facts()["failed_in_host"] == 20)
+    assert "is not wanted" in str(sink.facts()["last_error_in_host"])
+
+
+def test_a_service_answers_and_its_errors_cross(far: RemoteBridge) -> None:
+    assert far.call(at("double", Role.SERVICE), 21) == 42
+    with pytest.raises(BridgeError, match="3 is not wanted"):
+        far.call(at("refuse", Role.SERVICE), 3)
+
+
+def test_the_bridge_runs_in_another_process(far: RemoteBridge) -> None:
+    assert far.call(at("process_id", Role.SERVICE), 0) == far.process
+
+
+def test_what_the_host_prints_reaches_the_log_with_its_name(
+    far: RemoteBridge, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "uoarm.host.far"):
+        far.call(at("say", Role.SERVICE), 7)
+        wait(lambda: "spoken 7" in caplog.text)
+    assert any(record.name == "uoarm.host.far" for record in caplog.records)
+
+
+def test_a_plugin_that_is_missing_in_the_host_says_so(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="there is no plugin 'absent'"):
+        RemoteBridge(BridgeSpec("far", "absent", {}, {}))
+
+
+def test_a_python_without_uoarm_says_what_it_printed(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho no module named uoarm >&2\nexit 1\n")
+    python.chmod(0o755)
+    with pytest.raises(BridgeError, match="ended with status 1\nno module named uoarm"):
+        RemoteBridge(BridgeSpec("far", "python", {}, {"python": str(python)}))
+
+
+def test_a_host_that_is_never_ready_is_given_up_and_ended(tmp_path: Path) -> None:
+    before = Census()
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\nexec sleep 60\n")
+    python.chmod(0o755)
+    with pytest.raises(BridgeError, match="was not ready in time"):
+        RemoteBridge(BridgeSpec("far", "python", {}, {"python": str(python), "start": 0.5}))
+    before.check()
+
+
+def test_closing_leaves_nothing_behind(tmp_path: Path) -> None:
+    hosted.bridge(tmp_path).close()  # what stays for the next one, Zenoh's own threads, is there
+    before = Census()
+    bridge = hosted.bridge(tmp_path)
+    bridge.open_source(at("forever"), ANY, lambda _: None)
+    bridge.open_sink(at("double", Role.INPUT), ANY)
+    process = bridge.process
+    bridge.close()
+    assert not hosted.lives(process)
+    assert not list(Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*"))
+    before.check()
+
+
+SHARED = """
+import sys
+from pathlib import Path
+import numpy as np
+from tests.host import hosted
+from tests.host.hosted import ANY, at, wait
+from uoarm.model import Role
+far = hosted.bridge(Path(sys.argv[1]), shared_memory=True)
+got = []
+far.open_source(at("echo"), ANY, got.append)
+sink = far.open_sink(at("echo", Role.INPUT), ANY)
+for number in range(40):
+    sink.send({"n": number, "data": np.full(1_000_000, number, dtype="u1")})
+wait(lambda: len(got) == 40, 30)
+assert all((one["data"] == one["n"]).all() for one in got)
+for process in ("self", far.process):
+    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
+        if line.endswith(".zenoh"):
+            print(line.split()[-1])
+far.close()
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory that can be listed")
+def test_large_messages_cross_in_shared_memory_and_no_segment_stays(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", SHARED, str(tmp_path)],
+        cwd=root,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    segments = [Path(line) for line in done.stdout.splitlines()]
+    assert segments
+    assert not [one for one in segments if one.exists()]

@@ -1,0 +1,81 @@
+"""Which interpreter and which variables a host gets."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.host._folders import link_folder
+from uoarm.host._settings import HostSettings
+
+
+def test_without_any_setting_the_interpreter_is_the_applications_own() -> None:
+    assert HostSettings.read({}).interpreter() == Path(sys.executable)
+
+
+def test_an_environment_is_found_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UOARM_HOME", str(tmp_path))
+    python = tmp_path / "environments" / "jazzy" / "bin" / "python"
+    settings = HostSettings.read({"environment": "jazzy"})
+    with pytest.raises(BridgeError, match="uoarm env create jazzy") as caught:
+        settings.interpreter()
+    assert caught.value.reason is FailureReason.NOT_FOUND
+    python.parent.mkdir(parents=True)
+    python.symlink_to(sys.executable)
+    assert settings.interpreter() == python
+
+
+def test_an_interpreter_that_is_missing_is_named() -> None:
+    with pytest.raises(BridgeError, match="/no/such/python"):
+        HostSettings.read({"python": "/no/such/python"}).interpreter()
+
+
+def test_the_traces_of_ros_wheels_are_taken_away() -> None:
+    inherited = {
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+        "LD_LIBRARY_PATH": f"{sys.prefix}/lib/ros:/opt/mine",
+        "PATH": "/usr/bin",
+    }
+    left = HostSettings().process_variables(inherited)
+    assert left == {"LD_LIBRARY_PATH": "/opt/mine", "PATH": "/usr/bin"}
+
+
+def test_a_loader_path_that_no_wheel_set_stays() -> None:
+    inherited = {"LD_LIBRARY_PATH": f"{sys.prefix}/lib"}
+    assert HostSettings().process_variables(inherited) == inherited
+
+
+def test_another_environment_does_not_inherit_paths_of_ours() -> None:
+    inherited = {"PYTHONPATH": "/mine", "VIRTUAL_ENV": "/venv", "HOME": "/home"}
+    assert HostSettings().process_variables(inherited) == inherited
+    other = HostSettings(environment="jazzy").process_variables(inherited)
+    assert other == {"HOME": "/home"}
+
+
+def test_variables_are_set_and_taken_away_last() -> None:
+    settings = HostSettings.read({"variables": {"A": "new", "B": None, "C": "3"}})
+    assert settings.process_variables({"A": "old", "B": "2"}) == {"A": "new", "C": "3"}
+
+
+def test_a_link_folder_is_private_and_those_of_the_dead_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait(30)
+    left = tmp_path / f"uoarm-host-{dead.pid}-x"
+    other = tmp_path / "uoarm-host-not-ours"
+    for folder in (left, other):
+        folder.mkdir()
+    mine = link_folder()
+    assert mine.stat().st_mode & 0o777 == 0o700
+    assert mine.name.startswith(f"uoarm-host-{os.getpid()}-")
+    assert not left.exists()
+    assert other.exists()
+    assert link_folder() != mine
+    assert mine.exists()

@@ -1,0 +1,250 @@
+"""When a provider dies the next one that fits goes on behind the same handle, and it is told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from attrs import evolve
+
+from uoarm import ConnectionClosedError, RobotManager
+from uoarm.config import loads
+from uoarm.model import ConnectionState, FailoverPolicy, Health, Robot, StatusEvent
+from uoarm.testing import Census, Emitter, Loop, MemoryBridge
+
+NUMBER = {"type": "integer", "minimum": 0, "maximum": 1000}
+WIDER = {"type": "integer", "minimum": 0, "maximum": 2000}
+TEXT = {"type": "string"}
+
+ROBOT = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 3, output: {endpoint: [best]}}
+      - {name: next, bridge: two, priority: 2, output: {endpoint: [next]}}
+      - {name: last, bridge: two, priority: 1, output: {endpoint: [last]}}
+  face:
+    components:
+      - name: finder
+        bridge: two
+        input: {from: camera, endpoint: [finder]}
+        output: {endpoint: [finder]}
+"""
+
+
+class Stage:
+    """A robot with two bridges in memory, and what it told."""
+
+    def __init__(self, policy: FailoverPolicy, **schemas: object) -> None:
+        self.one, self.two = MemoryBridge("one", {}), MemoryBridge("two", {})
+        self.best = self.one.emitter("best", NUMBER)
+        self.next = self.two.emitter("next", schemas.get("next", NUMBER))  # type: ignore[arg-type] # a schema
+        self.last = self.two.emitter("last", NUMBER)
+        self.finder: Loop = self.two.loop("finder", NUMBER)
+        robot: Robot = evolve(loads(ROBOT), failover=policy)
+        self.robot = RobotManager(robot, bridges={"one": self.one, "two": self.two})
+        self.events: list[StatusEvent] = []
+        self.robot.listen(self.events.append)
+
+    def replaced(self) -> int:
+        return sum(event.change == "replaced" for event in self.events)
+
+
+Make = Callable[..., Stage]
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    before = Census()
+    stages: list[Stage] = []
+
+    def build(policy: FailoverPolicy = FailoverPolicy(), **schemas: object) -> Stage:  # noqa: B008 - frozen
+        stages.append(Stage(policy, **schemas))
+        return stages[-1]
+
+    yield build
+    for stage in stages:
+        stage.robot.close()
+    before.check()
+
+
+def wait(ready: Callable[[], object], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    pause = threading.Event()
+    while not ready():
+        assert time.monotonic() < deadline, "it did not come to pass"
+        pause.wait(0.005)
+
+
+def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.best.emit(1)
+    stage.one.die("best", "it was unplugged")
+    wait(lambda: connection.gaps)
+    stage.next.emit(2)
+    assert [connection.get(5), connection.get(5)] == [1, 2]
+    (gap,) = connection.gaps
+    assert (gap.before, gap.after, gap.position) == (("best",), ("next",), 1)
+    assert "it was unplugged" in gap.cause
+    assert connection.state is ConnectionState.RUNNING
+    assert connection.plan.provider.component.name == "next"
+    (told,) = [event for event in stage.events if event.change == "replaced"]
+    assert told.subject == "connection c1"
+    assert told.cause == f"{gap.cause}; next goes on"
+
+
+def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(stage.replaced)
+    wait(lambda: stage.one.open_channels == 0)
+    status = stage.robot.status()
+    assert [(one.name, one.users) for one in status.components] == [("next", ("c1",))]
+    connection.kill()
+    assert stage.two.open_channels == 0
+    assert stage.robot.status().components == ()
+
+
+def test_a_component_in_the_middle_stays_open_when_its_feed_is_replaced(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("face")
+    stage.best.emit(1)
+    assert connection.get(5) == 1
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    stage.next.emit(2)
+    assert connection.get(5) == 2
+    assert connection.gaps[0].after == ("next", "finder")
+
+
+def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> None:
+    stage = make()
+    one, two = stage.robot.request("face"), stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: one.gaps and two.gaps)
+    stage.next.emit(5)
+    assert (one.get(5), two.get(5)) == (5, 5)
+    (shared,) = [live for live in stage.robot.status().components if live.name == "next"]
+    assert sorted(shared.users) == ["c1", "c2"]
+
+
+def test_one_death_after_the_other_goes_down_the_candidates_and_then_ends(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: len(connection.gaps) == 1)
+    stage.two.die("next")
+    wait(lambda: len(connection.gaps) == 2)
+    stage.last.emit(7)
+    assert connection.get(5) == 7
+    stage.two.die("last", "the last one fell")
+    with pytest.raises(ConnectionClosedError, match=r"the last one fell(.|\n)*nothing takes over"):
+        connection.get(5)
+    assert connection.state is ConnectionState.FAILED
+
+
+def test_a_candidate_whose_messages_are_others_is_passed_over(make: Make) -> None:
+    stage = make(next=WIDER)
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    assert connection.gaps[0].after == ("last",)
+
+
+def test_when_no_candidate_fits_the_difference_is_told(make: Make) -> None:
+    stage = make(next=TEXT)
+    connection = stage.robot.request("camera")
+    stage.two.die("last")
+    stage.one.die("best")
+    with pytest.raises(ConnectionClosedError, match="'next' is no heir: its output 'default' is"):
+        connection.get(5)
+
+
+def test_with_failover_off_a_death_ends_the_connection(make: Make) -> None:
+    stage = make(FailoverPolicy(enabled=False))
+    connection = stage.robot.request("camera")
+    stage.one.die("best", "it was unplugged")
+    with pytest.raises(ConnectionClosedError, match="it was unplugged"):
+        connection.get(5)
+    assert connection.gaps == ()
+
+
+def test_too_many_changes_within_a_minute_end_the_connection(make: Make) -> None:
+    stage = make(FailoverPolicy(limit=1))
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    stage.two.die("next")
+    with pytest.raises(ConnectionClosedError, match="changed 1 times within a minute"):
+        connection.get(5)
+
+
+def _revive(bridge: MemoryBridge, name: str) -> Emitter:
+    return bridge.emitter(name, NUMBER)
+
+
+def test_it_waits_for_the_dead_to_come_back_where_it_is_told_to(make: Make) -> None:
+    stage = make(FailoverPolicy(wait=20.0))
+    for name in ("next", "last"):
+        stage.two.die(name)
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    revived = _revive(stage.one, "best")
+    wait(lambda: connection.gaps)
+    revived.emit(3)
+    assert connection.get(5) == 3
+    assert connection.gaps[0].after == ("best",)
+
+
+def test_it_returns_to_the_better_candidate_and_hears_no_message_twice(make: Make) -> None:
+    stage = make(FailoverPolicy(return_after=0.2))
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    died = time.monotonic()
+    revived = _revive(stage.one, "best")
+    wait(lambda: len(connection.gaps) == 2)
+    assert time.monotonic() - died >= 0.2
+    assert connection.gaps[1].after == ("best",)
+    assert "available again" in connection.gaps[1].cause
+    revived.emit(4)
+    stage.next.emit(5)
+    assert connection.get(5) == 4
+    with pytest.raises(TimeoutError):
+        connection.get(0.1)
+
+
+def test_without_a_return_it_stays_where_it_is(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    _revive(stage.one, "best")
+    stage.next.emit(1)
+    assert connection.get(5) == 1
+    assert len(connection.gaps) == 1
+
+
+def test_a_bridge_that_dies_takes_all_its_components_out_of_the_choice(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: connection.gaps)
+    stage.two.report(Health.LOST, "its process ended")
+    with pytest.raises(ConnectionClosedError, match="its process ended"):
+        connection.get(5)
+
+
+def test_a_kill_while_it_is_replaced_closes_everything(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    connection.kill()
+    wait(lambda: stage.one.open_channels == stage.two.open_channels == 0)
+    assert connection.state is ConnectionState.CLOSED
