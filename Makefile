@@ -4,7 +4,9 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PLUGINS = $(wildcard plugins/*)
 
-.PHONY: demo healthbot test test-long lint types docs check bench mutation clean
+NAMESERVICE ?= localhost:2809
+
+.PHONY: demo healthbot test test-long lint types docs check bench mutation interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
@@ -68,6 +70,9 @@ $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/pytho
 $(VENV)/.docs: pyproject.toml $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	@touch $@
+
+interop-rtm: $(VENV)/.dev  ## the OpenRTM plugin against the components at NAMESERVICE
+	NAMESERVICE=$(NAMESERVICE) $(BIN)/python -m pytest plugins/uoarm-rtm/tests/interop.py
 
 clean:
 	rm -rf $(VENV) build .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output

@@ -43,6 +43,7 @@ def main() -> None:
             "bare Zenoh, two handlers": stack.enter_context(_zenoh()),
             "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
             "in a host": stack.enter_context(_bridge(_hosted())),
+            "in a host, shared memory": stack.enter_context(_bridge(_hosted(shared_memory=True))),
         }
         samples = {(name, size): list[float]() for name in trips for size in SIZES}
         for _ in range(ROUNDS):
@@ -74,8 +75,9 @@ def _end(name: str, role: Role = Role.OUTPUT) -> Endpoint:
     return Endpoint("far", name, role, (f"_hosted_parts:{name}",))
 
 
-def _hosted() -> RemoteBridge:
-    return RemoteBridge(BridgeSpec("far", "python", PARTS, {"silence": SILENCE}))
+def _hosted(*, shared_memory: bool = False) -> RemoteBridge:
+    host = {"silence": SILENCE, "shared_memory": shared_memory}
+    return RemoteBridge(BridgeSpec("far", "python", PARTS, host))
 
 
 @contextmanager
@@ -116,11 +118,13 @@ def _pipe_echo(pipe: Connection) -> None:
 def _zenoh() -> Iterator[Trip]:
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
-    from uoarm.host._link import _configuration  # noqa: PLC0415 - the same settings
+    from uoarm.host._link import configuration  # noqa: PLC0415 - the same settings
 
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"
-        session = zenoh.open(_configuration(place, listen=True, timeout=10, lease=10))
+        session = zenoh.open(
+            configuration(place, listen=True, timeout=10, lease=10, shared_memory=False)
+        )
         back: SimpleQueue[Any] = SimpleQueue()
         ready = threading.Event()
         direct = zenoh.handlers.Callback

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import json
 import socket
+import subprocess
+import sys
 import threading
 from typing import Any
 
+import pytest
+import uoarm_rocos
 from attrs import asdict
 from hypothesis import given
 from hypothesis import strategies as st
@@ -109,3 +113,22 @@ def test_codec_framer_and_transport_may_be_others() -> None:
         bridge.close()
         thread.join(LIMIT)
         assert not thread.is_alive()
+
+
+def test_every_public_name_is_there_and_loading_the_plugin_is_light() -> None:
+    for name in uoarm_rocos.__all__:
+        assert getattr(uoarm_rocos, name) is not None
+    with pytest.raises(AttributeError, match="nothing_such"):
+        _ = uoarm_rocos.nothing_such
+    code = "import sys, uoarm_rocos; print({'serial', 'defusedxml', 'click'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "serial" not in done.stdout
+    assert "defusedxml" not in done.stdout
+
+
+def test_the_doctor_says_what_there_is() -> None:
+    (kind,) = uoarm_rocos.uoarm_bridge_types()
+    assert kind.doctor
+    found = kind.doctor()
+    assert found.keys() == {"pyserial", "serial ports", "eSpeak NG", "Festival", "aplay"}
+    assert all(found.values())

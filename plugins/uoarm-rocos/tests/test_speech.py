@@ -6,6 +6,7 @@ import io
 import shutil
 import stat
 import struct
+import sys
 import threading
 import time
 import wave
@@ -14,7 +15,8 @@ from pathlib import Path
 import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
-from uoarm_rocos.speech import _device
+from uoarm_rocos.speech import _device, _espeak
+from uoarm_rocos.speech._device import Speech
 from uoarm_rocos.speech._espeak import EspeakEngine
 from uoarm_rocos.speech._festival import FestivalEngine
 
@@ -81,9 +83,9 @@ def test_a_missing_engine_is_unavailable_with_what_to_install(
         with pytest.raises(BridgeError, match="apt install festival") as raised:
             bridge.describe(SAY)
         assert raised.value.reason is FailureReason.UNAVAILABLE
-    monkeypatch.setitem(__import__("sys").modules, "espeakng_loader", None)
+    monkeypatch.setitem(sys.modules, "espeakng_loader", None)
     with pytest.raises(BridgeError, match="pip install 'uoarm-rocos"):
-        EspeakEngine().check()
+        _espeak._library.__wrapped__()
 
 
 def test_priorities_choose_the_engine_that_is_there(
@@ -150,6 +152,10 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
         with pytest.raises(BridgeTimeoutError):
             bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
         assert time.monotonic() - began < LIMIT
+    speech = Speech("voice", EspeakEngine(), {})
+    (api,) = speech.catalogue(0.0).apis.values()
+    with pytest.raises(BridgeTimeoutError, match="interrupted by its limit"):
+        speech.call(api, {"text": "Hello."}, timeout=0.5)
 
 
 def test_two_voices_at_once_do_not_mix() -> None:

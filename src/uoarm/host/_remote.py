@@ -18,6 +18,7 @@ from uoarm.bridge import (
     Handler,
     Sink,
 )
+from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm.host._connection import HostConnection
@@ -39,6 +40,7 @@ from uoarm.model import (
 __all__ = ["RemoteBridge"]
 
 _BLOCKING_SECONDS = 10.0
+_PROMPT_SECONDS = 0.2
 _CLOSE_SECONDS = 2.0
 _log = logging.getLogger("uoarm")
 
@@ -118,7 +120,7 @@ class RemoteBridge(Bridge):
         channel.blocking = self._ask(
             "sink", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
         )
-        patience = _BLOCKING_SECONDS if channel.blocking else 0.0
+        patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
         self._channels[number] = channel
         if self._host.dead:
@@ -163,9 +165,13 @@ class RemoteBridge(Bridge):
 
     def _ask_to_close(self, operation: str, **values: Any) -> Any:
         """Ask about an open channel; one of a dead host is closed already."""
-        if self._host.dead:
-            return None
-        return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        try:
+            if not self._host.dead:
+                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        except UoarmError:
+            if not self._host.dead:
+                raise
+        return None
 
     def _drop(self, number: int) -> None:
         self._channels.pop(number, None)
