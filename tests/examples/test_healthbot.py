@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import signal
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -107,19 +109,40 @@ def test_both_applications_work_at_once(scene: Scene, tmp_path: Path) -> None:
     assert re.search(r"\d\d\d / \d\d", told)
     status = asked(scene.robot, "Status")
     assert not status["connections"], "what both have left is closed"
-
-
-def test_records_hold_what_both_measured(scene: Scene) -> None:
     codes = records(re.findall(r"records at (\S+)", (scene.run / "records.log").read_text())[0])
-    # pulse, saturation and blood pressure, by their LOINC codes
+    # pulse, saturation and blood pressure, by their LOINC codes, from each application
     for code in ("8867-4", "59408-5", "85354-9"):
         assert sum(code in each for each in codes) == 2, codes
+
+
+def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
+    with connect(scene.robot, max_size=None) as socket:
+        socket.recv(timeout=60)
+        socket.send(json.dumps({"op": "Request", "type": "faceDetection", "id": "1"}))
+        told = json.loads(socket.recv(timeout=120))
+        assert told["jsonMessage"]["components"] == ["ros_camera", "rtm_detector"]
+        for _ in range(3):
+            assert json.loads(socket.recv(timeout=60))["op"] == "Data"
+        os.kill(scene.pids["detector"], signal.SIGKILL)
+        deadline = time.monotonic() + 60
+        while asked(scene.robot, "Status")["connections"][0]["components"][-1] != "plain_detector":
+            assert time.monotonic() < deadline, "the spare never took over"
+            time.sleep(0.2)
+        numbers = []
+        while len(numbers) < 3 or numbers[-1] < numbers[0] + 10:
+            told = json.loads(socket.recv(timeout=60))
+            assert told["op"] == "Data", told
+            numbers.append(told["x-number"])
+    deadline = time.monotonic() + 20
+    while "detector ended" not in scene.told:
+        assert time.monotonic() < deadline, "the scene does not tell of the death"
+        time.sleep(0.1)
 
 
 def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:
     pids = scene.pids
     assert len(pids) == 10
-    assert all(map(lives, pids.values()))
+    assert lives(pids["robot"])
     assert scene.interrupt() == 0
     assert not any(map(lives, pids.values()))
     assert "Everything is ended" in scene.told
