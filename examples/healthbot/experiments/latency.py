@@ -47,11 +47,11 @@ def loop(*arguments: str) -> Iterator[str]:
 
 
 def row(title: str, seconds: list[float]) -> tuple[str, ...]:
-    """Return quantiles in milliseconds, and how many of the samples keep to the paper's figure."""
+    """Return quantiles in microseconds, and how many of the samples keep to the paper's figure."""
     ordered = sorted(seconds)
     quantiles = [ordered[min(len(ordered) - 1, int(len(ordered) * q))] for q in (0.5, 0.95, 0.99)]
     below = sum(each < _PAPER for each in ordered) / len(ordered)
-    return title, *(f"{each * 1000:.3f} ms" for each in quantiles), f"{below:.0%}"
+    return title, *(f"{each * 1e6:,.1f} µs" for each in quantiles), f"{below:.0%}"
 
 
 def timed(action: Callable[[], object], count: int) -> list[float]:
