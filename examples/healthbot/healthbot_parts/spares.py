@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict, cast
 
 import serial
@@ -21,6 +22,7 @@ from uoarm.local import Range
 __all__ = ["Cuff", "Oximetry", "Question", "oximeter", "same"]
 
 _PIECE = 64
+_READ_SECONDS = 0.2
 _SILENCE = 3.0
 _LIMIT = 60.0
 
@@ -48,13 +50,13 @@ def oximeter(url: str) -> Iterator[Oximetry]:
     """Yield what a Nonin oximeter in serial format 1 sends, once a second.
 
     Args:
-        url: a serial port in any form of pyserial.
+        url: the path of a serial port.
 
     Raises:
         OSError: the port is not there, or nothing comes for three seconds.
     """
     decoder = Nonin1Decoder()
-    with serial.serial_for_url(url, 9600, timeout=0.5) as line:
+    with _opened(url, _SILENCE) as line:
         heard = time.monotonic()
         while True:
             for message in decoder.feed(line.read(_PIECE)):
@@ -73,7 +75,7 @@ class Cuff:
     """Waits for the next measurement of a UA-767PBT.
 
     Args:
-        url: a serial port in any form of pyserial.
+        url: the path of a serial port.
     """
 
     def __init__(self, url: str) -> None:
@@ -88,7 +90,7 @@ class Cuff:
         del question
         decoder = Ua767Decoder()
         end = time.monotonic() + _LIMIT
-        with serial.serial_for_url(self._url, 9600, timeout=0.2) as line:
+        with _opened(self._url, _LIMIT) as line:
             while time.monotonic() < end:
                 for found in decoder.feed(line.read(_PIECE)):
                     if isinstance(found, dict):
@@ -96,6 +98,22 @@ class Cuff:
                         return _pressure(found)
                     line.write(REFUSED)
         raise OSError(f"no measurement came from {self._url} within {_LIMIT:g} s")
+
+
+def _opened(url: str, seconds: float) -> Any:
+    """Open a line for one reader alone; the one before may take until its next message to leave.
+
+    Raises:
+        OSError: the port is not there, or somebody else keeps it.
+    """
+    end = time.monotonic() + seconds
+    while True:
+        try:
+            return serial.serial_for_url(url, 9600, timeout=_READ_SECONDS, exclusive=True)
+        except serial.SerialException:
+            if time.monotonic() > end or not Path(url).exists():
+                raise
+            time.sleep(_READ_SECONDS)
 
 
 def _pressure(reading: dict[str, Any]) -> Pressure:
