@@ -184,12 +184,18 @@ class Server:
         """Look after clients that are stuck and rights that have changed."""
         while True:
             await asyncio.sleep(_GLANCE_SECONDS)
-            self._admission.refresh()
-            now = time.monotonic()
-            for client, shown in list(self._clients.items()):
-                if self._admission.role(shown) != client.role:
-                    client.dismiss("its rights have changed or ended; connect again")
-                client.check(now)
+            try:
+                self._look_after_clients(time.monotonic())
+            except Exception:  # noqa: BLE001 - the watch must outlive whatever goes wrong
+                _log.exception("looking after the clients failed; it is tried again")
+
+    def _look_after_clients(self, now: float) -> None:
+        self._admission.refresh()
+        roles = {shown: self._admission.role(shown) for shown in set(self._clients.values())}
+        for client, shown in list(self._clients.items()):
+            if roles[shown] != client.role:
+                client.dismiss("its rights have changed or ended; connect again")
+            client.check(now)
 
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}
