@@ -100,7 +100,7 @@ class Server:
             self._watch.cancel()
         for listening in self._listening:
             listening.close(close_connections=False)
-        limit = self._limits.stop_seconds / 3
+        limit = self._limits.stop_seconds / 4
         await _all_within(limit, [client.outbox.emptied() for client in self._clients])
         await _all_within(
             limit, [one.close(CloseCode.GOING_AWAY, "the server stops") for one in self._sockets]
