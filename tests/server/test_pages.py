@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import urllib.request
+from pathlib import Path
 from typing import Any
 
 from tests.server.conftest import Connect
 from tests.server.talk import eventually
 
+import uoarm.server
 from uoarm.server import Server
+
+STATIC = Path(uoarm.server.__file__).parent / "static"
 
 
 def test_pages_may_load_nothing_from_elsewhere(server: Server) -> None:
@@ -18,6 +23,24 @@ def test_pages_may_load_nothing_from_elsewhere(server: Server) -> None:
         assert answer.headers["Content-Type"] == "text/javascript; charset=utf-8"
     assert "default-src 'self'" in policy
     assert not any("unsafe" in one or "http" in one or "*" in one for one in policy)
+
+
+def test_the_page_names_no_other_place() -> None:
+    own = [one for folder in ("app", "style") for one in (STATIC / folder).iterdir()]
+    assert len(own) > 30
+    for one in [*own, STATIC / "index.html"]:
+        text = one.read_text(encoding="utf-8")
+        assert "//" not in re.sub(r"(?m)^\s*//.*|\s// .*|/\*[^/]*\*/", "", text), one.name
+        assert "innerHTML" not in text, one.name
+        assert "eval(" not in text, one.name
+
+
+def test_files_of_others_are_listed_with_version_and_licence() -> None:
+    table = (STATIC / "vendor" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([^`]+)` \| `[^`]+` \| [0-9.]+ \|.*$", table, re.MULTILINE)
+    licences = set(re.findall(r"`([^`]+\.LICENSE\.txt)`", table))
+    there = {one.name for one in (STATIC / "vendor").iterdir()} - {"README.md"}
+    assert there == {*rows, *licences}
 
 
 def test_functions_are_listed_with_what_they_use(talk: Connect) -> None:

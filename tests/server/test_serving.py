@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import CONFIGURATION, script
-from tests.server.talk import Talk
+from tests.server.talk import Talk, frame, open_socket
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 
 from uoarm import RobotManager
@@ -111,9 +111,9 @@ def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: sign
 
 def test_a_client_that_never_reads_does_not_hold_up_the_end(start: Start) -> None:
     process, port = start()
-    with Talk(f"ws://127.0.0.1:{port}/") as client:
+    with open_socket(port) as stuck:
         for _ in range(2000):
-            client.send("List")
+            stuck.sendall(frame(b'{"op":"List","id":"1"}'))
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=6)
     assert process.returncode == 0

@@ -35,6 +35,7 @@ def test_an_out_port_delivers_everything_in_order(
     assert inbox.numbers() == list(range(8))
     assert inbox.messages[3] == {"tm": {"sec": 3, "nsec": 0}, "data": 3}
     assert channel.facts()["count"] == 8
+    until(lambda: channel.facts()["state"] == "inactive")
     channel.close()
     assert component.connectors() == [0, 0]
     component.count(8, 9)

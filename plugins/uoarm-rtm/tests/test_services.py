@@ -72,6 +72,16 @@ def test_a_whole_interface_is_one_service_with_operations(make_bridge: Make, rob
             bridge.call(at, {"operation": "jump", "arguments": {}})
 
 
+def test_services_are_discovered_with_their_structures(make_bridge: Make, robot: Peer) -> None:
+    served = [("Robot.rtc", "served", "Mover")]
+    for bridge, known in ((make_bridge(idl=IDL), True), (make_bridge("bare"), False)):
+        found = {each.name: each for each in bridge.discover()}["Robot.rtc"]
+        services = {at.address: what for at, what in found.endpoints if at.port == "served"}
+        assert list(services) == served
+        assert (services[served[0]].request is not None) is known
+        assert ("interface 'Mover' is not known" in found.detail) is not known
+
+
 def test_a_slow_or_failing_service_is_an_error_in_time(make_bridge: Make, robot: Peer) -> None:
     bridge = make_bridge(idl=IDL)
     slow = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover::sleep")

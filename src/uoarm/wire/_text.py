@@ -67,7 +67,9 @@ def _write_numpy(value: Any) -> Any:
     if value.ndim == 0:
         return _exact(value.item())
     wide = value.dtype.kind in _WIDE_KINDS and value.dtype.itemsize == _WIDE_SIZE
-    if not (wide and value.size and max(-int(value.min()), int(value.max())) > SAFE_INTEGER):
+    too_wide = wide and value.size and max(-int(value.min()), int(value.max())) > SAFE_INTEGER
+    # Some versions of orjson take foreign byte orders for their own.
+    if value.dtype.isnative and not too_wide:
         try:
             text = orjson.dumps(value, option=_NUMPY)
         except TypeError:  # a layout or a type that orjson leaves to us

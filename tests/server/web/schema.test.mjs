@@ -52,6 +52,8 @@ test("references are followed, and those in a circle end", () => {
   assert.deepEqual(whole(tree, { name: "a", next: { name: "b" } }).value, { name: "a", next: { name: "b" } });
   const endless = { $ref: "#/$defs/a", $defs: { a: { $ref: "#/$defs/a" } } };
   assert.equal(nodeOf(endless, endless).kind, "json");
+  const winding = { anyOf: [{ $ref: "#" }] };
+  assert.equal(nodeOf(winding, winding).kind, "json");
 });
 
 test("a schema that requires itself for ever still has a start", () => {

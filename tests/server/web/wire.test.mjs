@@ -81,9 +81,11 @@ test("a watch has the latest message, lines of numbers, and its end", async () =
   for (time = 1; time <= 3; time += 1) watches.take("c1", { x: time * 2 });
   assert.deepEqual([watch.latest, watch.taken, watches.rate(watch)], [{ x: 6 }, 3, 1]);
   assert.deepEqual(watch.series.get("x").values, [2, 4, 6]);
+  for (let at = 0; at < 500; at += 1) watches.take("c1", { [`name${at}`]: at });
+  assert.ok(watch.series.size <= 48);
   watches.ended({ connection: "c1", state: "failed", cause: "unplugged" });
   watches.take("c1", { x: 9 });
-  assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged" }, 3]);
+  assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged" }, 503]);
   await watches.close("f");
   assert.deepEqual(told, [["Request", "f", { every: 0.1 }]]);
 });

@@ -8,6 +8,7 @@ from uoarm.model import Endpoint, Role
 from uoarm_rtm import _control
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._peer import Peer, Port, contexts_of, state_of
+from uoarm_rtm._service_call import described
 from uoarm_rtm._settings import CONFIGURATION, LIFECYCLE
 from uoarm_rtm._types import Types
 
@@ -38,6 +39,14 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
         description, remark = _description(port, types)
         remarks += [remark] if remark else []
         endpoints.append((Endpoint(bridge, peer.path, role, address, port=port.name), description))
+    for port in peer.ports:
+        for each in port.interfaces:
+            if each.provided:
+                address = (peer.path, port.name, each.type)
+                description, remark = _service(each.type, types)
+                remarks += [remark] if remark else []
+                endpoint = Endpoint(bridge, peer.path, Role.SERVICE, address, port=port.name)
+                endpoints.append((endpoint, description))
     for name, request, reply in (
         (LIFECYCLE, _control.LIFECYCLE_REQUEST, _control.LIFECYCLE_REPLY),
         (CONFIGURATION, _control.CONFIGURATION_REQUEST, _control.CONFIGURATION_REPLY),
@@ -50,6 +59,13 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
 def _description(port: Port, types: Types) -> tuple[Description, str]:
     try:
         return Description(message=types.structure(port.data_type)), ""
+    except BridgeError as error:
+        return Description(), str(error)
+
+
+def _service(type_name: str, types: Types) -> tuple[Description, str]:
+    try:
+        return described(*types.interface(type_name)), ""
     except BridgeError as error:
         return Description(), str(error)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import socket
+import struct
 import subprocess
 import tempfile
 import time
@@ -104,14 +105,29 @@ class NameServer:
                 )
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
             try:
-                socket.create_connection((address, self.port), 1.0).close()
+                if _serves(address, self.port):
+                    return
             except OSError:
-                if time.monotonic() > deadline:
-                    text = f"omniNames did not listen on {address}:{self.port} within 10 s"
-                    raise BridgeTimeoutError(text) from None
-                time.sleep(0.01)
-            else:
-                return
+                pass  # it does not listen yet
+            if time.monotonic() > deadline:
+                text = f"omniNames did not serve on {address}:{self.port} within 10 s"
+                raise BridgeTimeoutError(text)
+            time.sleep(0.01)
+
+
+def _serves(address: str, port: int) -> bool:
+    """Ask whether the root context is there, with a GIOP 1.0 LocateRequest of our own.
+
+    It listens a moment before it serves; and whoever waits may have no ORB yet.
+    """
+    key = b"NameService"
+    body = struct.pack("<II", 1, len(key)) + key
+    with socket.create_connection((address, port), 1.0) as asking:
+        asking.settimeout(1.0)
+        asking.sendall(b"GIOP\x01\x00\x01\x03" + struct.pack("<I", len(body)) + body)
+        reply = asking.recv(20, socket.MSG_WAITALL)
+    # The status of a LocateReply: 0 unknown, 1 here, 2 elsewhere; its low byte is 1 or 2.
+    return len(reply) == 20 and reply[7] == 4 and any(reply[16:20])  # noqa: PLR2004 - of GIOP
 
 
 def _free_port(address: str) -> int:

@@ -65,11 +65,16 @@ class Orb:
             self._orb = _begin(address, call_seconds)
             _shared.users += 1
         self._closed = False
-        with corba_errors("starting the ORB"):
-            root = self._orb.resolve_initial_references("RootPOA")
-            root._get_the_POAManager().activate()
-            self._poa = root.create_POA(f"uoarm-{id(self)}", None, [])
-            self._poa._get_the_POAManager().activate()
+        try:
+            with corba_errors("starting the ORB (unless it was shut down in this process before)"):
+                root = self._orb.resolve_initial_references("RootPOA")
+                root._get_the_POAManager().activate()
+                self._poa = root.create_POA(f"uoarm-{id(self)}", None, [])
+                self._poa._get_the_POAManager().activate()
+        except BridgeError:
+            with _shared.lock:
+                _shared.users -= 1
+            raise
 
     def serve(self, servant: Any) -> Any:
         """Make a servant reachable and return its reference."""
@@ -198,9 +203,12 @@ def _destroy(orb: Any) -> None:
         _log.warning("a CORBA call does not come back: the ORB is left as it is")
         return
     try:
+        # An ORB that somebody else has shut down cannot be destroyed safely: calls made since
+        # then may have opened connections, at which omniORB aborts the process.
+        orb.work_pending()
         orb.destroy()
     except CORBA.Exception:
-        return  # somebody else has ended it
+        _log.warning("somebody else has shut down the ORB of this process: it is left so")
 
 
 def _destroy_poa(poa: Any) -> None:

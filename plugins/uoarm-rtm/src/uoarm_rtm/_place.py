@@ -11,7 +11,7 @@ from uoarm.bridge import Channel
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._codec import Codec
 from uoarm_rtm._orb import Orb
-from uoarm_rtm._peer import Peer, Port
+from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._settings import Settings
 
 __all__ = ["Place", "Pulse"]
@@ -49,6 +49,7 @@ class Pulse:
         self._health: Health = Health.OK
         self.count = 0
         self.refused = 0
+        self.state = ""
         self.last = time.monotonic()
 
     def beat(self) -> None:
@@ -67,18 +68,25 @@ class Pulse:
             self._place.report(self._channel, health, cause)
 
     def tick(self) -> None:
-        """Notice a silence that lasts longer than `stale_after`."""
+        """Read the component's state, and notice a silence longer than `stale_after`.
+
+        Raises:
+            BridgeError: the component is gone.
+            BridgeTimeoutError: it hangs.
+        """
+        self.state = state_of(self._place.peer, self._place.seconds)
         limit = self._place.settings.stale_after
         silence = time.monotonic() - self.last
         if limit is not None and silence > limit:
             self.tell(Health.LOST, f"no message from {self._place.where} for {silence:.1f} s")
 
     def facts(self) -> Mapping[str, object]:
-        """Return counters and the port."""
+        """Return counters, the port, and the component's state when it was last looked at."""
         return {
             "count": self.count,
             "refused": self.refused,
             "component": self._place.peer.path,
+            "state": self.state,
             "port": self._place.port.name,
             "data_type": self._place.port.data_type,
         }

@@ -81,6 +81,7 @@ class InPortSink(Sink):
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
         try:
+            self.pulse.tick()
             if not self._connector.alive():
                 self.pulse.tell(Health.LOST, f"{self._place.where} has ended the connection")
         except BridgeTimeoutError:

@@ -9,7 +9,7 @@ export function Explain({ store, one }) {
   if (!plan && !refusal) return html`<p class="quiet">Asking …</p>`;
   return html`
     ${refusal && html`<${Notice} kind="bad" title="No plan fits">
-      ${refusal.rejected ? "Every candidate was rejected. Open one to see why." : refusal.message}</${Notice}>`}
+      ${refusal.rejected ? "Every candidate was rejected; the reasons stand with each." : refusal.message}</${Notice}>`}
     <ul class="tree" aria-label=${`Resolution of ${one.name}`}>
       ${plan && html`<${Chosen} step=${plan.steps.at(-1)} plan=${plan} />`}
       ${(plan?.rejected ?? refusal?.rejected ?? []).map((other) => html`<${Rejected} of=${other} />`)}

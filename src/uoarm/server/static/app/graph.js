@@ -1,7 +1,7 @@
 // The graph: cards and edges on a plane that one can move over.
 
 import { useLayoutEffect, useMemo, useRef, useState } from "../vendor/htm-preact.js";
-import { neighbour, reveal } from "./camera.js";
+import { neighbour } from "./camera.js";
 import { Card } from "./card.js";
 import { makeCards, makeEdges } from "./cards.js";
 import { Edges } from "./edges.js";
@@ -23,7 +23,7 @@ export function Graph({ system, shown, selected, select }) {
   const stage = useRef(null);
   const wide = stage.current ? stage.current.clientWidth / stage.current.clientHeight : 1.6;
   const layout = useMemo(() => layOut(cards, edges, { aspect: wide }), [shape]);
-  const camera = useCamera(stage, layout);
+  const camera = useCamera(stage, layout, cards.find((one) => one.id === selected));
 
   const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
   const foldAll = (all) => setFolds(new Map(shown.map((one) => [one.name, all])));
@@ -33,7 +33,7 @@ export function Graph({ system, shown, selected, select }) {
   const focus = (card) => {
     setFocused(card.id);
     stage.current.querySelector(`[data-title="${CSS.escape(card.id)}"]`)?.focus({ preventScroll: true });
-    camera.keepSeen((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
+    camera.keepSeen(card);
   };
   const keys = (event) => {
     const at = event.target.closest("[data-card]")?.dataset.card;
@@ -45,10 +45,6 @@ export function Graph({ system, shown, selected, select }) {
     }
   };
   useLayoutEffect(camera.follow, [shown.map((one) => one.name).join()]);
-  useLayoutEffect(() => {
-    const card = cards.find((one) => one.id === selected);
-    if (card) camera.keepSeen((now) => reveal(now, layout.places.get(card.id), card, sizeOf(stage.current)));
-  }, [selected, shape]);
 
   const plane = html`
     <${Edges} cards=${cards} edges=${edges} layout=${layout} />
@@ -74,8 +70,6 @@ export function Graph({ system, shown, selected, select }) {
 
 const Tool = ({ icon, label, act }) => html`<button type="button" class="tool" title=${label}
   aria-label=${label} onClick=${act}><${Icon} name=${icon} /></button>`;
-
-const sizeOf = (element) => ({ width: element.clientWidth, height: element.clientHeight });
 
 function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
   if (event.ctrlKey || event.metaKey || event.altKey) return null;

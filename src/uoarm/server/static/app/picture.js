@@ -41,9 +41,16 @@ function raw({ width, height, encoding, data, step }) {
   return { width, height, order, data, row };
 }
 
+function octetsOf(base64) {
+  const letters = atob(base64);
+  const octets = new Uint8Array(letters.length);
+  for (let at = 0; at < letters.length; at += 1) octets[at] = letters.charCodeAt(at);
+  return octets;
+}
+
 /** Pixels as red, green, blue, opacity; null when the octets are too few. */
 export function pixelsOf({ width, height, order, data, row }) {
-  const octets = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  const octets = octetsOf(data);
   const [size, grey] = [order.length, order.length === 1];
   if (row < width * size || octets.length < row * (height - 1) + width * size) return null;
   const pixels = new Uint8ClampedArray(width * height * 4);

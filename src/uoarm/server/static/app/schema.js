@@ -9,14 +9,14 @@ const DEEPEST = 24;
 const INTEGER = /^-?\d+$/;
 
 /** What a schema asks for: { kind, ... }, references followed. */
-export function nodeOf(schema, root) {
+export function nodeOf(schema, root, depth = 0) {
   const one = follow(schema, root);
-  if (one === null || typeof one !== "object") return { kind: "json" };
+  if (one === null || typeof one !== "object" || depth > DEEPEST) return { kind: "json" };
   const told = { title: one.description ?? one.title ?? "", preset: one.default };
   if ("const" in one) return { ...told, kind: "fixed", value: one.const };
   if (Array.isArray(one.enum)) return { ...told, kind: "choice", options: one.enum };
   const branches = one.anyOf ?? one.oneOf;
-  if (branches) return { ...told, ...ofBranches(branches, root) };
+  if (branches) return { ...told, ...ofBranches(branches, root, depth) };
   if (Array.isArray(one.type)) {
     return { ...told, kind: "variants", branches: one.type.map((type) => ({ ...one, type })) };
   }
@@ -33,13 +33,13 @@ function follow(schema, root) {
   return typeof one?.$ref === "string" ? undefined : one;
 }
 
-function ofBranches(branches, root) {
+function ofBranches(branches, root, depth) {
   const [first, second] = branches;
   if (branches.length === 2 && second?.pattern === WIDE) return { ...ofType(first), wide: true };
   if (branches.length === 2 && second?.enum?.[0] === "NaN") {
-    return { ...nodeOf(first, root), names: NAMES };
+    return { ...nodeOf(first, root, depth + 1), names: NAMES };
   }
-  return branches.length === 1 ? nodeOf(first, root) : { kind: "variants", branches };
+  return branches.length === 1 ? nodeOf(first, root, depth + 1) : { kind: "variants", branches };
 }
 
 function ofType(one) {

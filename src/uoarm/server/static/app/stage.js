@@ -1,7 +1,7 @@
 // The window onto a plane: moved by pointer, wheel and pinch.
 
 import { useLayoutEffect, useRef } from "../vendor/htm-preact.js";
-import { fit, pan, zoom } from "./camera.js";
+import { fit, pan, reveal, zoom } from "./camera.js";
 import { html } from "./ui.js";
 
 const FAR = 0.5; // below this scale small print is left out
@@ -11,11 +11,12 @@ const STILL = 4; // pixels that a finger may move and still press
 const legible = ({ width }) => (width < 700 ? { least: 0.6, margin: 14 } : {});
 
 /**
- * The camera of a stage. It follows the layout until someone moves it. It moves the plane itself:
- * nothing is rendered again, however much there is.
+ * The camera of a stage. It shows everything until someone moves it; while a card is chosen it
+ * keeps its scale, and that card in sight. It moves the plane itself: nothing is rendered again,
+ * however much there is.
  */
-export function useCamera(stage, layout) {
-  const state = useRef({ now: { x: 0, y: 0, scale: 1 }, moved: false }).current;
+export function useCamera(stage, layout, chosen) {
+  const state = useRef({ now: { x: 0, y: 0, scale: 1 }, moved: false, settled: false }).current;
   const size = () => ({ width: stage.current.clientWidth, height: stage.current.clientHeight });
   const put = (camera) => {
     state.now = camera;
@@ -23,19 +24,25 @@ export function useCamera(stage, layout) {
     stage.current.firstElementChild.style.transform = `translate(${x}px, ${y}px) scale(${scale})`;
     stage.current.classList.toggle("far", scale < FAR);
   };
-  const settle = () => state.moved || put(fit(layout, size(), legible(size())));
+  const keepSeen = (card) => put(reveal(state.now, layout.places.get(card.id), card, size()));
+  const settle = () => {
+    if (chosen && state.settled) keepSeen(chosen);
+    else if (!state.moved) {
+      put(fit(layout, size(), legible(size())));
+      state.settled = layout.places.size > 0;
+    }
+  };
   const change = (how) => {
     state.moved = true;
     put(how(state.now));
   };
-  const keepSeen = (how) => put(how(state.now)); // what the program moves, a new layout may undo
   const zoomBy = (factor) => change((now) => zoom(now, factor, size().width / 2, size().height / 2));
   const fitAll = () => {
     state.moved = false;
     put(fit(layout, size()));
   };
   const follow = () => {
-    state.moved = false;
+    Object.assign(state, { moved: false, settled: false });
     settle();
   };
   useLayoutEffect(() => {
@@ -43,7 +50,7 @@ export function useCamera(stage, layout) {
     const watch = new ResizeObserver(settle);
     watch.observe(stage.current);
     return () => watch.disconnect();
-  }, [layout]);
+  }, [layout, chosen?.id]);
   useLayoutEffect(() => listen(stage.current, change), []);
   return { change, keepSeen, zoomBy, fitAll, follow };
 }

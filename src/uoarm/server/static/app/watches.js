@@ -2,6 +2,7 @@
 
 import { numbersOf, Series } from "./numbers.js";
 
+const MOST_LINES = 48; // names may differ from message to message
 const RATE_OVER = 5; // seconds
 
 export class Watches {
@@ -52,8 +53,8 @@ export class Watches {
     watch.arrivals.push(now);
     while (watch.arrivals[0] < now - RATE_OVER) watch.arrivals.shift();
     for (const [path, value] of numbersOf(message)) {
-      if (!watch.series.has(path)) watch.series.set(path, new Series());
-      watch.series.get(path).add(now, value);
+      if (!watch.series.has(path) && watch.series.size < MOST_LINES) watch.series.set(path, new Series());
+      watch.series.get(path)?.add(now, value);
     }
     this.changed();
   }
