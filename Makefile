@@ -4,7 +4,9 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PLUGINS = $(wildcard plugins/*)
 
-.PHONY: demo test test-long lint types docs check bench mutation clean
+NAMESERVICE ?= localhost:2809
+
+.PHONY: demo test test-long lint types docs check bench mutation interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
@@ -51,13 +53,16 @@ $(VENV)/.demo: pyproject.toml | $(BIN)/python
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
-	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib]' \
+	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	@touch $@
+
+interop-rtm: $(VENV)/.dev  ## the OpenRTM plugin against the components at NAMESERVICE
+	NAMESERVICE=$(NAMESERVICE) $(BIN)/python -m pytest plugins/uoarm-rtm/tests/interop.py
 
 clean:
 	rm -rf $(VENV) build .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output

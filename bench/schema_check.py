@@ -1,7 +1,7 @@
 """Containment checkers side by side: time per pair and verdict, ours and others from PyPI.
 
-Usage: ``python bench/schema_check.py [--json] [--ours]``. Each rival is installed into an
-environment of its own below the cache folder (``UOARM_TEST_CACHE``, else ``.cache``).
+Usage: ``python bench/schema_check.py [--json] [--ours] [--hand-written]``. Each rival is installed
+into an environment of its own below the cache folder (``UOARM_TEST_CACHE``, else ``.cache``).
 """
 
 from __future__ import annotations
@@ -15,9 +15,12 @@ import statistics
 import subprocess
 import sys
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from tests.schema import _hard_arrays, _hard_logic, _hard_objects, _hard_scalars, _hard_sizes
 
 from bench._schema_cases import CASES, Case
 
@@ -27,7 +30,7 @@ RIVALS = {
     "jsoncompat": "jsoncompat>=0.3.1",
     "isjsonschemasubset": "isjsonschemasubset==0.0.2",
 }
-_ALL_SECONDS = 400
+_ALL_SECONDS = 1_500
 Answers = list[dict[str, object]]
 
 
@@ -35,27 +38,37 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="the figures as JSON")
     parser.add_argument("--ours", action="store_true", help="without the rivals")
+    parser.add_argument(
+        "--hand-written", action="store_true", help="the pairs of the tests, asked once each"
+    )
     options = parser.parse_args()
-    results = {"uoarm": _run("uoarm", Path(sys.executable))}
+    cases = hand_written() if options.hand_written else CASES
+    once = options.hand_written
+    results = {"uoarm": _run("uoarm", Path(sys.executable), cases, once=once)}
     absent: dict[str, str] = {}
     for name in () if options.ours else RIVALS:
-        _measure_rival(name, results, absent)
+        try:
+            results[name] = _run(name, _environment(name, RIVALS[name]), cases, once=once)
+        except (subprocess.SubprocessError, OSError) as error:
+            absent[name] = str(getattr(error, "stderr", None) or error)[-300:]
     if options.json:
-        cases = [
-            {"group": case.group, "name": case.name, "truth": case.contained} for case in CASES
-        ]
-        print(json.dumps({"cases": cases, "results": results, "absent": absent}))
+        named = [{"group": one.group, "name": one.name, "truth": one.contained} for one in cases]
+        print(json.dumps({"cases": named, "results": results, "absent": absent}))
         return
-    _show(results)
+    _show(results, cases)
     for name, cause in absent.items():
         print(f"\nNot measured: {name} could not be installed or run: {cause}")
 
 
-def _measure_rival(name: str, results: dict[str, Answers], absent: dict[str, str]) -> None:
-    try:
-        results[name] = _run(name, _environment(name, RIVALS[name]))
-    except (subprocess.SubprocessError, OSError) as error:
-        absent[name] = str(getattr(error, "stderr", None) or error)[-300:]
+def hand_written() -> Sequence[Case]:
+    """The pairs of known truth that the tests are held to."""
+    tables = (_hard_scalars, _hard_arrays, _hard_objects, _hard_logic, _hard_sizes)
+    return [
+        Case(table.__name__.rpartition("_")[2], pair.name, *pair[1:4])
+        for table in tables
+        for pair in table.PAIRS
+        if all(isinstance(side, dict) for side in pair[1:3])
+    ]
 
 
 def _environment(name: str, requirement: str) -> Path:
@@ -78,39 +91,39 @@ def _call(command: list[str]) -> None:
     subprocess.run(command, check=True, capture_output=True, text=True, timeout=_ALL_SECONDS)
 
 
-def _run(name: str, python: Path) -> Answers:
+def _run(name: str, python: Path, cases: Sequence[Case], *, once: bool) -> Answers:
     """One answer for each case; a checker that dies loses the case at which it died."""
     sys.setrecursionlimit(20_000)  # for writing JSON of 500 levels
     answers: Answers = []
     worker = str(Path(__file__).with_name("_schema_worker.py"))
-    while len(answers) < len(CASES):
-        rest = CASES[len(answers) :]
+    while len(answers) < len(cases):
+        rest = cases[len(answers) :]
         questions = "".join(json.dumps([case.producer, case.consumer]) + "\n" for case in rest)
         done = subprocess.run(
-            [str(python), worker, name],
+            [str(python), worker, name, *(["--once"] if once else [])],
             input=questions, capture_output=True, text=True, timeout=_ALL_SECONDS, check=False,
         )  # fmt: skip
         answers += [json.loads(line) for line in done.stdout.splitlines()]
-        if len(answers) == len(CASES) - len(rest) and "Import" in done.stderr:
+        if len(answers) == len(cases) - len(rest) and "Import" in done.stderr:
             raise subprocess.SubprocessError(done.stderr)
-        if len(answers) < len(CASES):
+        if len(answers) < len(cases):
             answers.append({"answer": f"died: {done.returncode}"})
     return answers
 
 
-def _show(results: dict[str, Answers]) -> None:
+def _show(results: dict[str, Answers], cases: Sequence[Case]) -> None:
     print(f"CPython {platform.python_version()}, {platform.machine()}; median ms of each pair")
     print("(wrong answers bold; u: undecided or refused to answer).\n")
     print("| group | pair | truth | " + " | ".join(results) + " |")
     print("|---|---|---|" + "---|" * len(results))
-    for place, case in enumerate(CASES):
+    for place, case in enumerate(cases):
         cells = [_cell(case, answers[place]) for answers in results.values()]
         truth = "yes" if case.contained else "no"
         print(f"| {case.group} | {case.name} | {truth} | " + " | ".join(cells) + " |")
     print("\n| checker | right | wrong yes | wrong no | undecided, error, time-out | median ms |")
     print("|---|---|---|---|---|---|")
     for name, answers in results.items():
-        _sum(name, answers)
+        _sum(name, answers, cases)
 
 
 def _cell(case: Case, answer: dict[str, object]) -> str:
@@ -122,8 +135,8 @@ def _cell(case: Case, answer: dict[str, object]) -> str:
     return f"{shown} {answer['ms']:.3f}"
 
 
-def _sum(name: str, answers: Answers) -> None:
-    pairs = list(zip(CASES, (answer["answer"] for answer in answers), strict=True))
+def _sum(name: str, answers: Answers, cases: Sequence[Case]) -> None:
+    pairs = list(zip(cases, (answer["answer"] for answer in answers), strict=True))
     right = sum(said is case.contained for case, said in pairs)
     wrong_yes = sum(said is True and not case.contained for case, said in pairs)
     wrong_no = sum(said is False and case.contained for case, said in pairs)

@@ -18,10 +18,12 @@ LAYERS = [
     {"errors", "_version"},
     {"schema"},
     {"model"},
+    {"wire"},
     {"_bounded"},
     {"adapt"},
     {"bridge"},
     {"local"},
+    {"environments"},
     {"host"},
     {"flow"},
     {"config"},
@@ -29,11 +31,15 @@ LAYERS = [
     {"manager"},
     {"__init__"},
     {"testing"},
-    {"server"},
+    {"server", "client"},
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-ALONE = {"schema": {"schema"}, "local": {"local", "bridge", "model", "errors"}}
+ALONE = {
+    "schema": {"schema"},
+    "wire": {"wire", "model", "errors"},
+    "local": {"local", "bridge", "model", "errors"},
+}
 
 
 def _layer(path: Path) -> str:

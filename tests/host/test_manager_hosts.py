@@ -13,7 +13,7 @@ from tests.host.hosted import lives, wait
 
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
 from uoarm.host import RemoteBridge
-from uoarm.model import ConnectionState, StatusEvent
+from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import Census
 
 ROBOT = """
@@ -73,6 +73,7 @@ def test_the_next_request_starts_a_new_host(robot: RobotManager) -> None:
     os.kill(first, signal.SIGKILL)
     wait(lambda: not lives(first))
     found: list[int] = []
+    assert robot.status().bridges
 
     def again() -> bool:
         try:
@@ -89,7 +90,8 @@ def test_a_host_that_dies_again_and_again_is_given_up(robot: RobotManager) -> No
     for _ in range(2):
         with pytest.raises(BridgeError, match="ended with status 7"):
             robot.call("end", 7)
-        wait(lambda: not robot.status().bridges)
+        wait(lambda: robot.status().bridges[0].health is Health.LOST)
+        assert "ended with status 7" in robot.status().bridges[0].cause
     with pytest.raises(Exception, match=r"given up.*status 7"):
         robot.call("end", 7)
 

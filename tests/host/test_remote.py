@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -143,3 +145,43 @@ def test_closing_leaves_nothing_behind(tmp_path: Path) -> None:
     assert not hosted.lives(process)
     assert not list(Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*"))
     before.check()
+
+
+SHARED = """
+import sys
+from pathlib import Path
+import numpy as np
+from tests.host import hosted
+from tests.host.hosted import ANY, at, wait
+from uoarm.model import Role
+far = hosted.bridge(Path(sys.argv[1]), shared_memory=True)
+got = []
+far.open_source(at("echo"), ANY, got.append)
+sink = far.open_sink(at("echo", Role.INPUT), ANY)
+for number in range(40):
+    sink.send({"n": number, "data": np.full(1_000_000, number, dtype="u1")})
+wait(lambda: len(got) == 40, 30)
+assert all((one["data"] == one["n"]).all() for one in got)
+for process in ("self", far.process):
+    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
+        if line.endswith(".zenoh"):
+            print(line.split()[-1])
+far.close()
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory that can be listed")
+def test_large_messages_cross_in_shared_memory_and_no_segment_stays(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", SHARED, str(tmp_path)],
+        cwd=root,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    segments = [Path(line) for line in done.stdout.splitlines()]
+    assert segments
+    assert not [one for one in segments if one.exists()]

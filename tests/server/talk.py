@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import itertools
 import json
+import socket
 import time
 from collections import deque
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
+import pytest
 from jsonschema import Draft202012Validator
 from typing_extensions import Self
+from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from uoarm.server._asked import protocol_schema
-from uoarm.server._binary import read_binary, write_binary
+from uoarm.wire import protocol_schema, read_binary, write_binary
 
 SECONDS = 20.0
+# The server's thread makes random ping payloads while hypothesis draws in this one.
+BESIDE = pytest.mark.filterwarnings("ignore:Do not use the .random. module")
 TOLD = {
     op: Draft202012Validator({**protocol_schema(), "$ref": f"#/$defs/tell.{op}"})
     for op in ("Reply", "Error", "Data", "Status")
@@ -117,3 +121,22 @@ def eventually(condition: Any, what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline, f"never: {what}"
         time.sleep(0.005)
+
+
+def open_socket(port: int) -> socket.socket:
+    """Return a socket after its handshake, without anything that would read from it."""
+    plain = socket.create_connection(("127.0.0.1", port), timeout=20)
+    plain.sendall(
+        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    answer = b""
+    while b"\r\n\r\n" not in answer:
+        answer += plain.recv(1)
+    assert answer.startswith(b"HTTP/1.1 101")
+    return plain
+
+
+def frame(data: bytes, opcode: Opcode = Opcode.TEXT) -> bytes:
+    return Frame(opcode, data).serialize(mask=True)

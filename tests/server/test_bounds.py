@@ -15,9 +15,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import script
-from tests.server.talk import Talk, eventually
+from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.frames import Frame, Opcode
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server
@@ -25,26 +24,6 @@ from uoarm.server import Limits, Server
 
 def url(server: Server, path: str = "/") -> str:
     return f"ws://127.0.0.1:{server.ports[0]}{path}"
-
-
-def open_socket(server: Server) -> socket.socket:
-    """Return a socket after its handshake, without anything that would read from it."""
-    plain = socket.create_connection(("127.0.0.1", server.ports[0]), timeout=20)
-    port = server.ports[0]
-    plain.sendall(
-        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
-    answer = b""
-    while b"\r\n\r\n" not in answer:
-        answer += plain.recv(1)
-    assert answer.startswith(b"HTTP/1.1 101")
-    return plain
-
-
-def frame(data: bytes, opcode: Opcode = Opcode.TEXT) -> bytes:
-    return Frame(opcode, data).serialize(mask=True)
 
 
 def resident() -> int:
@@ -55,7 +34,7 @@ def resident() -> int:
 def test_a_client_that_never_reads_costs_bounded_memory_and_starves_nobody(serve: Serve) -> None:
     server = serve(Limits(queue_bytes=8_000_000, stall_seconds=60, ping_seconds=60))
     picture = {"width": 1, "data": os.urandom(200_000)}
-    with Talk(url(server), binary=True) as healthy, open_socket(server) as stuck:
+    with Talk(url(server), binary=True) as healthy, open_socket(server.ports[0]) as stuck:
         connection = healthy.open("picture")
         stuck.sendall(frame(b'{"op":"Request","type":"picture","id":"1"}'))
         eventually(lambda: len(healthy.ask("Status")["own"]) == 1, "open")
@@ -71,7 +50,7 @@ def test_a_client_that_never_reads_costs_bounded_memory_and_starves_nobody(serve
 
 def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: RobotManager) -> None:
     server = serve(Limits(queue_bytes=100_000, stall_seconds=0.5, ping_seconds=60))
-    with open_socket(server) as stuck:
+    with open_socket(server.ports[0]) as stuck:
         stuck.sendall(frame(b'{"op":"Request","type":"picture","id":"1"}'))
         eventually(lambda: len(robot.status().connections) == 1, "open")
 
@@ -84,7 +63,7 @@ def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: Robot
 
 def test_a_client_that_leaves_its_replies_is_cut_off(serve: Serve) -> None:
     server = serve(Limits(control_messages=16, queue_bytes=100_000, stall_seconds=60))
-    with open_socket(server) as stuck, suppress(OSError):
+    with open_socket(server.ports[0]) as stuck, suppress(OSError):
         stuck.settimeout(20)
         deadline = time.monotonic() + 20
         while time.monotonic() < deadline:
@@ -97,7 +76,7 @@ def test_a_client_that_dies_frees_what_only_it_used(
     serve: Serve, robot: RobotManager, how: str
 ) -> None:
     server = serve(Limits(ping_seconds=0.2, stall_seconds=0.5))
-    with Talk(url(server)) as other, open_socket(server) as dying:
+    with Talk(url(server)) as other, open_socket(server.ports[0]) as dying:
         shared = other.open("numbers")
         dying.sendall(frame(b'{"op":"Request","type":"numbers","id":"1"}'))
         dying.sendall(frame(b'{"op":"Request","type":"picture","id":"2"}'))
@@ -115,7 +94,7 @@ def test_a_client_that_goes_while_its_function_opens_leaves_nothing(
     server: Server, robot: RobotManager
 ) -> None:
     for _ in range(20):
-        with open_socket(server) as plain:
+        with open_socket(server.ports[0]) as plain:
             plain.sendall(frame(b'{"op":"Request","type":"doubled","id":"1"}'))
     eventually(lambda: not robot.status().connections, "nothing is open")
     eventually(lambda: not robot.status().components, "no component is open")
@@ -210,10 +189,11 @@ garbage = st.one_of(
 )
 
 
+@BESIDE
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(frames=st.lists(garbage, min_size=1, max_size=5))
 def test_no_frames_at_all_harm_the_server(server: Server, frames: list[bytes]) -> None:
-    with open_socket(server) as plain, suppress(ConnectionError):
+    with open_socket(server.ports[0]) as plain, suppress(ConnectionError):
         plain.sendall(b"".join(frames))
     assert _connects(server)
 
@@ -241,12 +221,13 @@ wild = st.fixed_dictionaries(
 )
 
 
+@BESIDE
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(message=wild, binary=st.booleans())
 def test_every_wild_message_has_one_answer(server: Server, message: object, binary: bool) -> None:
     import json
 
-    from uoarm.server._binary import write_binary
+    from uoarm.wire import write_binary
 
     with Talk(url(server), binary=binary) as client:
         client.raw(write_binary(message) if binary else json.dumps(message))

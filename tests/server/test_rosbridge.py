@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
-from tests.server.talk import SECONDS, eventually
+from tests.server.talk import BESIDE, SECONDS, eventually
 from typing_extensions import Self
 from websockets.sync.client import ClientConnection, connect
 
@@ -21,8 +21,8 @@ from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
-from uoarm.server._binary import read_binary
 from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.wire import read_binary
 
 
 class Ros:
@@ -422,6 +422,7 @@ operation = st.sampled_from(
 )  # fmt: skip
 
 
+@BESIDE
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=st.lists(st.tuples(operation, wild), max_size=6))
 def test_no_operations_at_all_break_the_endpoint(

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import CONFIGURATION, script
-from tests.server.talk import Talk
+from tests.server.talk import Talk, frame, open_socket
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 
 from uoarm import RobotManager
@@ -42,6 +42,9 @@ def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
 def test_health_and_pages(server: Server) -> None:
     assert page(server, "/healthz") == (200, '{"status":"ok","clients":0}')
     assert "uoarm serve" in page(server, "/")[1]
+    assert "export function connect" in page(server, "/uoarm.js")[1]
+    assert "export function decode" in page(server, "/uoarm-cbor.js")[1]
+    assert "export function connect" in page(server, "/uoarm.d.ts")[1]
     for path in ("/nowhere", "/../pyproject.toml", "/%2e%2e/__init__.py", "/static/index.html"):
         assert page(server, path)[0] == 404
 
@@ -108,9 +111,9 @@ def test_a_signal_closes_clients_properly_and_quickly(start: Start, number: sign
 
 def test_a_client_that_never_reads_does_not_hold_up_the_end(start: Start) -> None:
     process, port = start()
-    with Talk(f"ws://127.0.0.1:{port}/") as client:
+    with open_socket(port) as stuck:
         for _ in range(2000):
-            client.send("List")
+            stuck.sendall(frame(b'{"op":"List","id":"1"}'))
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=6)
     assert process.returncode == 0

@@ -54,7 +54,7 @@ class Mirror:
         apis = {kind: Api(kind, Kind.FLOW, fields_of(kind), fields_of(kind)) for kind in KINDS}
         for name in ("double", "broken", "silent"):
             apis[name] = Api(name, Kind.SERVICE, VALUE, VALUE)
-        self.catalogue = Catalogue("mirror", apis, heartbeat=0.5)
+        self.catalogue = Catalogue("mirror", apis)
         self._came: list[tuple[str, dict[str, Any]]] = []
 
     def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:

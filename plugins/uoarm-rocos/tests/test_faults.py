@@ -156,11 +156,12 @@ class Scripted:
             if isinstance(message, kind):
                 return message
 
-    def begin(self) -> None:
-        """Give the robot's catalogue."""
+    def begin(self, heartbeat: float = 20.0) -> None:
+        """Give the robot's catalogue, with time to think on a busy machine."""
         asked = self.hear(Describe)
         assert isinstance(asked, Describe)
-        self.say(lambda seq: CatalogueMessage(seq, asked.id, robot_catalogue()))
+        catalogue = evolve(robot_catalogue(), heartbeat=heartbeat)
+        self.say(lambda seq: CatalogueMessage(seq, asked.id, catalogue))
 
     def opened(self) -> int:
         """Confirm a flow and return its id."""
@@ -171,7 +172,9 @@ class Scripted:
 
 
 @contextmanager
-def scripted(**options: object) -> Iterator[tuple[Scripted, Events, Events]]:
+def scripted(
+    heartbeat: float = 20.0, **options: object
+) -> Iterator[tuple[Scripted, Events, Events]]:
     """A scripted device whose odometry is open: device, messages, events."""
     got = Events()
     with (
@@ -181,7 +184,7 @@ def scripted(**options: object) -> Iterator[tuple[Scripted, Events, Events]]:
         opening = Thread(target=lambda: bridge.open_source(ODOMETRY, ANY, got), daemon=True)
         opening.start()
         device = Scripted(listener.accept()[0])
-        device.begin()
+        device.begin(heartbeat)
         device.flow = device.opened()
         opening.join(LIMIT)
         with device.connection:
@@ -200,7 +203,7 @@ def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
 
 
 def test_a_device_without_a_heartbeat_is_dropped() -> None:
-    with scripted() as (device, _, events):
+    with scripted(heartbeat=0.5) as (device, _, events):
         lost = events.until(lambda one: one.channel and "line" in one.cause)
         assert "said nothing for" in lost.cause
         with suppress(OSError):

@@ -15,6 +15,7 @@ import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
 from uoarm_rocos.speech import _device
+from uoarm_rocos.speech._device import Speech
 from uoarm_rocos.speech._espeak import EspeakEngine
 from uoarm_rocos.speech._festival import FestivalEngine
 
@@ -150,6 +151,10 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
         with pytest.raises(BridgeTimeoutError):
             bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
         assert time.monotonic() - began < LIMIT
+    speech = Speech("voice", EspeakEngine(), {})
+    (api,) = speech.catalogue(0.0).apis.values()
+    with pytest.raises(BridgeTimeoutError, match="interrupted by its limit"):
+        speech.call(api, {"text": "Hello."}, timeout=0.5)
 
 
 def test_two_voices_at_once_do_not_mix() -> None:

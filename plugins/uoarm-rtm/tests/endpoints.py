@@ -10,7 +10,7 @@ from typing import Any
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
 
-__all__ = ["Inbox", "endpoint", "sink", "source", "stamped", "until"]
+__all__ = ["Inbox", "endpoint", "looked", "sink", "source", "stamped", "until"]
 
 
 def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
@@ -38,6 +38,12 @@ def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
     while not true():
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def looked(bridge: Bridge) -> None:
+    """Wait until the bridge has seen who is there, from when on it tells of changes."""
+    attendance: Any = vars(bridge)["_attendance"]
+    until(lambda: attendance._conditions is not None)
 
 
 class Inbox:

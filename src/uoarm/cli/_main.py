@@ -9,6 +9,8 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._env import env
+from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._run import call, request
 from uoarm.cli._serve import serve, token
@@ -131,6 +133,8 @@ def doctor(*, as_json: bool) -> None:
             click.echo(f"  {key:<14} {finding}")
 
 
+main.add_command(env)
+main.add_command(host)
 main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)

@@ -10,6 +10,7 @@ from uoarm.model import (
     BridgeSpec,
     Component,
     Endpoint,
+    Expectation,
     FailoverPolicy,
     Function,
     Input,
@@ -84,7 +85,12 @@ def _component(function: str, value: Mapping[str, Any]) -> Component:
             for port, one in _ports(value, "input", "inputs").items()
         ),
         outputs=tuple(
-            Output(port, endpoint(port, one, Role.OUTPUT), _structure(one, "structure"))
+            Output(
+                port,
+                endpoint(port, one, Role.OUTPUT),
+                _structure(one, "structure"),
+                Expectation(**one["expect"]) if "expect" in one else None,
+            )
             for port, one in _ports(value, "output", "outputs").items()
         ),
         service=None

@@ -5,5 +5,6 @@ Needs the extra `uoarm[hosts]`, in the application and in the environment of eve
 
 from uoarm.host._remote import RemoteBridge
 from uoarm.host._settings import HostSettings
+from uoarm.host._xmlrpc import XmlRpcFace
 
-__all__ = ["HostSettings", "RemoteBridge"]
+__all__ = ["HostSettings", "RemoteBridge", "XmlRpcFace"]

@@ -34,7 +34,12 @@ def main() -> int:
     threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
-    link = Link(orders["place"], listen=False, lease=orders["lease"])
+    link = Link(
+        orders["place"],
+        listen=False,
+        lease=orders["lease"],
+        shared_memory=orders["shared_memory"],
+    )
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:

@@ -26,7 +26,7 @@ __all__ = ["HostConnection"]
 _log = logging.getLogger("uoarm")
 _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 0.3
-_POLITE_SECONDS = 0.7
+_POLITE_SECONDS = 1.5
 _JOIN_SECONDS = 2.0
 _LEASE_SECONDS = 10.0
 
@@ -73,7 +73,8 @@ class HostConnection:
         try:
             place = f"unixsock-stream/{folder}/link"
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
-            self._link = Link(place, listen=True, lease=lease)
+            shared = settings.shared_memory
+            self._link = Link(place, listen=True, lease=lease, shared_memory=shared)
             self._link.watch_alive(_keys.ALIVE, self._seen)
             self._started = HostProcess(spec.name, command, variables, self._exited)
             self._started.tell(
@@ -85,6 +86,7 @@ class HostConnection:
                     "folder": str(folder),
                     "parent": os.getpid(),
                     "lease": lease,
+                    "shared_memory": shared,
                 }
             )
             self._await_token(deadline)

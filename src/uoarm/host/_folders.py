@@ -1,4 +1,4 @@
-"""Where environments of hosts live, and the folders of links, which are short-lived."""
+"""The folders of links: private, short-lived, and swept when their makers died."""
 
 from __future__ import annotations
 
@@ -10,28 +10,9 @@ from pathlib import Path
 
 from uoarm.host._keys import FOLDER
 
-__all__ = ["environment_folder", "environment_python", "environments_home", "link_folder"]
+__all__ = ["link_folder"]
 
 _OWNED = re.compile(re.escape(FOLDER) + r"(\d+)-")
-
-
-def environments_home() -> Path:
-    """Return the folder of all environments: `UOARM_HOME`, else where the user's data lies."""
-    home = os.environ.get("UOARM_HOME")
-    if home:
-        return Path(home) / "environments"
-    data = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
-    return Path(data).expanduser() / "uoarm" / "environments"
-
-
-def environment_folder(name: str) -> Path:
-    """Return where the environment of this name is, or would be."""
-    return environments_home() / name
-
-
-def environment_python(name: str) -> Path:
-    """Return the interpreter of an environment, which may not be there."""
-    return environment_folder(name) / "bin" / "python"
 
 
 def link_folder() -> Path:

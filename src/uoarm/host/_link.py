@@ -19,7 +19,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.host._codec import pack, unpack
 from uoarm.host._failures import from_failure, to_failure
 
-__all__ = ["ANSWER_SECONDS", "Link", "Reply"]
+__all__ = ["ANSWER_SECONDS", "Link", "Reply", "configuration"]
 
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
@@ -43,18 +43,26 @@ class Link:
         timeout: seconds for the connection to stand, where this end connects.
         lease: seconds without a sign of life after which the other end is taken for gone. The
             pulse notices a host that hangs, so this may be long.
+        shared_memory: whether large frames cross in shared memory; both ends must say the same.
 
     Raises:
         BridgeError: the session could not be opened.
     """
 
     def __init__(
-        self, place: str, *, listen: bool, timeout: float = 10.0, lease: float = 10.0
+        self,
+        place: str,
+        *,
+        listen: bool,
+        timeout: float = 10.0,
+        lease: float = 10.0,
+        shared_memory: bool = False,
     ) -> None:
         with _wrapped(f"opening the link at {place}"):
-            self._session = zenoh.open(
-                _configuration(place, listen=listen, timeout=timeout, lease=lease)
+            settings = configuration(
+                place, listen=listen, timeout=timeout, lease=lease, shared_memory=shared_memory
             )
+            self._session = zenoh.open(settings)
         self._kept: list[Any] = []
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
@@ -214,7 +222,9 @@ def _wrapped(step: str) -> Iterator[None]:
         raise BridgeError(f"{step} failed: {error}", FailureReason.UNAVAILABLE) from error
 
 
-def _configuration(place: str, *, listen: bool, timeout: float, lease: float) -> zenoh.Config:
+def configuration(
+    place: str, *, listen: bool, timeout: float, lease: float, shared_memory: bool
+) -> zenoh.Config:
     """Return settings under which nothing is found by itself and nothing listens elsewhere."""
     settings: dict[str, object] = {
         "mode": "router" if listen else "client",
@@ -228,7 +238,7 @@ def _configuration(place: str, *, listen: bool, timeout: float, lease: float) ->
         "scouting/delay": 0,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
+        "transport/shared_memory/enabled": shared_memory,
         "transport/link/tx/lease": int(lease * 1000),
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (

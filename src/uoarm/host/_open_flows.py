@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from attrs import astuple, define
+from attrs import astuple, define, field
 
 from uoarm.bridge import Channel, Sink
-from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, UoarmError
 from uoarm.host import _keys
+from uoarm.host._codec import pack
 from uoarm.host._flow import Ending, Incoming, Outgoing
 from uoarm.host._link import Link
 from uoarm.model import Endpoint, Message
@@ -33,6 +34,7 @@ class Leaving:
         self.endpoint = endpoint
         self.channel: Channel | None = None
         self._outgoing = outgoing
+        self._closed = False
         self._last_error = ""
 
     @property
@@ -46,7 +48,7 @@ class Leaving:
             self._outgoing.send(message)
         except UoarmError as error:
             self._outgoing.skip()
-            if str(error) != self._last_error:
+            if not self._closed and str(error) != self._last_error:
                 self._last_error = str(error)
                 _log.warning("%s: a message is lost: %s", self.endpoint, error)
 
@@ -59,6 +61,7 @@ class Leaving:
 
     def close(self) -> None:
         """Send nothing more."""
+        self._closed = True
         self._outgoing.close()
 
 
@@ -67,6 +70,7 @@ class _Open:
     channel: Channel
     leaving: Leaving | None = None
     arriving: Incoming | None = None
+    facts: Mapping[str, object] = field(factory=dict)
 
 
 class OpenFlows:
@@ -112,17 +116,6 @@ class OpenFlows:
         with self._lock:
             self._open[number] = _Open(channel)
 
-    def channel(self, number: int) -> Channel:
-        """Return an open channel.
-
-        Raises:
-            BridgeError: it is not open.
-        """
-        found = self._open.get(number)
-        if found is None:
-            raise BridgeError(f"no channel {number} is open in the host", FailureReason.CLOSED)
-        return found.channel
-
     def sent(self, number: int) -> int:
         """Return how many messages of a source were sent."""
         found = self._open.get(number)
@@ -146,11 +139,26 @@ class OpenFlows:
                     return one.leaving
             return next((one for one in self._opening if one.endpoint == channel.endpoint), None)
 
-    def handled(self) -> list[tuple[int, tuple[int, int, str]]]:
-        """Return, for the number of every sink, how far its messages were handled."""
+    def pulse(self) -> list[tuple[int, tuple[int, int, str] | None, Mapping[str, object]]]:
+        """Return for every channel its number, how far a sink is, and the facts last looked at."""
         with self._lock:
-            arriving = [(n, one.arriving) for n, one in self._open.items()]
-        return [(n, astuple(one.handled())) for n, one in arriving if one is not None]
+            found = list(self._open.items())
+        return [
+            (n, None if one.arriving is None else astuple(one.arriving.handled()), one.facts)
+            for n, one in found
+        ]
+
+    def look_at_facts(self) -> None:
+        """Ask every channel for its facts; what one raises stands in their place."""
+        with self._lock:
+            found = list(self._open.values())
+        for one in found:
+            try:
+                facts = dict(one.channel.facts())
+                pack(facts)
+            except Exception as error:  # noqa: BLE001 - a framework may raise anything
+                facts = {"facts": f"{type(error).__name__}: {error}"}
+            one.facts = facts
 
     def close(self, number: int, sent: int, timeout: float) -> None:
         """Close a channel and end its flow. Once is enough.

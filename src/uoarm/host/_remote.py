@@ -18,6 +18,7 @@ from uoarm.bridge import (
     Handler,
     Sink,
 )
+from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm.host._connection import HostConnection
@@ -144,8 +145,11 @@ class RemoteBridge(Bridge):
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         number = next(self._numbers)
-        linked = self._ask("link", flow=number, source=to_json(source), sink=to_json(sink))
-        return RemoteChannel(source, number, self._ask_to_close) if linked else None
+        if not self._ask("link", flow=number, source=to_json(source), sink=to_json(sink)):
+            return None
+        channel = RemoteChannel(source, number, self._ask_to_close, lambda: self._drop(number))
+        self._channels[number] = channel
+        return channel
 
     def _close(self) -> None:
         self._services.close()
@@ -160,17 +164,23 @@ class RemoteBridge(Bridge):
 
     def _ask_to_close(self, operation: str, **values: Any) -> Any:
         """Ask about an open channel; one of a dead host is closed already."""
-        if self._host.dead:
-            return None
-        return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        try:
+            if not self._host.dead:
+                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        except UoarmError:
+            if not self._host.dead:
+                raise
+        return None
 
     def _drop(self, number: int) -> None:
         self._channels.pop(number, None)
 
     def _heard(self, answer: list[Any]) -> None:
-        for number, handled in answer:
+        for number, handled, facts in answer:
             channel = self._channels.get(number)
-            if isinstance(channel, RemoteSink):
+            if channel is not None:
+                channel.host_facts = facts
+            if isinstance(channel, RemoteSink) and handled is not None:
                 channel.outgoing.confirm(Handled(*handled))
 
     def _doubted(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - told, not asked

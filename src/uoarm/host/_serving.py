@@ -40,6 +40,8 @@ class Serving:
         self._flows = OpenFlows(link)
         self._workers = Workers("uoarm-ask")
         self._teller = ThreadPoolExecutor(1, thread_name_prefix="uoarm-tell")
+        self._looker = ThreadPoolExecutor(1, thread_name_prefix="uoarm-look")
+        self._looking = Event()
         self._ended = ended
         self._operations: dict[str, Callable[[Request], Any]] = {
             "hello": self._hello,
@@ -50,7 +52,6 @@ class Serving:
             "call": self._call,
             "serve": self._serve,
             "link": self._native_link,
-            "facts": lambda request: dict(self._flows.channel(request["flow"]).facts()),
             "sent": lambda request: self._flows.sent(request["flow"]),
             "drain": lambda request: self._flows.drain(
                 request["flow"], request["sent"], request["timeout"]
@@ -63,8 +64,21 @@ class Serving:
         """Answer from now on, then show that the host is alive."""
         self._bridge.watch(self._noticed)
         self._link.answer(_keys.ASK, self._take)
-        self._link.answer(_keys.PING, lambda _, reply: reply(self._flows.handled()))
+        self._link.answer(_keys.PING, self._beat)
         self._link.show_alive(_keys.ALIVE)
+
+    def _beat(self, _: Any, reply: Reply) -> None:
+        """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
+        reply(self._flows.pulse())
+        if not self._looking.is_set():
+            self._looking.set()
+            self._looker.submit(self._look)
+
+    def _look(self) -> None:
+        try:
+            self._flows.look_at_facts()
+        finally:
+            self._looking.clear()
 
     def _take(self, request: Request, reply: Reply) -> None:
         operation = self._operations.get(request["op"])

@@ -10,8 +10,8 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm.environments import environment_python
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.host._folders import environment_python
 from uoarm.model import Options
 
 __all__ = ["HostSettings"]
@@ -32,6 +32,7 @@ class HostSettings:
         silence: seconds without an answer after which the host counts as dead.
         start: seconds within which it must be ready.
         restarts: deaths in a row after which the manager gives it up.
+        shared_memory: whether large messages cross in shared memory.
     """
 
     environment: str | None = None
@@ -40,6 +41,7 @@ class HostSettings:
     silence: float = 3.0
     start: float = 30.0
     restarts: int = 5
+    shared_memory: bool = False
 
     @classmethod
     def read(cls, options: Options) -> HostSettings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from itertools import chain
 
 from uoarm import _bounded
 from uoarm.bridge import Bridge, HealthEvent, Registry
@@ -18,6 +19,7 @@ __all__ = ["BridgeSet"]
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
+_FINE = Health.OK, ""
 
 
 class BridgeSet:
@@ -45,6 +47,8 @@ class BridgeSet:
         self._bridges: dict[str, Bridge] = {}
         self._restarts = Restarts(clock)
         self._turns: dict[str, threading.Lock] = {}
+        self._dead: dict[str, list[Bridge]] = {}
+        self._health: dict[str, tuple[Health, str]] = {}
         self._lock = threading.Lock()
         self._closed = False
         for name, bridge in ready.items():
@@ -73,41 +77,45 @@ class BridgeSet:
             with self._lock:
                 if not self._closed:
                     self._bridges[name] = bridge
+                    self._health.pop(name, None)
                     bridge.watch(self._heard)
                     return bridge
         bridge.close()
         raise ConnectionClosedError("the robot manager is closed")
 
     def retire(self, name: str) -> None:
-        """Close a bridge that is lost; `get` makes a new one. Failures while closing are logged."""
+        """Close a bridge that was lost. Failures while closing are logged."""
         with self._lock:
-            bridge = self._bridges.pop(name, None)
-        if bridge is not None:
+            dead = self._dead.pop(name, [])
+        for bridge in dead:
             try:
                 bridge.close()
             except BridgeError as error:
                 _log.warning("%s", error)
 
     def statuses(self) -> tuple[BridgeStatus, ...]:
-        """Return the started bridges as the status map shows them."""
+        """Return what the status map shows: bridges that were started, those that died included."""
         with self._lock:
-            bridges = list(self._bridges.items())
+            known = {**dict.fromkeys(self._health), **self._bridges}
+            health = dict(self._health)
         return tuple(
             BridgeStatus(
                 name=name,
                 plugin=self._specs[name].plugin if name in self._specs else name,
-                health=Health.LOST if bridge.closed else Health.OK,
-                open_channels=bridge.open_channels,
+                health=health.get(name, _FINE)[0],
+                open_channels=0 if bridge is None else bridge.open_channels,
+                cause=health.get(name, _FINE)[1],
             )
-            for name, bridge in bridges
+            for name, bridge in known.items()
         )
 
     def close(self) -> list[BridgeError]:
         """Close every bridge; return what failed."""
         with self._lock:
             self._closed = True
-            bridges = list(self._bridges.values())
+            bridges = [*self._bridges.values(), *chain.from_iterable(self._dead.values())]
             self._bridges.clear()
+            self._dead.clear()
         failures: list[BridgeError] = []
         for bridge in bridges:
             try:
@@ -121,9 +129,17 @@ class BridgeSet:
             raise ConnectionClosedError("the robot manager is closed")
 
     def _heard(self, event: HealthEvent) -> None:
-        """Note the death of a whole bridge, then tell the listener."""
-        if event.health is Health.LOST and event.channel is None and event.component is None:
-            self._restarts.died(event.bridge, event.cause)
+        """Note what happens to a whole bridge, then tell the listener.
+
+        One that is lost is there for nobody from this moment on: `get` makes a new one.
+        """
+        if event.channel is None and event.component is None:
+            with self._lock:
+                self._health[event.bridge] = event.health, event.cause
+                if event.health is Health.LOST and event.bridge in self._bridges:
+                    self._dead.setdefault(event.bridge, []).append(self._bridges.pop(event.bridge))
+            if event.health is Health.LOST:
+                self._restarts.died(event.bridge, event.cause)
         self._listener(event)
 
     def _start(self, name: str) -> Bridge:

@@ -24,6 +24,7 @@ from uoarm.manager._health import HealthDesk
 from uoarm.manager._ledger import Ledger
 from uoarm.manager._pool import Pool
 from uoarm.manager._prepare import prepare, reference
+from uoarm.manager._staleness import StalenessWatch
 from uoarm.manager._survey import survey
 from uoarm.model import (
     ConnectionState,
@@ -92,6 +93,10 @@ class RobotManager:
             failover=self._failover,
             clock=clock,
         )
+
+        self._staleness = StalenessWatch(self._pool.components, self._noticed, clock)
+        if any(one.expect for each in robot.components() for one in each.outputs):
+            self._staleness.start()
 
     @classmethod
     def from_file(
@@ -232,6 +237,7 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._staleness.close()
         self._failover.close()
         for connection in self._ledger.close():
             connection.end(ConnectionState.CLOSED, "the robot manager was closed")

@@ -3,6 +3,7 @@
 from uoarm.model._component import (
     Component,
     Endpoint,
+    Expectation,
     Function,
     Input,
     Output,
@@ -45,6 +46,7 @@ __all__ = [
     "Deliver",
     "Edge",
     "Endpoint",
+    "Expectation",
     "FailoverPolicy",
     "Function",
     "FunctionStatus",

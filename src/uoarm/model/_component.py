@@ -12,7 +12,17 @@ from uoarm.model._queue import QueuePolicy
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Options
 
-__all__ = ["Component", "Endpoint", "Function", "Input", "Output", "PortRef", "Role", "Service"]
+__all__ = [
+    "Component",
+    "Endpoint",
+    "Expectation",
+    "Function",
+    "Input",
+    "Output",
+    "PortRef",
+    "Role",
+    "Service",
+]
 
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 
@@ -63,15 +73,30 @@ class PortRef:
 
 
 @frozen
+class Expectation:
+    """How often an output should emit; one that stays under half of it is taken for dead.
+
+    Attributes:
+        rate: messages a second.
+        patience: seconds over which they are counted.
+    """
+
+    rate: float
+    patience: float = 3.0
+
+
+@frozen
 class Output:
     """A stream that a component emits.
 
-    `declared`, where given, replaces the structure that the bridge describes.
+    `declared`, where given, replaces the structure that the bridge describes; `expect` says how
+    often it should emit.
     """
 
     name: str
     endpoint: Endpoint
     declared: MessageStructure | None = None
+    expect: Expectation | None = None
 
 
 @frozen

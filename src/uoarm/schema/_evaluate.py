@@ -12,7 +12,7 @@ from uoarm.schema._trampoline import run
 from uoarm.schema._values import exact, key_of, kind_of
 from uoarm.schema._walker import found_in
 
-__all__ = ["accepts", "item_rules", "member_rules", "named_rules"]
+__all__ = ["Judgements", "accepts", "item_rules", "member_rules", "named_rules"]
 
 Mark: TypeAlias = "str | int"
 Marks: TypeAlias = "set[Mark] | None"
@@ -29,6 +29,24 @@ def accepts(node: Node, value: object) -> bool:
     """
     question: Question = (node, value, None)
     return run(question, _valid)
+
+
+class Judgements:
+    """Answers of `accepts` for the parts of one message, each found out once."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, int], bool] = {}
+
+    def accepts(self, node: Node, value: object) -> bool:
+        """Say whether a part is valid; the message must stay as it is and alive."""
+        key = id(node), id(value)
+        if key not in self._known:
+            question: Question = (node, value, None)
+            run(question, _valid, self._observe)
+        return self._known[key]
+
+    def _observe(self, question: Question, holds: bool) -> None:  # noqa: FBT001 - a callback
+        self._known[id(question[0]), id(question[1])] = holds
 
 
 def item_rules(node: Node, position: int) -> list[Node]:

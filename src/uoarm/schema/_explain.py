@@ -133,6 +133,8 @@ def _sentence(keyword: str, node: Node, value: Any) -> str:
         return f"{shown} is not of a type that the consumer takes"
     if keyword == "enum":
         return f"{shown} is none of the values that the consumer takes"
+    if keyword == "size":
+        return f"{len(value):,} parts are more or fewer than the consumer takes: {shown}"
     return f"{shown} does not meet what the consumer demands"
 
 

@@ -5,28 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from uoarm.schema._evaluate import accepts, item_rules, member_rules, named_rules
+from uoarm.schema._evaluate import Judgements, item_rules, member_rules, named_rules
 from uoarm.schema._node import Node
 from uoarm.schema._values import exact, key_of, kind_of
 
 __all__ = ["failures"]
+
+_MAX_VISITS = 10_000
 
 
 def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
     """Return the innermost failing schemas: node, value there, path, keyword."""
     found: list[tuple[Node, Any, tuple[str | int, ...], str]] = []
     waiting: list[tuple[Node, Any, tuple[str | int, ...]]] = [(node, value, ())]
+    judgements = Judgements()
     visits = 0
-    while waiting and visits < 10_000:  # noqa: PLR2004 - an explanation, not a verdict
+    while waiting and visits < _MAX_VISITS:
         visits += 1
         one, part, path = waiting.pop()
-        deeper = [
-            (child, item, (*path, *step))
-            for child, item, step in _direct_parts(one, part)
-            if not child.never and not accepts(child, item)
-        ]
         keyword = _failing_keyword(one, part)
-        if keyword == "rules" and deeper:
+        deeper = []
+        if keyword == "rules":
+            deeper = [
+                (child, item, (*path, *step))
+                for child, item, step in _direct_parts(one, part)
+                if not child.never and not judgements.accepts(child, item)
+            ]
+        if deeper:
             waiting.extend(deeper[:3])
         else:
             found.append((one, part, path, keyword))
@@ -52,7 +57,11 @@ def _failing_keyword(node: Node, value: Any) -> str:
         return "type"
     if node.values is not None and key_of(value) not in node.values:
         return "enum"
+    if isinstance(value, list) and not _within(len(value), node.min_items, node.max_items):
+        return "size"
     if isinstance(value, Mapping):
+        if not _within(len(value), node.min_properties, node.max_properties):
+            return "size"
         if any(name not in value for name in node.required):
             return "required"
         if node.additional is not None and node.additional.never:
@@ -60,3 +69,7 @@ def _failing_keyword(node: Node, value: Any) -> str:
             if extra:
                 return "additionalProperties"
     return "rules"
+
+
+def _within(size: int, least: int, most: int | None) -> bool:
+    return least <= size and (most is None or size <= most)

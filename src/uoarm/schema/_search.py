@@ -141,11 +141,25 @@ def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Re
     try:
         found = yield from _leaf(solver, state)
         if isinstance(found, Found):
+            if not _is_small(found.value):
+                return None
             found = try_values([found.value], state)
             return found if isinstance(found, Found) else None
     except (OutOfScopeError, UnsupportedPatternError, TooLong):
         return None
     return found if isinstance(found, Empty) else None
+
+
+def _is_small(value: object) -> bool:
+    waiting = [value]
+    for one in waiting:
+        if len(waiting) > _MAX_TRIED:
+            return False
+        if isinstance(one, dict):
+            waiting.extend(one.values())
+        elif isinstance(one, list):
+            waiting.extend(one)
+    return True
 
 
 def _leaf(solver: Solver, state: State) -> Asking:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
@@ -25,6 +27,7 @@ Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Hears of a change and of the function concerned, empty where it is not known."""
 
+_REMEMBERED = 200
 _ENDS = frozenset({"closed", "failed"})
 
 
@@ -68,6 +71,7 @@ class Desk:
         self._closings: set[asyncio.Task[None]] = set()
         self._watchers: dict[Watcher, None] = {}
         self._names: dict[str, str] = {}
+        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
         self._functions = {
             component.name: function.name
             for function in robot.robot.functions.values()
@@ -81,6 +85,11 @@ class Desk:
     def feeds(self) -> tuple[Feed, ...]:
         """The feeds that are open or opening."""
         return tuple(self._feeds.values())
+
+    def past(self) -> list[tuple[float, StatusEvent, str]]:
+        """Return the last changes: seconds ago, the change, the function concerned."""
+        now = time.monotonic()
+        return [(now - heard, event, function) for heard, event, function in self._past]
 
     async def join(self, wanted: Wanted) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
@@ -206,6 +215,7 @@ class Desk:
                 self._names.pop(name, None)
                 if name in self._by_id:
                     self._ended(self._by_id[name])
+        self._past.append((time.monotonic(), event, function))
         for watcher in tuple(self._watchers):
             watcher(event, function)
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
-from importlib.resources import files
+from pathlib import Path
 from urllib.parse import urlsplit
 from weakref import WeakKeyDictionary
 
@@ -20,9 +20,9 @@ from websockets.typing import Subprotocol
 
 from uoarm.server._admission import Admission, Pass, RefusedError
 from uoarm.server._audit import Audit
-from uoarm.server._forms import FORMS
 from uoarm.server._limits import Limits
 from uoarm.server._role import Operation
+from uoarm.wire import FORMS
 
 __all__ = ["NATIVE_PATHS", "ROSBRIDGE_PATH", "Doors", "Entry"]
 
@@ -41,8 +41,8 @@ _TYPES = {
 }
 # A page served here may load what is served here, and talk to this server only.
 _PAGE_HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; "
-    "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'",
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-cache",
@@ -169,11 +169,11 @@ class Doors:
 @cache
 def _static_files() -> Mapping[str, tuple[str, bytes]]:
     """Return the pages that ship with the server: only these names can ever be asked for."""
-    folder = files("uoarm.server") / "static"
+    folder = Path(__file__).parent / "static"
     return {
-        one.name: (_TYPES["." + one.name.rpartition(".")[2]], one.read_bytes())
-        for one in folder.iterdir()
-        if one.is_file() and "." + one.name.rpartition(".")[2] in _TYPES
+        one.relative_to(folder).as_posix(): (_TYPES[one.suffix], one.read_bytes())
+        for one in folder.rglob("*")
+        if one.suffix in _TYPES
     }
 
 

@@ -12,11 +12,11 @@ from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Feed
-from uoarm.server._forms import Form
 from uoarm.server._limits import Limits
 from uoarm.server._outbox import Outbox
 from uoarm.server._sending import Done, Sending
 from uoarm.server._stream import Stream
+from uoarm.wire import Form
 
 __all__ = ["Holdings", "wanted_by"]
 

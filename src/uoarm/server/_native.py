@@ -6,21 +6,22 @@ import asyncio
 import functools
 import logging
 from collections.abc import Awaitable, Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from uoarm._version import __version__
 from uoarm.errors import ControlMessageError, UoarmError
 from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
-from uoarm.server._asked import check_asked, salvage_id
+from uoarm.resolve import NoPlanError
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of
-from uoarm.server._forms import Form, write_or_tell
 from uoarm.server._holdings import Holdings, wanted_by
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
+from uoarm.wire import Form, check_asked, salvage_id, write_or_tell
 
 __all__ = ["NativeSession"]
 
@@ -139,7 +140,14 @@ class NativeSession:
         elif asked.type == "unwatch":
             self._desk.unwatch(self._changed)
         status = visible_status(self._desk.robot.status(), self._client.role)
-        self._reply(asked, {**status, "own": self._holdings.counters()})
+        told = {**status, "own": self._holdings.counters()}
+        if asked.type == "watch":
+            told["past"] = [
+                {**to_json(event), "age": age}
+                for age, event, function in self._desk.past()
+                if self._client.role.allows(Operation.SEE, function)
+            ]
+        self._reply(asked, told)
 
     def _send(self, asked: ControlMessage) -> None:
         identity, _, port = str(asked.type).partition(".")
@@ -198,7 +206,10 @@ class NativeSession:
         if not isinstance(error, UoarmError):
             text = "%s of client %s failed"
             _log.error(text, asked.op.value, self._client.identity, exc_info=error)
-        self._fail(asked.id, str(asked.type), error)
+        more: dict[str, Any] = {}
+        if asked.op is Op.RESOLVE and isinstance(error, NoPlanError):
+            more["rejected"] = to_json(error.rejections)
+        self._fail(asked.id, str(asked.type), error, more)
 
     def _reply(self, asked: ControlMessage, message: Message) -> None:
         reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
@@ -206,10 +217,16 @@ class NativeSession:
             reply["jsonMessage"] = message
         self._tell(reply)
 
-    def _fail(self, identity: str | None, kind: str, error: BaseException) -> None:
+    def _fail(
+        self,
+        identity: str | None,
+        kind: str,
+        error: BaseException,
+        more: Mapping[str, Any] = MappingProxyType({}),
+    ) -> None:
         code = code_of(error)
         text = "the server failed; its log says more" if code == "internal" else str(error)
-        told: dict[str, Any] = {"op": "Error", "jsonMessage": {"code": code, "text": text}}
+        told: dict[str, Any] = {"op": "Error", "jsonMessage": {"code": code, "text": text, **more}}
         if kind:
             told["type"] = kind
         if identity is not None:

@@ -14,8 +14,8 @@ from uoarm.errors import UsageError
 from uoarm.flow import make_check
 from uoarm.manager import Connection
 from uoarm.model import Message, MessageStructure, ValidationMode
-from uoarm.server._forms import Form
 from uoarm.server._workers import BusyError, Workers
+from uoarm.wire import Form
 
 __all__ = ["Sending", "read_message"]
 

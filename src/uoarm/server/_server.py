@@ -20,11 +20,11 @@ from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
 from uoarm.server._desk import Desk
 from uoarm.server._doors import Doors
-from uoarm.server._forms import FORMS, TEXT_FORM
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
 from uoarm.server.rosbridge import Hub, RosbridgeSession
+from uoarm.wire import FORMS, TEXT_FORM
 
 __all__ = ["Server"]
 

@@ -9,8 +9,8 @@ from uoarm.errors import MessageError
 from uoarm.flow import Clock
 from uoarm.model import QueuePolicy
 from uoarm.server._feed import Feed, Parcel
-from uoarm.server._forms import Form
 from uoarm.server._outbox import Lane, Outbox
+from uoarm.wire import Form
 
 __all__ = ["Stream"]
 

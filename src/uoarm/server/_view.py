@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from uoarm.model import Function, Plan, Robot, StatusMap, to_json
+from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
 from uoarm.resolve import tell_plan
-from uoarm.server._forms import Form
 from uoarm.server._role import Operation, Role
+from uoarm.wire import Form
 
 __all__ = ["list_functions", "show_plan", "visible_status"]
 
@@ -34,10 +34,21 @@ def _describe(function: Function) -> dict[str, Any]:
         "outputs": list(outputs),
         "inputs": list(inputs),
         "components": [
-            {"name": one.name, "bridge": one.bridge, "priority": one.priority}
+            {
+                "name": one.name,
+                "bridge": one.bridge,
+                "priority": one.priority,
+                "uses": _uses(one),
+            }
             for one in function.components
         ],
     }
+
+
+def _uses(component: Component) -> list[str]:
+    """Return the functions that a component takes its inputs from."""
+    sources = (one.source.function for one in component.inputs if one.source is not None)
+    return list(dict.fromkeys(sources))
 
 
 def show_plan(plan: Plan, form: Form) -> dict[str, Any]:

@@ -8,8 +8,9 @@ from typing import Any
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_rocos._messages import ErrorCode, ErrorMessage
 
-__all__ = ["Answer", "refusal"]
+__all__ = ["Answer", "Answers", "refusal"]
 
+_MOST = 1000
 _REASONS = {
     ErrorCode.PROFILE: FailureReason.UNSUPPORTED,
     ErrorCode.UNKNOWN_API: FailureReason.NOT_FOUND,
@@ -52,6 +53,61 @@ class Answer:
         if self._error is not None:
             raise self._error
         return self._value
+
+
+class Answers:
+    """What one device is asked now, by the id of the conversation; any thread.
+
+    Args:
+        name: of the device, for errors.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._lock = threading.Lock()
+        self._waiting: dict[int, tuple[Answer, str]] = {}
+
+    def expect(self, identity: int, what: str) -> Answer:
+        """Wait for an answer from now on; `what` is asked.
+
+        Raises:
+            BridgeError: too many wait already.
+        """
+        answer = Answer()
+        with self._lock:
+            if len(self._waiting) >= _MOST:
+                text = f"{what}: {_MOST} questions already wait for {self._name}"
+                raise BridgeError(text, FailureReason.REFUSED)
+            self._waiting[identity] = (answer, what)
+        return answer
+
+    def forget(self, identity: int) -> bool:
+        """Wait no longer; return whether anybody did."""
+        with self._lock:
+            return self._waiting.pop(identity, None) is not None
+
+    def give(self, identity: int, value: Any) -> bool:
+        """Answer; return whether anybody waited."""
+        with self._lock:
+            found = self._waiting.pop(identity, None)
+        if found is not None:
+            found[0].give(value)
+        return found is not None
+
+    def refuse(self, message: ErrorMessage) -> bool:
+        """Answer with the device's error; return whether anybody waited."""
+        with self._lock:
+            found = self._waiting.pop(message.id, None)
+        if found is not None:
+            found[0].fail(refusal(message, found[1]))
+        return found is not None
+
+    def fail(self, error: BridgeError) -> None:
+        """Answer everything with an error."""
+        with self._lock:
+            waiting, self._waiting = list(self._waiting.values()), {}
+        for answer, _ in waiting:
+            answer.fail(error)
 
 
 def refusal(message: ErrorMessage, what: str) -> BridgeError:

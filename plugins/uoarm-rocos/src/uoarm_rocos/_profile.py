@@ -11,7 +11,7 @@ from attrs import field, frozen
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
-from uoarm_rocos._answer import Answer, refusal
+from uoarm_rocos._answer import Answer, Answers, refusal
 from uoarm_rocos._catalogue import Api, Catalogue, differences
 from uoarm_rocos._courier import Courier
 from uoarm_rocos._device import Device, Told
@@ -32,7 +32,6 @@ from uoarm_rocos._talk import Talk, Wire
 
 __all__ = ["Changed", "ProfileDevice", "Timing"]
 
-_MOST_CONVERSATIONS = 1000
 Changed = Callable[[Health, str, "dict[str, str]"], None]
 
 
@@ -83,7 +82,7 @@ class ProfileDevice(Device):
         self._lost_at: float | None = None
         self._given_up = False
         self._closed = False
-        self._answers: dict[int, tuple[Answer, str]] = {}
+        self._answers = Answers(name)
         self._flows: set[ProfileFlow] = set()
         self._by_id: dict[int, ProfileFlow] = {}
         self._courier = Courier(f"{name}-deliver")
@@ -111,7 +110,7 @@ class ProfileDevice(Device):
         what = f"calling {api.name} of {self.name}"
         answer, identity = self._ask(what, lambda seq, number: Call(seq, number, api.name, values))
         if not answer.wait(max(0.0, end - time.monotonic())):
-            self._forget(identity)
+            self._answers.forget(identity)
             self._say_close(identity)
             raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s; it was given up")
         return fit(api.output, answer.value(), f"result of {api.name}")
@@ -137,7 +136,7 @@ class ProfileDevice(Device):
             self._state.notify_all()
         self._line.close()
         self._courier.close()
-        self._fail_answers(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
+        self._answers.fail(BridgeError(f"{self.name} was closed", FailureReason.CLOSED))
 
     def on_ready(self, catalogue: Catalogue) -> None:
         """Begin, or begin again, with what the device offers now; from the line's thread."""
@@ -159,12 +158,12 @@ class ProfileDevice(Device):
             flow = self._by_id.get(message.id)
             if flow is not None:
                 flow.take(message.values)
-        elif isinstance(message, Result | Open):
-            answer = self._forget(message.id)
-            if answer is not None:
-                answer[0].give(message.values if isinstance(message, Result) else None)
-            elif isinstance(message, Open) and message.id in self._by_id:
-                self._by_id[message.id].tell(Health.OK, "connected again")
+        elif isinstance(message, Result):
+            self._answers.give(message.id, message.values)
+        elif isinstance(message, Open):
+            again = self._by_id.get(message.id)
+            if not self._answers.give(message.id, None) and again is not None:
+                again.tell(Health.OK, "connected again")
         elif isinstance(message, ErrorMessage):
             self._take_error(message)
         elif isinstance(message, Close):
@@ -184,7 +183,7 @@ class ProfileDevice(Device):
             flows = list(self._flows)
             self._by_id.clear()
         if first:
-            self._fail_answers(LineError(f"the line to {self.name} was lost: {cause}"))
+            self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
         if not first and not over:
             return
         health = Health.LOST if over else Health.DEGRADED
@@ -220,19 +219,15 @@ class ProfileDevice(Device):
     def _ask(
         self, what: str, build: Callable[[int, int], WireMessage], flow: ProfileFlow | None = None
     ) -> tuple[Answer, int]:
-        answer = Answer()
-        with self._state:
-            if len(self._answers) >= _MOST_CONVERSATIONS:
-                text = f"{what}: {_MOST_CONVERSATIONS} calls already wait for {self.name}"
-                raise BridgeError(text, FailureReason.REFUSED)
-            identity = self._talk.ids.next()
-            self._answers[identity] = (answer, what)
-            if flow is not None:
+        identity = self._talk.ids.next()
+        answer = self._answers.expect(identity, what)
+        if flow is not None:
+            with self._state:
                 self._by_id[identity], flow.id = flow, identity
         try:
             self._talk.send(lambda seq: build(seq, identity))
         except BridgeError:
-            self._forget(identity)
+            self._answers.forget(identity)
             raise
         return answer, identity
 
@@ -274,7 +269,7 @@ class ProfileDevice(Device):
         with self._state:
             self._flows.discard(flow)
             known = self._by_id.pop(flow.id, None)
-            self._answers.pop(flow.id, None)
+        self._answers.forget(flow.id)
         if known is not None:
             self._say_close(flow.id)
 
@@ -287,19 +282,6 @@ class ProfileDevice(Device):
     def _take_error(self, message: ErrorMessage) -> None:
         if message.id == 0:
             raise refusal(message, self.name)
-        asked = self._forget(message.id)
         flow = self._by_id.pop(message.id, None)
-        if asked is not None:
-            asked[0].fail(refusal(message, asked[1]))
-        elif flow is not None:
+        if not self._answers.refuse(message) and flow is not None:
             flow.tell(Health.LOST, str(refusal(message, f"the flow {flow.api.name}")))
-
-    def _forget(self, identity: int) -> tuple[Answer, str] | None:
-        with self._state:
-            return self._answers.pop(identity, None)
-
-    def _fail_answers(self, error: BridgeError) -> None:
-        with self._state:
-            waiting, self._answers = list(self._answers.values()), {}
-        for answer, _ in waiting:
-            answer.fail(error)

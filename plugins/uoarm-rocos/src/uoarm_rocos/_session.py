@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from attrs import define
 
 __all__ = ["Ids", "Incoming", "Watch"]
@@ -30,16 +32,15 @@ class Incoming:
         return again
 
 
-@define
 class Ids:
-    """Ids of conversations: 1 to 4294967295, none used again soon."""
+    """Ids of conversations: 1 to 4294967295, none used again soon. Any thread."""
 
-    _last: int = 0
+    def __init__(self) -> None:
+        self._count = itertools.count()
 
     def next(self) -> int:
         """Return the next id."""
-        self._last = self._last % (_WRAP - 1) + 1
-        return self._last
+        return next(self._count) % (_WRAP - 1) + 1
 
 
 @define

@@ -8,14 +8,14 @@ from typing import Any
 from attrs import evolve, field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Options, Role, Schema
-from uoarm_rocos._fields import NAME
+from uoarm.model import Endpoint, Options, Role
 from uoarm_rocos._line import Backoff
 from uoarm_rocos._messages import Direction
+from uoarm_rocos._options import mistake
 from uoarm_rocos._profile import Timing
 from uoarm_rocos._transport import LineSettings, transport_for
 
-__all__ = ["BRIDGE_OPTIONS", "DRIVERS", "DeviceSettings", "address_of", "devices_of", "mistake"]
+__all__ = ["DRIVERS", "DeviceSettings", "address_of", "devices_of"]
 
 # The lines that the devices' makers set; a profile device's is the usual one. The CMS50D+ is said
 # to use XON/XOFF, but its frames hold the octets 11 and 13 as numbers, which a tty that is told
@@ -28,50 +28,6 @@ DRIVERS: Mapping[str, LineSettings | None] = {
     "and-ua767pbt": LineSettings(9_600),
     "espeak": None,
     "festival": None,
-}
-
-_SECONDS: dict[str, object] = {"type": "number", "exclusiveMinimum": 0, "maximum": 3600}
-_DEVICE: dict[str, object] = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": {
-        "driver": {"enum": list(DRIVERS), "description": "what it speaks; default profile"},
-        "url": {
-            "type": "string",
-            "description": "tcp://host:port, a serial port, socket://, rfc2217://",
-        },
-        "catalogue": {"type": "string", "description": "file, instead of asking the device"},
-        "baud": {"type": "integer", "minimum": 50, "maximum": 4_000_000},
-        "bits": {"enum": [5, 6, 7, 8]},
-        "parity": {"enum": ["N", "E", "O"]},
-        "stop": {"enum": [1, 1.5, 2]},
-        "xonxoff": {"type": "boolean"},
-        "wait": {**_SECONDS, "description": "for a device that is not there; default 3"},
-        "grace": {**_SECONDS, "description": "for a fault to pass before it is a loss; default 5"},
-        "backoff": {
-            "type": "array",
-            "items": _SECONDS,
-            "minItems": 2,
-            "maxItems": 2,
-            "description": "first and longest pause between attempts; default [0.1, 2]",
-        },
-        "voice": {"type": "string", "description": "of speech, where a request names none"},
-        "play": {"enum": ["auto", "never"], "description": "of speech; default auto"},
-        "directory": {"type": "string", "description": "for speech that is not played"},
-    },
-}
-BRIDGE_OPTIONS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "required": ["devices"],
-    "properties": {
-        "devices": {
-            "type": "object",
-            "minProperties": 1,
-            "propertyNames": {"pattern": "^[A-Za-z_][A-Za-z0-9_.-]*$"},
-            "additionalProperties": _DEVICE,
-        },
-    },
 }
 
 
@@ -117,15 +73,6 @@ def address_of(endpoint: Endpoint) -> tuple[str, str, Direction | None]:
     device, api = endpoint.address
     directions = {Role.OUTPUT: Direction.OUTPUT, Role.INPUT: Direction.INPUT}
     return device, api, directions.get(endpoint.role)
-
-
-def mistake(address: tuple[str, ...], options: Options) -> str:
-    """Return what is wrong with an address or its options, or ""."""
-    if len(address) != 2 or not NAME.fullmatch(address[1]):  # noqa: PLR2004 - as the text says
-        return f"expected [device, API name], got {list(address)}"
-    if options:
-        return f"an endpoint has no options here, got {', '.join(options)}"
-    return ""
 
 
 def _device(name: str, given: Mapping[str, Any]) -> DeviceSettings:

@@ -15,6 +15,7 @@ from typing import Any
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import limit
 from uoarm_rtm._peer import Port, pairs, properties_of
@@ -131,5 +132,5 @@ class Connector:
             return  # a component that is gone has no connections
 
     def _let_go(self) -> None:
-        with contextlib.suppress(CORBA.Exception):
+        with contextlib.suppress(CORBA.Exception), calls:
             self._port.disconnect(self.id)

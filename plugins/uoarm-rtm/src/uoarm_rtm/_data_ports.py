@@ -12,6 +12,7 @@ from omniORB import CORBA
 
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
+from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import Codec
 from uoarm_rtm._orb import Orb, narrowed
 from uoarm_rtm._peer import properties_of
@@ -118,7 +119,8 @@ class InPort(_DataPort):
         count = 0
         for connector, (target, order) in list(self._pulls.items()):
             try:
-                status, data = target.get()
+                with calls:
+                    status, data = target.get()
             except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
                 continue  # components in Python raise BAD_PARAM while they are empty
             except CORBA.Exception:

@@ -11,6 +11,7 @@ from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._calls import calls
 from uoarm_rtm._naming import Name, NamingService
 from uoarm_rtm._orb import limit
 from uoarm_rtm._peer import Peer, peer_at
@@ -103,7 +104,8 @@ class Directory:
 
     def _look(self, name: Name) -> Sighting:
         try:
-            gone = limit(name.reference, self._seconds)._non_existent()
+            with calls:
+                gone = limit(name.reference, self._seconds)._non_existent()
         except CORBA.TIMEOUT:
             return Sighting(name.path, name.reference, "hung")
         except CORBA.Exception:

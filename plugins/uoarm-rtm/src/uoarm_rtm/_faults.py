@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm_rtm._calls import calls
 
 __all__ = ["corba_errors", "corba_text"]
 
@@ -22,7 +23,8 @@ def corba_errors(what: str) -> Iterator[None]:
     that its stub does not understand REFUSED, anything else RAISED.
     """
     try:
-        yield
+        with calls:
+            yield
     except CORBA.TIMEOUT as error:
         raise BridgeTimeoutError(f"{what}: no answer within the time limit") from error
     except _GONE as error:

@@ -7,6 +7,7 @@ An ORB that the application itself has begun is used as it is and left alone.
 from __future__ import annotations
 
 import atexit
+import logging
 import threading
 from typing import Any
 
@@ -15,12 +16,16 @@ from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
 
 __all__ = ["Orb", "limit", "narrowed"]
 
 _MOST_BYTES = 1 << 28
+_DRAIN_SECONDS = 4.0
 _DESTROY_SECONDS = 5.0
+
+_log = logging.getLogger("uoarm.rtm")
 
 
 @frozen
@@ -135,6 +140,7 @@ def _begin(address: str, call_seconds: float) -> Any:
     if _shared.running is None:
         if _shared.destroying is not None:
             _shared.destroying.join(_DESTROY_SECONDS)
+        calls.begin()
         foreign = omniORB.orb is not None
         arguments = {
             "clientCallTimeOutPeriod": str(int(call_seconds * 1000)),
@@ -188,6 +194,9 @@ atexit.register(_end_at_exit)
 
 
 def _destroy(orb: Any) -> None:
+    if not calls.end(_DRAIN_SECONDS):
+        _log.warning("a CORBA call does not come back: the ORB is left as it is")
+        return
     try:
         orb.destroy()
     except CORBA.Exception:

@@ -15,6 +15,7 @@ from typing import Any
 
 from omniORB import CORBA
 
+from uoarm_rtm._calls import calls
 from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import pairs
 from uoarm_rtm._stubs import RTC, RTC__POA
@@ -83,7 +84,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         elif profile.connector_id in self._profiles:
             return RTC.PRECONDITION_NOT_MET, profile
         try:
-            code, profile = limit(profile.ports[0], self._seconds).notify_connect(profile)
+            with calls:
+                code, profile = limit(profile.ports[0], self._seconds).notify_connect(profile)
         except CORBA.Exception:
             code = RTC.RTC_ERROR
         if code != RTC.RTC_OK:
@@ -121,7 +123,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             return RTC.BAD_PARAMETER
         for port in profile.ports:
             try:
-                return limit(port, self._seconds).notify_disconnect(connector_id)
+                with calls:
+                    return limit(port, self._seconds).notify_disconnect(connector_id)
             except CORBA.Exception:
                 continue
         return self.notify_disconnect(connector_id)
@@ -140,7 +143,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         if following is None:
             return RTC.RTC_OK
         try:
-            return limit(following, self._seconds).notify_disconnect(connector_id)
+            with calls:
+                return limit(following, self._seconds).notify_disconnect(connector_id)
         except CORBA.Exception:
             return RTC.RTC_OK  # it is gone, and its end of the connection with it
 
@@ -169,7 +173,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         if following is None:
             return RTC.RTC_OK, profile
         try:
-            code, profile = limit(following, self._seconds).notify_connect(profile)
+            with calls:
+                code, profile = limit(following, self._seconds).notify_connect(profile)
         except CORBA.Exception as error:
             raise Refusal(f"the next port does not answer ({error})", RTC.RTC_ERROR) from error
         return code, profile
@@ -194,6 +199,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
     def _undo(self, profile: Any) -> None:
         for port in profile.ports:
             try:
-                limit(port, self._seconds).notify_disconnect(profile.connector_id)
+                with calls:
+                    limit(port, self._seconds).notify_disconnect(profile.connector_id)
             except CORBA.Exception:
                 continue

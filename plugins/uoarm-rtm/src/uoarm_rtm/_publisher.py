@@ -9,6 +9,7 @@ from typing import Any
 
 from omniORB import CORBA
 
+from uoarm_rtm._calls import calls
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 from uoarm_rtm._wishes import Wishes
 
@@ -32,7 +33,8 @@ class Pusher:
     def write(self, data: bytes) -> None:
         """Send one message; a hung InPort costs its time limit."""
         try:
-            self._target.put(data)
+            with calls:
+                self._target.put(data)
         except CORBA.TIMEOUT:
             return  # it may be back for the next
         except CORBA.Exception:

@@ -10,6 +10,7 @@ from omniORB import CORBA
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Message
+from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -93,7 +94,8 @@ class InPortSink(Sink):
 
     def _put(self, data: bytes) -> None:
         try:
-            status = self._target.put(data)
+            with calls:
+                status = self._target.put(data)
         except CORBA.TIMEOUT as error:
             text = f"{self._place.where} did not take a message within its time limit"
             self.pulse.tell(Health.DEGRADED, text)

@@ -12,6 +12,7 @@ from omniORB import CORBA
 from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, BridgeTimeoutError, MessageError
 from uoarm.model import Deliver, Health
+from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -132,7 +133,8 @@ class Source(Channel):
         before = b""
         while not self._ended.wait(1.0 / self._place.settings.rate):
             try:
-                status, data = target.get()
+                with calls:
+                    status, data = target.get()
             except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
                 continue
             except CORBA.Exception as error:

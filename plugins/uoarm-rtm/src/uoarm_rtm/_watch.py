@@ -86,7 +86,7 @@ class Watch:
         self._ended.set()
 
     def _run(self) -> None:
-        while not self._ended.wait(self._seconds):
+        while True:
             for tick in self._ticks():
                 if self._ended.is_set():
                     return
@@ -94,3 +94,5 @@ class Watch:
                     tick()
                 except Exception:  # noqa: BLE001 - one that fails hurts no other
                     _log.exception("a look at OpenRTM failed")
+            if self._ended.wait(self._seconds):
+                return

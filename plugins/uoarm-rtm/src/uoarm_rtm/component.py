@@ -1,5 +1,12 @@
 # ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
-"""An RT-Component of our own: what other components, RT System Editor and rtshell see of us."""
+"""An RT-Component of our own: what other components, RT System Editor and rtshell see of us.
+
+orb = Orb("127.0.0.1", call_seconds=2.0)
+component = RtComponent(orb, Sheet("Counter0"))
+out = component.add_out_port("count", "RTC::TimedLong", Types())
+component.bind([NamingService(orb, "localhost:2809", 2.0)])
+out.write({"tm": {"sec": 1, "nsec": 0}, "data": 1})
+"""
 
 from __future__ import annotations
 
@@ -21,7 +28,7 @@ from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._stubs import RTC, OpenRTM__POA, SDOPackage
 from uoarm_rtm._types import Types
 
-__all__ = ["Callbacks", "RtComponent", "Sheet"]
+__all__ = ["Callbacks", "NamingService", "Orb", "RtComponent", "Sheet", "Types"]
 
 _CONTEXT = 0
 _OK = RTC.RTC_OK

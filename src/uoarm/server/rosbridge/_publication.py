@@ -10,10 +10,10 @@ from uoarm.errors import UoarmError
 from uoarm.model import Message
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._feed import Feed
-from uoarm.server._forms import TEXT_FORM
 from uoarm.server._sending import Done, Sending
 from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._names import Place
+from uoarm.wire import TEXT_FORM
 
 __all__ = ["Publication"]
 

@@ -10,12 +10,12 @@ from uoarm.model import Message, MessageStructure
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError
-from uoarm.server._forms import TEXT_FORM
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server.rosbridge._hub import Hub
 from uoarm.server.rosbridge._names import find_place
 from uoarm.server.rosbridge._rosapi import PREFIX, Rosapi
+from uoarm.wire import TEXT_FORM
 
 __all__ = ["Services"]
 

@@ -13,9 +13,7 @@ import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message
-from uoarm.server._binary import write_binary
-from uoarm.server._depth import check_depth
-from uoarm.server._skeleton import dump_parts
+from uoarm.wire import check_depth, dump_parts, write_binary
 
 __all__ = ["check_fields", "read_operation", "write_publish", "write_publish_cbor", "write_ros"]
 

@@ -42,6 +42,7 @@ class Monitor(Device):
         self._closed = False
         self._cause = "not connected yet"
         self._lost_at: float | None = None
+        self._given_up = False
         self._waiting: list[Answer] = []
         self._line = Line(name, transport, self, timing.backoff)
         self._line.start()
@@ -86,7 +87,7 @@ class Monitor(Device):
         """Begin with a new decoder."""
         self._decoder = Ua767Decoder()
         with self._state:
-            self._open, self._lost_at = True, None
+            self._open, self._lost_at, self._given_up = True, None, False
             self._state.notify_all()
         self._changed(Health.OK, "the port is open", {})
 
@@ -114,7 +115,8 @@ class Monitor(Device):
             self._lost_at = now if self._lost_at is None else self._lost_at
             self._open, self._cause = False, cause
         text = f"the line to {self._name} is lost: {cause}"
-        gone = now - self._lost_at >= self._timing.grace
+        gone = not self._given_up and now - self._lost_at >= self._timing.grace
+        self._given_up = self._given_up or gone
         if first or gone:
             self._changed(Health.LOST if gone else Health.DEGRADED, text, {})
         self._fail(LineError(text))

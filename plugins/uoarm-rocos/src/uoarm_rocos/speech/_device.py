@@ -102,19 +102,18 @@ class Speech(Device):
 
     def _play(self, command: list[str], sound: Sound, end: float) -> None:
         try:
-            with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as player:  # noqa: S603 - ours
-                self._player = player
-                try:
-                    _, told = player.communicate(sound.wav(), max(0.0, end - time.monotonic()))
-                except subprocess.TimeoutExpired as error:
-                    player.kill()
-                    raise BridgeTimeoutError(
-                        f"{self._name} was interrupted by its limit"
-                    ) from error
-                finally:
-                    self._player = None
+            player = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)  # noqa: S603 - ours
         except OSError as error:
             raise BridgeError(f"{command[0]} cannot be started: {error}") from error
+        with player:
+            self._player = player
+            try:
+                _, told = player.communicate(sound.wav(), max(0.0, end - time.monotonic()))
+            except subprocess.TimeoutExpired as error:
+                player.kill()
+                raise BridgeTimeoutError(f"{self._name} was interrupted by its limit") from error
+            finally:
+                self._player = None
         if player.returncode:
             said = told.decode(errors="replace").strip()[:200]
             raise BridgeError(f"{command[0]} could not play the sound: {said}")

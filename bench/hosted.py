@@ -1,0 +1,247 @@
+"""A bridge in a host beside one in this process, bare Zenoh and a plain pipe; and its deaths."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from bench.tables import at, print_table
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.config import loads
+from uoarm.errors import BridgeError
+from uoarm.host import RemoteBridge
+from uoarm.local import PythonBridge
+from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
+
+HERE = Path(__file__).parent
+PARTS = {"path": [str(HERE)]}
+SIZES = {"100 B": 100, "10 KB": 10_000, "1 MB": 1_000_000}
+ANY = MessageStructure(True)
+ROUNDS, BURST, DEATHS, SILENCE = 5, 20_000, 7, 3.0
+
+Trip = Callable[[bytes], object]
+
+
+def main() -> None:
+    """Print round trips, one-way rates, and how long each death takes to be noticed."""
+    with ExitStack() as stack:
+        trips = {
+            "a pipe (multiprocessing)": stack.enter_context(_pipe()),
+            "bare Zenoh, two handlers": stack.enter_context(_zenoh()),
+            "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
+            "in a host": stack.enter_context(_bridge(_hosted())),
+            "in a host, shared memory": stack.enter_context(_bridge(_hosted(shared_memory=True))),
+        }
+        samples = {(name, size): list[float]() for name in trips for size in SIZES}
+        for _ in range(ROUNDS):
+            for size, octets in SIZES.items():
+                for name, trip in trips.items():
+                    samples[name, size] += _times(trip, bytes(octets), 200 if octets < 1e6 else 40)
+    rows = [(name, *(_cell(sorted(samples[name, size])) for size in SIZES)) for name in trips]
+    print_table("Round trip (us, median / p99)", ("what", *SIZES), rows)
+    print_table("One way, small messages (1/s)", ("what", "messages a second"), list(_rates()))
+    print_table(
+        f"Noticing a death (ms, silence {SILENCE:g} s)", ("what", "median", "worst"), _deaths()
+    )
+
+
+def _cell(samples: list[float]) -> str:
+    return f"{at(samples, 0.5):,.0f} / {at(samples, 0.99):,.0f}"
+
+
+def _times(trip: Trip, octets: bytes, count: int) -> list[float]:
+    found = []
+    for _ in range(count):
+        begun = time.perf_counter_ns()
+        trip(octets)
+        found.append((time.perf_counter_ns() - begun) / 1000)
+    return found
+
+
+def _end(name: str, role: Role = Role.OUTPUT) -> Endpoint:
+    return Endpoint("far", name, role, (f"_hosted_parts:{name}",))
+
+
+def _hosted(*, shared_memory: bool = False) -> RemoteBridge:
+    host = {"silence": SILENCE, "shared_memory": shared_memory}
+    return RemoteBridge(BridgeSpec("far", "python", PARTS, host))
+
+
+@contextmanager
+def _bridge(bridge: Bridge) -> Iterator[Trip]:
+    back: SimpleQueue[Any] = SimpleQueue()
+    bridge.open_source(_end("echo"), ANY, back.put)
+    sink = bridge.open_sink(_end("echo", Role.INPUT), ANY)
+
+    def trip(octets: bytes) -> object:
+        sink.send({"data": octets})
+        return back.get()
+
+    yield trip
+    bridge.close()
+
+
+@contextmanager
+def _pipe() -> Iterator[Trip]:
+    near, far = multiprocessing.Pipe()
+    child = multiprocessing.get_context("spawn").Process(target=_pipe_echo, args=(far,))
+    child.start()
+
+    def trip(octets: bytes) -> object:
+        near.send_bytes(octets)
+        return near.recv_bytes()
+
+    yield trip
+    near.send_bytes(b"")
+    child.join(10)
+
+
+def _pipe_echo(pipe: Connection) -> None:
+    while octets := pipe.recv_bytes():
+        pipe.send_bytes(octets)
+
+
+@contextmanager
+def _zenoh() -> Iterator[Trip]:
+    import zenoh  # noqa: PLC0415 - only this one needs it bare
+
+    from uoarm.host._link import configuration  # noqa: PLC0415 - the same settings
+
+    with tempfile.TemporaryDirectory() as folder:
+        place = f"unixsock-stream/{folder}/link"
+        session = zenoh.open(
+            configuration(place, listen=True, timeout=10, lease=10, shared_memory=False)
+        )
+        back: SimpleQueue[Any] = SimpleQueue()
+        ready = threading.Event()
+        direct = zenoh.handlers.Callback
+        session.declare_subscriber("bench/back", direct(back.put, indirect=False))
+        tokens = session.liveliness()
+        kept = tokens.declare_subscriber("bench/alive", lambda _: ready.set(), history=True)
+        command = [sys.executable, "-m", "bench._hosted_parts", place]
+        with subprocess.Popen(command, cwd=HERE.parent) as child:
+            ready.wait(20)
+
+            def trip(octets: bytes) -> object:
+                session.put("bench/there", octets, attachment=b"header")
+                return back.get().payload.to_bytes()
+
+            yield trip
+            child.kill()
+        kept.undeclare()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+        session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+
+
+def _rates() -> Iterator[tuple[str, str]]:
+    for name, bridge in (("in this process", PythonBridge("far", PARTS)), ("in a host", _hosted())):
+        enough = threading.Event()
+        seen = [0]
+
+        def take(_: object, seen: list[int] = seen, enough: threading.Event = enough) -> None:
+            seen[0] += 1
+            if seen[0] == BURST:
+                enough.set()
+
+        begun = time.perf_counter()
+        source = bridge.open_source(_end("count"), ANY, take)
+        enough.wait(60)
+        yield name, f"{BURST / (time.perf_counter() - begun):,.0f}"
+        source.close()
+        bridge.close()
+
+
+def _deaths() -> list[tuple[str, ...]]:
+    def leave(bridge: RemoteBridge) -> None:
+        threading.Thread(target=_quietly, args=(bridge, "leave", 3), daemon=True).start()
+
+    def hang(bridge: RemoteBridge) -> None:
+        threading.Thread(target=_quietly, args=(bridge, "hang", 60), daemon=True).start()
+
+    faults: dict[str, tuple[Callable[[RemoteBridge], object], int]] = {
+        "killed (SIGKILL)": (lambda bridge: os.kill(bridge.process, signal.SIGKILL), DEATHS),
+        "ends by itself": (leave, DEATHS),
+        "stopped (SIGSTOP)": (lambda bridge: os.kill(bridge.process, signal.SIGSTOP), 2),
+        "hangs with the interpreter lock": (hang, 2),
+    }
+    rows = []
+    for name, (harm, count) in faults.items():
+        rows.append(_row(name, [_notice(harm) for _ in range(count)]))
+    rows.append(_row("killed, to the next provider's first message", _takeovers()))
+    return rows
+
+
+def _row(name: str, seconds: list[float]) -> tuple[str, ...]:
+    found = sorted(1000 * one for one in seconds)
+    return name, f"{at(found, 0.5):,.1f}", f"{found[-1]:,.1f}"
+
+
+def _quietly(bridge: RemoteBridge, service: str, value: int) -> None:
+    try:
+        bridge.call(_end(service, Role.SERVICE), value, timeout=30)
+    except BridgeError:
+        return  # the death that was asked for
+
+
+def _notice(harm: Callable[[RemoteBridge], object]) -> float:
+    bridge = _hosted()
+    noticed = threading.Event()
+    bridge.watch(lambda event: noticed.set() if event.health is Health.LOST else None)
+    begun = time.perf_counter()
+    harm(bridge)
+    noticed.wait(30)
+    took = time.perf_counter() - begun
+    bridge.close()
+    return took
+
+
+ROBOT = f"""
+version: 1
+bridges:
+  one: {{plugin: python, host: true, options: {{path: [{HERE}]}}}}
+  two: {{plugin: python, host: true, options: {{path: [{HERE}]}}}}
+functions:
+  numbers:
+    components:
+      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_hosted_parts:slowly"]}}}}
+      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_hosted_parts:slowly"]}}}}
+  here: {{components: [{{name: f, bridge: two, output: {{endpoint: ["_hosted_parts:slowly"]}}}}]}}
+"""
+
+
+def _takeovers() -> list[float]:
+    """Each provider counts from 0, so that the next one's first message is known by its value."""
+    found = []
+    for _ in range(DEATHS):
+        with RobotManager(loads(ROBOT)) as robot:
+            begins: SimpleQueue[float] = SimpleQueue()
+
+            def take(number: int, begins: SimpleQueue[float] = begins) -> None:
+                if number == 0:
+                    begins.put(time.perf_counter())
+
+            robot.request("here").get(10)
+            robot.request("numbers", on_message=take)
+            begins.get(timeout=10)
+            host = robot._bridges.get("one")  # noqa: SLF001 - to have somebody to kill
+            assert isinstance(host, RemoteBridge)
+            begun = time.perf_counter()
+            os.kill(host.process, signal.SIGKILL)
+            found.append(begins.get(timeout=10) - begun)
+    return found
+
+
+if __name__ == "__main__":
+    main()

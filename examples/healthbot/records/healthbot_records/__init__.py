@@ -1,0 +1,1 @@
+"""Patient records: a small FHIR R4 web service, and the component that feeds it."""

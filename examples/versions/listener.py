@@ -1,0 +1,33 @@
+"""A ROS 2 node as anyone would write it: prints what is said on /chatter, knows no uoarm."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import String
+
+
+def main() -> None:
+    """Print as many messages as the first argument says, with the name of this environment."""
+    left = int(sys.argv[1])
+    rclpy.init()
+    node = Node("listener")
+    name = Path(sys.prefix).name
+
+    def hear(message: String) -> None:
+        nonlocal left
+        left -= 1
+        print(f"{name} heard: {message.data}", flush=True)
+
+    node.create_subscription(String, "/chatter", hear, 10)
+    while left > 0:
+        rclpy.spin_once(node, timeout_sec=0.5)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""What host and device say to each other, word by word, from the device's side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from lines import LIMIT, listening
+from rigs import bridged, endpoint
+from test_faults import GOOD, Scripted, scripted
+from uoarm_rocos._messages import (
+    Call,
+    Close,
+    Data,
+    Describe,
+    ErrorCode,
+    ErrorMessage,
+    Heartbeat,
+    Open,
+    Result,
+)
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Health
+
+ECHO = endpoint("robot", "echo", "service")
+ODOMETRY = endpoint("robot", "odometry")
+
+
+def answering(script: Callable[[Scripted], object], call: Callable[[Bridge], object]) -> object:
+    """Run a call of the bridge beside a device that follows a script; return what came of it."""
+    with (
+        listening() as (listener, port),
+        bridged(robot={"url": f"tcp://127.0.0.1:{port}"}) as (bridge, _),
+        ThreadPoolExecutor(1) as pool,
+    ):
+        asked = pool.submit(call, bridge)
+        device = Scripted(listener.accept()[0])
+        with device.connection:
+            script(device)
+            return asked.result(LIMIT)
+
+
+def test_a_call_that_is_given_up_is_closed_and_its_late_result_harms_nobody() -> None:
+    ids = []
+
+    def script(device: Scripted) -> None:
+        device.begin()
+        late = device.hear(Call)
+        assert isinstance(late, Call)
+        closed = device.hear(Close)
+        assert isinstance(closed, Close)
+        ids.append((late.id, closed.id))
+        device.say(lambda seq: Result(seq, late.id, {"text": "too late"}))
+        again = device.hear(Call)
+        assert isinstance(again, Call)
+        ids.append((again.id, again.id))
+        device.say(lambda seq: Result(seq, again.id, again.values))
+
+    def call(bridge: Bridge) -> object:
+        with pytest.raises(BridgeTimeoutError):
+            bridge.call(ECHO, {"text": "one"}, timeout=0.3)
+        return bridge.call(ECHO, {"text": "two"}, timeout=LIMIT)
+
+    assert answering(script, call) == {"text": "two"}
+    assert ids[0][0] == ids[0][1]
+    assert ids[1][0] != ids[0][0]
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        (ErrorCode.UNKNOWN_API, FailureReason.NOT_FOUND),
+        (ErrorCode.BAD_INPUT, FailureReason.BAD_MESSAGE),
+        (ErrorCode.BUSY, FailureReason.REFUSED),
+        (ErrorCode.CANCELLED, FailureReason.REFUSED),
+        (ErrorCode.FAILED, FailureReason.RAISED),
+        (ErrorCode.LIMIT, FailureReason.BAD_MESSAGE),
+    ],
+)
+def test_an_error_of_the_device_has_its_reason(code: ErrorCode, reason: FailureReason) -> None:
+    def script(device: Scripted) -> None:
+        device.begin()
+        asked = device.hear(Call)
+        assert isinstance(asked, Call)
+        device.say(lambda seq: ErrorMessage(seq, asked.id, code, "the reason"))
+
+    def call(bridge: Bridge) -> object:
+        with pytest.raises(BridgeError, match=f"says {code.value}: the reason") as raised:
+            bridge.call(ECHO, {"text": "one"})
+        return raised.value.reason
+
+    assert answering(script, call) is reason
+
+
+def test_a_result_that_breaks_the_catalogue_is_an_error() -> None:
+    def script(device: Scripted) -> None:
+        device.begin()
+        asked = device.hear(Call)
+        assert isinstance(asked, Call)
+        device.say(lambda seq: Result(seq, asked.id, {"words": "hello"}))
+
+    def call(bridge: Bridge) -> object:
+        with pytest.raises(BridgeError, match="result of echo: there is no field 'words'"):
+            bridge.call(ECHO, {"text": "one"})
+        return "refused"
+
+    assert answering(script, call) == "refused"
+
+
+def test_a_device_of_another_profile_says_so() -> None:
+    def script(device: Scripted) -> None:
+        asked = device.hear(Describe)
+        assert isinstance(asked, Describe)
+        assert asked.profile == 1
+        told = "this device speaks 2"
+        device.say(lambda seq: ErrorMessage(seq, asked.id, ErrorCode.PROFILE, told))
+
+    def call(bridge: Bridge) -> object:
+        with pytest.raises(BridgeError) as raised:
+            bridge.describe(ECHO)
+        return str(raised.value)
+
+    assert "this device speaks 2" in str(answering(script, call))
+
+
+def test_the_host_numbers_what_it_says() -> None:
+    def script(device: Scripted) -> None:
+        device.begin(heartbeat=0.5)
+        asked = device.hear(Call)
+        assert isinstance(asked, Call)
+        assert asked.seq == 1
+        assert device.hear(Heartbeat).seq == 2
+        device.say(lambda seq: Result(seq, asked.id, {"text": ""}))
+
+    answering(script, lambda bridge: bridge.call(ECHO, {"text": ""}))
+
+
+def test_a_flow_that_the_device_ends_has_finished() -> None:
+    with scripted() as (device, got, events):
+        device.say(lambda seq: Data(seq, device.flow, GOOD))
+        device.say(lambda seq: Close(seq, device.flow))
+        ended = events.until(lambda one: one.channel is not None)
+        assert (ended.health, ended.cause) == (Health.FINISHED, "the device ended the flow")
+        assert got.get() == GOOD
+
+
+def test_a_flow_that_fails_is_lost_with_the_devices_reason() -> None:
+    with scripted() as (device, _, events):
+        told = "the left wheel is off"
+        device.say(lambda seq: ErrorMessage(seq, device.flow, ErrorCode.FAILED, told))
+        lost = events.until(lambda one: one.channel is not None)
+        assert lost.health is Health.LOST
+        assert told in lost.cause
+
+
+def test_an_error_of_the_whole_line_ends_it() -> None:
+    with scripted() as (device, _, events):
+        device.say(lambda seq: ErrorMessage(seq, 0, ErrorCode.LIMIT, "low battery"))
+        assert "low battery" in events.until(lambda one: one.channel is not None).cause
+
+
+def test_a_refused_flow_is_not_open() -> None:
+    def script(device: Scripted) -> None:
+        device.begin()
+        asked = device.hear(Open)
+        assert isinstance(asked, Open)
+        device.say(lambda seq: ErrorMessage(seq, asked.id, ErrorCode.BUSY, "one flow only"))
+
+    def call(bridge: Bridge) -> object:
+        structure = bridge.describe(ODOMETRY).message
+        assert structure
+        with pytest.raises(BridgeError, match="busy: one flow only"):
+            bridge.open_source(ODOMETRY, structure, print)
+        return bridge.open_channels
+
+    assert answering(script, call) == 0
+
+
+def test_data_of_a_conversation_that_is_over_are_ignored() -> None:
+    with scripted() as (device, got, _):
+        device.say(lambda seq: Data(seq, 4_000_000_000, GOOD))
+        device.say(lambda seq: Data(seq, device.flow, {**GOOD, "x": 2.0}))
+        assert got.get()["x"] == 2.0

@@ -1,0 +1,151 @@
+"""Who is there: profiles, states, appearing and leaving; and addresses and options as written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, endpoint, looked, until
+from peers import Peer
+from uoarm_rtm._nameserver import NameServer
+from uoarm_rtm._naming import NamingService, corbaloc
+from uoarm_rtm._orb import Orb
+
+from uoarm.bridge import Bridge, BridgeType, Registry
+from uoarm.errors import BridgeError, ConfigurationError
+from uoarm.model import BridgeSpec, Health, Role
+
+Start = Callable[..., Peer]
+Make = Callable[..., Bridge]
+
+
+@pytest.fixture
+def names() -> Any:
+    """A naming service of this test alone."""
+    with NameServer() as server:
+        yield server.address
+
+
+def test_components_are_discovered_with_ports_types_and_state(
+    make_bridge: Make, peer: Start, names: str
+) -> None:
+    bridge = make_bridge(nameserver=names)
+    peer("Worker", at=names)
+    odd = peer(
+        "some.host_cxt/Odd", "IDL:Odd/Mixed:1.0", str(Path(__file__).parent / "types.idl"), at=names
+    )
+    found = {each.name: each for each in bridge.discover()}
+    assert set(found) == {"Worker.rtc", "some.host_cxt/Odd.rtc"}
+    worker = found["Worker.rtc"]
+    assert worker.detail == "Uoarm, inactive, 1 execution context"
+    by_port = {at.address[1]: (at.role, what) for at, what in worker.endpoints}
+    assert set(by_port) == {"in", "out", "@lifecycle", "@configuration"}
+    role, what = by_port["out"]
+    assert role is Role.OUTPUT
+    assert what.message is not None
+    assert what.message.native_type == "IDL:RTC/TimedLong:1.0"
+    assert "data type 'IDL:Odd/Mixed:1.0' is not known" in found["some.host_cxt/Odd.rtc"].detail
+    for at, what in worker.endpoints:
+        assert bridge.describe(at) == what
+    odd.kill()
+    found = {each.name: each for each in bridge.discover()}
+    assert found["some.host_cxt/Odd.rtc"].detail == "dead"
+    assert not found["some.host_cxt/Odd.rtc"].endpoints
+
+
+def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, names: str) -> None:
+    bridge = make_bridge(nameserver=names)
+    events = Inbox()
+    bridge.watch(events)
+    looked(bridge)
+    first = peer("First", at=names)
+    assert events.event(Health.OK, "component First.rtc appeared").component == "First.rtc"
+    second = peer("Second", at=names)
+    events.event(Health.OK, "component Second.rtc appeared")
+    first.end()
+    assert events.event(Health.LOST, "component First.rtc left").component == "First.rtc"
+    second.kill()
+    events.event(Health.LOST, "component Second.rtc died")
+    peer("Second", at=names)
+    until(lambda: str(events.messages).count("component Second.rtc appeared") == 2)
+
+
+def test_contexts_that_contain_each_other_end(names: str) -> None:
+    orb = Orb("127.0.0.1", 2.0)
+    try:
+        service = NamingService(orb, names, 2.0)
+        service.bind("a.cxt/b.cxt/Deep.rtc", orb.reference(corbaloc(names)))
+        root = service._root()
+        inner = service.resolve("a.cxt/b.cxt")
+        import CosNaming
+
+        inner.rebind_context([CosNaming.NameComponent("again", "cxt")], root)
+        assert [each.path for each in service.names()] == ["a.cxt/b.cxt/Deep.rtc"]
+    finally:
+        orb.close()
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("localhost", "corbaloc:iiop:localhost:2809/NameService"),
+        ("10.0.0.7:15005", "corbaloc:iiop:10.0.0.7:15005/NameService"),
+        ("corbaloc::localhost:2809/NameService", "corbaloc::localhost:2809/NameService"),
+    ],
+)
+def test_a_naming_service_may_be_written_shortly(written: str, meant: str) -> None:
+    assert corbaloc(written) == meant
+
+
+@pytest.mark.parametrize("options", [
+    {"nameserver": "not a host"}, {"nameserver": []}, {"call_timeout": 0}, {"text": "ebcdic"},
+    {"unheard": 1}, {"idl": "module {"},
+], ids=str)  # fmt: skip
+def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises((BridgeError, ConfigurationError)):
+        Registry().create(BridgeSpec("rtm", "rtm", options))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"flow": "sideways"}, "flow must be push or pull"),
+        ({"rate": -1}, "rate must be more than 0"),
+        ({"activate": "yes"}, "activate must be true or false"),
+        ({"properties": {"a": 1}}, "properties must be a table of strings"),
+        ({"qos": "auto"}, "there is no option 'qos'; there are flow"),
+        ({"endian": "middle"}, "endian must be little or big"),
+    ],
+    ids=str,
+)
+def test_wrong_options_of_an_endpoint_are_named(options: dict[str, Any], words: str) -> None:
+    kind: BridgeType = Registry().types["rtm"]
+    assert kind.check_endpoint is not None
+    assert words in kind.check_endpoint(("A.rtc", "out"), options)
+    assert kind.check_endpoint(("A.rtc", "out"), {}) == ""
+
+
+@pytest.mark.parametrize("address", [("self", "out"), ("A.rtc", "@lifecycle"), ("A.rtc", "")])
+def test_wrong_addresses_are_named(bridge: Bridge, address: tuple[str, ...]) -> None:
+    with pytest.raises(BridgeError, match="input 'default' of thing"):
+        bridge.describe(endpoint(Role.INPUT, *address))
+
+
+def test_the_plugin_imports_no_middleware() -> None:
+    code = "import uoarm_rtm, sys; uoarm_rtm.uoarm_bridge_types(); print('omniORB' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stdout == "False\n"
+
+
+def test_the_doctor_tells_what_is_installed() -> None:
+    doctor = Registry().types["rtm"].doctor
+    assert doctor is not None
+    facts = doctor()
+    assert facts["omniORBpy"].startswith("4.")
+    assert facts["omniNames"].endswith("omniNames")

@@ -1,0 +1,94 @@
+"""The example runs in its three commands, and its mistake is refused with what to paste."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from uoarm.errors import ResolutionError
+from uoarm.manager import RobotManager
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("uoarm_ros2")
+MAPPED = "map: {text: data}"
+
+
+@contextmanager
+def program(*command: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a program of the example until it has said its first line, then for a while."""
+    with subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """A naming service, started as the page says."""
+    with program("-m", "uoarm_rtm", "nameserver", "--port", "0") as server:
+        assert server.stdout is not None
+        line = server.stdout.readline()
+        assert line.startswith("naming service corbaloc:iiop:127.0.0.1:")
+        yield line.split(":", 2)[2].removesuffix("/NameService\n")
+
+
+def configuration(address: str, tmp_path: Path) -> Path:
+    text = (EXAMPLES / "rtm" / "robot.yaml").read_text()
+    text = text.replace("localhost:2809", address)
+    text = text.replace("examples/rtm/words.idl", str(EXAMPLES / "rtm" / "words.idl"))
+    file = tmp_path / "robot.yaml"
+    file.write_text(text)
+    return file
+
+
+def say(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline()
+
+
+def test_a_component_started_by_hand_is_heard(address: str, tmp_path: Path) -> None:
+    with program("-u", str(EXAMPLES / "rtm" / "counter.py"), address) as counter:
+        assert say(counter) == "Counter0.rtc counts\n"
+        with (
+            RobotManager.from_file(configuration(address, tmp_path)) as robot,
+            robot.request("counter", validate="always") as numbers,
+        ):
+            one, two = numbers.get(timeout=10.0), numbers.get(timeout=10.0)
+            assert two["data"] == one["data"] + 1
+
+
+@pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # lark, inside ROS 2
+@pytest.mark.skipif(not ROS, reason="needs uoarm-ros2[jazzy] beside")
+def test_a_chain_through_ros_and_rtc_and_its_refusal(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    file = configuration(address, tmp_path)
+    with (
+        program("-u", str(EXAMPLES / "rtm" / "parrot.py"), address) as parrot,
+        program(str(EXAMPLES / "ros2" / "talker.py")),
+    ):
+        assert say(parrot) == "Parrot0.rtc listens\n"
+        with (
+            RobotManager.from_file(file) as robot,
+            robot.request("parrot", validate="always", timeout=20.0) as said,
+        ):
+            words = said.get(timeout=20.0)["text"].split(", ")
+            assert words[0] == words[1]
+            assert words[0].startswith("hello ")
+        assert MAPPED in file.read_text()
+        file.write_text(file.read_text().replace(MAPPED, ""))
+        with (
+            RobotManager.from_file(file) as robot,
+            pytest.raises(ResolutionError, match=r"(?s)'text' is required .* map: {text: data}"),
+        ):
+            robot.request("parrot", timeout=20.0)

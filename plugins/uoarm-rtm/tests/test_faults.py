@@ -1,0 +1,230 @@
+"""Deaths, hangs, restarts and ends without a goodbye: told in time, and nothing left behind."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from endpoints import Inbox, endpoint, looked, sink, source, stamped, until
+from peers import Peer
+from uoarm_rtm import _orb
+from uoarm_rtm._nameserver import NameServer
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.model import Health, Role
+
+HERE = Path(__file__).parent
+Start = Callable[..., Peer]
+Make = Callable[..., Bridge]
+OUT = endpoint(Role.OUTPUT, "Mortal.rtc", "out")
+IN = endpoint(Role.INPUT, "Mortal.rtc", "in")
+
+
+def test_a_killed_component_is_told_to_its_channels(bridge: Bridge, peer: Start) -> None:
+    component = peer("Mortal")
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    from_it = source(bridge, OUT, inbox)
+    into_it = sink(bridge, IN)
+    looked(bridge)
+    component.count(0, 3)
+    inbox.wait_for(3)
+    component.kill()
+    with pytest.raises(BridgeError, match="is gone") as caught:
+        into_it.send(stamped(1))
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+    assert events.event(Health.LOST, "is gone (").channel == into_it
+    until(lambda: any(each.channel is from_it for each in events.messages))
+    assert events.event(Health.LOST, "only its name is left").component == "Mortal.rtc"
+    begun = time.monotonic()
+    from_it.close()
+    into_it.close()
+    assert time.monotonic() - begun < 1.0
+    with pytest.raises(BridgeError, match="gone") as caught:
+        bridge.describe(OUT)
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+def test_a_death_in_mid_flow_harms_no_other_channel(bridge: Bridge, peer: Start) -> None:
+    mortal, other = peer("Mortal"), peer("Other")
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "Other.rtc", "out"), inbox)
+    into = sink(bridge, IN)
+    failures: list[Exception] = []
+
+    def flood() -> None:
+        try:
+            while True:
+                into.send(stamped(1))
+        except BridgeError as error:
+            failures.append(error)
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    mortal.kill()
+    flooding.join(10)
+    assert len(failures) == 1
+    other.count(0, 3)
+    inbox.wait_for(3)
+
+
+def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None:
+    bridge = make_bridge(call_timeout=0.3)
+    component = peer("Mortal")
+    events = Inbox()
+    bridge.watch(events)
+    into = sink(bridge, IN)
+    looked(bridge)
+    component.freeze()
+    begun = time.monotonic()
+    with pytest.raises(BridgeTimeoutError, match="did not take a message"):
+        into.send(stamped(1))
+    with pytest.raises(BridgeTimeoutError):
+        bridge.describe(OUT)
+    found = {each.name: each.detail for each in bridge.discover()}
+    assert found["Mortal.rtc"] == "hung"
+    assert time.monotonic() - begun < 3.0
+    events.event(Health.LOST, "it hangs")
+    component.thaw()
+    assert events.event(Health.OK, "answers again").component == "Mortal.rtc"
+
+
+def test_a_connection_that_a_hung_component_makes_later_is_undone(
+    make_bridge: Make, peer: Start
+) -> None:
+    bridge = make_bridge(call_timeout=0.4, watch=0)
+    component = peer("Mortal")
+    structure = bridge.describe(OUT).message
+    assert structure is not None
+    place = bridge._place(OUT)  # type: ignore[attr-defined]  # everything before the connection
+    component.freeze()
+    from uoarm_rtm._source import Source
+
+    with pytest.raises(BridgeTimeoutError):
+        Source(place, Inbox())
+    component.thaw()
+    until(lambda: component.connectors() == [0, 0])
+    time.sleep(0.2)  # the connection may have come about only now: nothing else tells
+    assert component.connectors() == [0, 0]
+
+
+def test_the_other_side_ends_the_connection(bridge: Bridge, peer: Start) -> None:
+    component = peer("Mortal")
+    events = Inbox()
+    bridge.watch(events)
+    channel = source(bridge, OUT, Inbox())
+    component.cut()
+    assert events.event(Health.LOST, "has ended the connection").channel is channel
+    channel.close()
+
+
+def test_silence_is_told_when_asked(bridge: Bridge, peer: Start) -> None:
+    peer("Mortal")
+    events = Inbox()
+    bridge.watch(events)
+    at = endpoint(Role.OUTPUT, "Mortal.rtc", "out", stale_after=0.3)
+    channel = source(bridge, at, Inbox())
+    assert events.event(Health.LOST, "no message from port 'out'").channel is channel
+
+
+def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: Start) -> None:
+    events, inbox = Inbox(), Inbox()
+    with NameServer() as first:
+        port = first.port
+        bridge = make_bridge(nameserver=first.address, component="Manager")
+        bridge.watch(events)
+        component = peer("Mortal", at=first.address)
+        source(bridge, OUT, inbox)
+        sink(bridge, endpoint(Role.INPUT, "self", "said", "TimedLong"))
+        until(lambda: len(bridge.discover()) == 2)
+    events.event(Health.DEGRADED, "naming service")
+    with pytest.raises(BridgeError, match="naming service"):
+        bridge.describe(OUT)
+    component.count(0, 3)
+    inbox.wait_for(3)
+    with NameServer(port) as second:
+        events.event(Health.OK, "had forgotten us; bound again")
+        assert second.address == first.address
+        until(lambda: [each.name for each in bridge.discover()] == ["Manager.rtc"])
+        component.count(3, 5)
+        inbox.wait_for(5)
+    assert not [each for each in events.messages if each.channel is not None]
+
+
+def test_one_naming_service_of_two_is_enough(make_bridge: Make, peer: Start) -> None:
+    with NameServer() as one, NameServer() as two:
+        bridge = make_bridge(nameserver=[one.address, two.address])
+        peer("Mortal", at=two.address)
+        assert bridge.describe(OUT).message is not None
+        one.process.kill()
+        one.process.wait()
+        assert bridge.describe(OUT).message is not None
+        assert [each.name for each in bridge.discover()] == ["Mortal.rtc"]
+
+
+def test_an_orb_that_somebody_shuts_down_is_an_error_and_no_hang(
+    make_bridge: Make, peer: Start
+) -> None:
+    peer("Mortal")
+    bridge = make_bridge()
+    channel, into = source(bridge, OUT, Inbox()), sink(bridge, IN)
+    running = _orb._shared.running
+    assert running is not None
+    running.orb.shutdown(False)
+    into.close()
+    channel.close()
+    with pytest.raises(BridgeError):
+        source(bridge, OUT, Inbox())
+    bridge.close()
+    assert make_bridge("again").describe(OUT).message is not None
+
+
+ENDINGS = {
+    "falls off its end": "",
+    "exits": "sys.exit(0)",
+    "raises": "raise SystemExit(0)",
+    "is interrupted": "signal.raise_signal(signal.SIGINT)",
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_process_that_never_says_goodbye_ends(nameserver: str, peer: Start, ending: str) -> None:
+    component = peer("Mortal")
+    script = f"""
+import signal, sys, threading
+sys.path.insert(0, {str(HERE)!r})
+from endpoints import Inbox, endpoint, sink, source, stamped
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Role
+options = {{"nameserver": {nameserver!r}, "watch": 0.05}}
+bridge = Registry().create(BridgeSpec("rtm", "rtm", options))
+inbox = Inbox()
+source(bridge, endpoint(Role.OUTPUT, "Mortal.rtc", "out"), inbox)
+into = sink(bridge, endpoint(Role.INPUT, "Mortal.rtc", "in"))
+def flood():
+    while True:
+        into.send(stamped(1))
+threading.Thread(target=flood, daemon=True).start()
+print("ready", flush=True)
+inbox.wait_for(50)
+{ENDINGS[ending]}
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        deadline = time.monotonic() + 20
+        while process.poll() is None and time.monotonic() < deadline:
+            component.count(0, 100)
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == (-2 if ending == "is interrupted" else 0), errors
+    assert "terminate called" not in errors
+    component.count(0, 1)
+    until(lambda: component.connectors()[1] == 0)

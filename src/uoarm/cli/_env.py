@@ -1,0 +1,79 @@
+"""The commands `uoarm env`: Python environments for bridge hosts."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from uoarm import environments
+from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
+
+__all__ = ["env"]
+
+
+@click.group()
+def env() -> None:
+    """Make and look after the Python environments that bridge hosts run in."""
+
+
+@env.command()
+@click.argument("name")
+@click.option("--plugin", required=True, help="Bridge plugin that will run in it.")
+@click.option("--distribution", help="Version of the plugin's middleware, such as jazzy.")
+@click.option("--with", "more", multiple=True, help="Further requirement, or path of a project.")
+@click.option("--python", help="Python to build on: a path, or a version where uv is installed.")
+@click.option("--no-uv", is_flag=True, help="Use venv and pip although uv is installed.")
+def create(
+    name: str,
+    plugin: str,
+    distribution: str | None,
+    more: tuple[str, ...],
+    python: str | None,
+    *,
+    no_uv: bool,
+) -> None:
+    """Make the environment NAME, to be named in `host: {environment: NAME}`."""
+    with reporting():
+        wanted = environments.requirements(plugin, distribution, more)
+        made = environments.create(
+            name, wanted, python=python, tell=click.echo, uv="" if no_uv else None
+        )
+    click.echo(f"environment {name} is ready: {made}")
+
+
+@env.command("list")
+@json_option
+def list_environments(*, as_json: bool) -> None:
+    """List the environments."""
+    found = environments.listed()
+    if as_json:
+        print_json([{"name": one.name, "requirements": one.requirements} for one in found])
+        return
+    for one in found:
+        state = ", ".join(one.requirements) if one.is_whole else "incomplete"
+        click.echo(f"{one.name}: {state}")
+
+
+@env.command()
+@click.argument("name")
+def remove(name: str) -> None:
+    """Remove the environment NAME."""
+    with reporting():
+        environments.remove(name)
+    click.echo(f"environment {name} is removed")
+
+
+@env.command()
+@json_option
+def doctor(*, as_json: bool) -> None:
+    """Say for every environment what it has and whether a host would start in it."""
+    found = [environments.examine(one) for one in environments.listed()]
+    if as_json:
+        print_json(found)
+    else:
+        for one in found:
+            facts = ", ".join(f"{key} {value}" for key, value in one.facts.items())
+            click.echo(f"{one.name}: {one.problem or facts}")
+    if any(one.problem for one in found):
+        sys.exit(BRIDGE)

@@ -1,0 +1,239 @@
+"""The client: one WebSocket, answers by id, messages by connection."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import ssl
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager, suppress
+from typing import Any, final
+
+from websockets.asyncio.client import ClientConnection
+from websockets.asyncio.client import connect as open_socket
+from websockets.exceptions import ConnectionClosed
+from websockets.typing import Subprotocol
+
+from uoarm import errors
+from uoarm.client._stream import RemoteStream
+from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode
+from uoarm.wire import BINARY_FORM, TEXT_FORM, Form
+
+__all__ = ["Client", "ServerError", "connect"]
+
+_DEPTH = 512
+_HELD = 1024
+_ERRORS: Mapping[str, type[errors.UoarmError]] = {
+    "resolution": errors.ResolutionError,
+    "bridge": errors.BridgeError,
+    "timeout": errors.BridgeTimeoutError,
+    "message": errors.MessageError,
+    "usage": errors.UsageError,
+    "closed": errors.ConnectionClosedError,
+    "unknown": errors.ConnectionClosedError,
+}
+
+
+class ServerError(errors.UoarmError):
+    """The server refused; `code` is that of the protocol: denied, limit, busy, internal."""
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@asynccontextmanager
+async def connect(
+    url: str,
+    *,
+    token: str | None = None,
+    binary: bool = True,
+    tls: ssl.SSLContext | None = None,
+    timeout: float = 10.0,
+) -> AsyncIterator[Client]:
+    """Connect to a server for the length of a block.
+
+    Args:
+        url: `ws://` or `wss://`.
+        token: shown in the handshake.
+        binary: CBOR, where octets stay octets; False: JSON.
+        tls: for `wss://`, where the system's authorities do not do.
+        timeout: seconds for connecting.
+
+    Raises:
+        OSError: nobody listens there.
+        TimeoutError: it took too long.
+        websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
+    """
+    form = BINARY_FORM if binary else TEXT_FORM
+    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+    async with open_socket(
+        url,
+        subprotocols=[Subprotocol(form.subprotocol)],
+        additional_headers=headers,
+        max_size=None,
+        compression=None,
+        open_timeout=timeout,
+        ssl=tls,
+    ) as socket:
+        client = Client(socket, form)
+        reading = asyncio.ensure_future(client.read())
+        try:
+            yield client
+        finally:
+            reading.cancel()
+            with suppress(asyncio.CancelledError):
+                await reading
+
+
+@final
+class Client:
+    """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
+
+    def __init__(self, socket: ClientConnection, form: Form) -> None:
+        self.hello: Mapping[str, Any] = {}
+        self._socket = socket
+        self._form = form
+        self._ids = itertools.count(1)
+        self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
+        self._streams: dict[str, RemoteStream] = {}
+        self._watchers: set[asyncio.Queue[StatusEvent | None]] = set()
+        self._closed = ""
+
+    async def request(
+        self,
+        name: str,
+        *,
+        validate: ValidationMode | str = ValidationMode.OFF,
+        queue: QueuePolicy | None = None,
+        every: float = 0.0,
+        receive: bool = True,
+    ) -> RemoteStream:
+        """Open a function.
+
+        Args:
+            name: function, or function.output.
+            validate: how many messages the server checks.
+            queue: what the server does when this client reads too slowly.
+            every: least seconds between two messages.
+            receive: False to send only.
+
+        Raises:
+            ResolutionError: nothing fits.
+            BridgeError: a bridge failed while opening.
+            UsageError: this client has it open already.
+            ServerError: the role does not allow it, or a limit is reached.
+        """
+        options: dict[str, Any] = {"validate": ValidationMode(validate).value, "receive": receive}
+        if queue is not None:
+            options["queue"] = {"length": queue.length, "policy": queue.policy.value}
+        if every:
+            options["every"] = every
+        stream: RemoteStream = await self._ask("Request", name, jsonMessage=options)
+        return stream
+
+    async def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
+        """Call a service; raises as `RobotManager.call`, and ServerError."""
+        return await self._ask("Call", name, jsonMessage=message, **{"x-timeout": timeout})
+
+    async def functions(self) -> list[Mapping[str, Any]]:
+        """Return the functions that one may see."""
+        listed: list[Mapping[str, Any]] = (await self._ask("List"))["functions"]
+        return listed
+
+    async def resolve(self, name: str) -> Mapping[str, Any]:
+        """Return the plan of a function as data, and as text; raises ResolutionError."""
+        plan: Mapping[str, Any] = await self._ask("Resolve", name)
+        return plan
+
+    async def status(self) -> Mapping[str, Any]:
+        """Return the status map, and `own`: what this client received and lost."""
+        status: Mapping[str, Any] = await self._ask("Status")
+        return status
+
+    async def watch(self) -> AsyncIterator[StatusEvent]:
+        """Yield changes of the robot until the connection ends."""
+        events: asyncio.Queue[StatusEvent | None] = asyncio.Queue()
+        self._watchers.add(events)
+        try:
+            await self._ask("Status", "watch")
+            while (event := await events.get()) is not None:
+                yield event
+        finally:
+            self._watchers.discard(events)
+
+    async def read(self) -> None:
+        """Read until the connection ends; what waits then fails."""
+        try:
+            async for frame in self._socket:
+                self._take(self._form.read(frame, _DEPTH))
+            self._closed = "the server closed the connection"
+        except ConnectionClosed as error:
+            self._closed = f"the connection to the server ended: {error}"
+        finally:
+            self._closed = self._closed or "the client was closed"
+            for _, future in self._asked.values():
+                if not future.done():
+                    future.set_exception(errors.ConnectionClosedError(self._closed))
+            for stream in self._streams.values():
+                stream.finish("failed", self._closed)
+            for watcher in self._watchers:
+                watcher.put_nowait(None)
+
+    async def _ask(self, op: str, kind: str = "", **more: Any) -> Any:
+        if self._closed:
+            raise errors.ConnectionClosedError(self._closed)
+        identity = str(next(self._ids))
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._asked[identity] = op, future
+        fields = {"op": op, "id": identity, **more} | ({"type": kind} if kind else {})
+        try:
+            await self._socket.send(self._form.write(fields), text=self._form.text)
+            return await future
+        except ConnectionClosed as error:
+            raise errors.ConnectionClosedError(f"the server is gone: {error}") from error
+        finally:
+            self._asked.pop(identity, None)
+
+    def _take(self, told: Mapping[str, Any]) -> None:
+        op, message = told["op"], told.get("jsonMessage")
+        if op == "Data":
+            stream = self._streams.get(told["type"])
+            if stream is not None:
+                stream.take(told["x-number"], message)
+        elif op == "Status":
+            self._take_status(told["type"], message)
+        else:
+            self._take_answer(told, message)
+
+    def _take_status(self, kind: str, message: Message) -> None:
+        if kind == "hello":
+            self.hello = message
+        elif kind == "connection":
+            stream = self._streams.pop(message["connection"], None)
+            if stream is not None:
+                stream.finish(message["state"], message["cause"])
+        elif kind == "change":
+            for watcher in self._watchers:
+                watcher.put_nowait(StatusEvent(**message))
+
+    def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
+        op, future = self._asked.get(told.get("id", ""), ("", None))
+        if future is None or future.done():
+            return
+        if told["op"] == "Error":
+            future.set_exception(_error(message["code"], message["text"]))
+        elif op == "Request":
+            # Made here, since the first message may follow before whoever asked has woken.
+            stream = RemoteStream(message, self._ask, _HELD)
+            self._streams[stream.connection] = stream
+            future.set_result(stream)
+        else:
+            if op == "Kill":
+                self._streams.pop(told["type"], None)
+            future.set_result(message)
+
+
+def _error(code: str, text: str) -> errors.UoarmError:
+    kind = _ERRORS.get(code)
+    return ServerError(code, text) if kind is None else kind(text)

@@ -1,0 +1,119 @@
+"""One open function of a robot elsewhere: its messages, and the way to send to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from types import TracebackType
+from typing import Any, final
+
+from typing_extensions import Self
+
+from uoarm.errors import ConnectionClosedError
+from uoarm.model import Message
+
+__all__ = ["RemoteStream"]
+
+Ask = Callable[..., Awaitable[Any]]
+
+
+@final
+class RemoteStream:
+    """What `Client.request` returns: `async for`, `await get()`, `send`, `kill`, `async with`.
+
+    Attributes:
+        connection: its name at the server, shared with other clients of the same function.
+        inputs: inputs that `send` can feed.
+        lost: messages that did not get here, as gaps in their numbers.
+    """
+
+    def __init__(self, opened: Mapping[str, Any], ask: Ask, length: int) -> None:
+        self.connection: str = opened["connection"]
+        self.inputs: tuple[str, ...] = tuple(opened["inputs"])
+        self.warnings: tuple[str, ...] = tuple(opened["warnings"])
+        self.lost = 0
+        self._ask = ask
+        self._waiting: deque[tuple[int, Message]] = deque(maxlen=length)
+        self._changed = asyncio.Event()
+        self._last: int | None = None
+        self._end: tuple[str, str] | None = None
+
+    async def get(self, timeout: float | None = None) -> Message:
+        """Return the next message, waiting `timeout` seconds at most (None: until it ends).
+
+        Raises:
+            TimeoutError: nothing came in time.
+            ConnectionClosedError: the function has ended and every message was read.
+        """
+        try:
+            return await asyncio.wait_for(self._next(), timeout)
+        except asyncio.TimeoutError:
+            raise TimeoutError(f"no message within {timeout:g} s") from None
+
+    async def send(self, message: Message, port: str | None = None) -> None:
+        """Hand one message to an input; returns when the server has taken it.
+
+        Raises:
+            MessageError: it does not match the input's structure.
+            UsageError: there is no such input.
+            ConnectionClosedError: the function has ended.
+        """
+        kind = self.connection if port is None else f"{self.connection}.{port}"
+        await self._ask("Data", kind, jsonMessage=message)
+
+    async def kill(self) -> None:
+        """Give the function back. Once is enough."""
+        if self._end is None:
+            self.finish("closed", "")
+            await self._ask("Kill", self.connection)
+
+    def take(self, number: int, message: Message) -> None:
+        """Take one message from the client's reader."""
+        self._waiting.append((number, message))
+        self._changed.set()
+
+    def finish(self, state: str, cause: str) -> None:
+        """Hear that no more will come."""
+        if self._end is None:
+            self._end = (state, cause)
+        self._changed.set()
+
+    async def _next(self) -> Message:
+        while not self._waiting:
+            if self._end is not None:
+                state, cause = self._end
+                raise ConnectionClosedError(f"connection {self.connection} is {state}: {cause}")
+            self._changed.clear()
+            await self._changed.wait()
+        number, message = self._waiting.popleft()
+        if self._last is not None:
+            self.lost += number - self._last - 1
+        self._last = number
+        return message
+
+    async def __aiter__(self) -> AsyncIterator[Message]:
+        """Yield messages until the function is killed or its source finishes.
+
+        Raises:
+            ConnectionClosedError: it failed; the text says why.
+        """
+        while True:
+            try:
+                message = await self._next()
+            except ConnectionClosedError:
+                if self._end is not None and self._end[0] == "failed":
+                    raise
+                return
+            yield message
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.kill()

@@ -1,0 +1,17 @@
+"""Python environments for bridge hosts: made, listed, examined and removed by name."""
+
+from uoarm.environments._doctor import Finding, examine
+from uoarm.environments._make import create
+from uoarm.environments._place import Environment, environment_python, listed, remove
+from uoarm.environments._requirements import requirements
+
+__all__ = [
+    "Environment",
+    "Finding",
+    "create",
+    "environment_python",
+    "examine",
+    "listed",
+    "remove",
+    "requirements",
+]

@@ -1,0 +1,62 @@
+"""Whether an environment would work: its interpreter, its uoarm, its plugins."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+
+from attrs import frozen
+
+from uoarm._version import __version__
+from uoarm.environments._place import Environment, environment_python
+
+__all__ = ["Finding", "examine"]
+
+_SECONDS = 60.0
+_QUESTION = """
+import json, platform
+from importlib.metadata import entry_points, version
+import msgpack, zenoh
+import uoarm
+points = sorted(one.name for one in entry_points(group="uoarm.bridges"))
+print(json.dumps({"python": platform.python_version(), "uoarm": uoarm.__version__,
+    "zenoh": version("eclipse-zenoh"), "plugins": points}))
+"""
+
+
+@frozen
+class Finding:
+    """What was found in one environment.
+
+    Attributes:
+        name: of the environment.
+        facts: what it has, name to value.
+        problem: why a host in it would not start; empty when it would.
+    """
+
+    name: str
+    facts: dict[str, str]
+    problem: str = ""
+
+
+def examine(environment: Environment) -> Finding:
+    """Ask an environment's interpreter what it has; waits a minute at most."""
+    name = environment.name
+    if not environment.is_whole:
+        return Finding(name, {}, f"its making was cut short: uoarm env remove {name}")
+    command = [str(environment_python(name)), "-I", "-c", _QUESTION]
+    try:
+        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
+            command, capture_output=True, text=True, timeout=_SECONDS, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Finding(name, {}, f"its interpreter does not run: {error}")
+    if done.returncode != 0:
+        last = done.stderr.strip().rpartition("\n")[2]
+        return Finding(name, {}, f"it lacks what a host needs: {last}")
+    said = json.loads(done.stdout)
+    facts = {key: ", ".join(one) if isinstance(one, list) else one for key, one in said.items()}
+    problem = ""
+    if facts["uoarm"] != __version__:
+        problem = f"it has uoarm {facts['uoarm']}, this is {__version__}: make it anew"
+    return Finding(name, facts, problem)

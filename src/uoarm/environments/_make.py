@@ -1,0 +1,106 @@
+"""Making an environment: with uv where it is installed, else with venv and pip."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from uoarm.environments._place import MARK, environment_folder, environment_python
+from uoarm.errors import PluginError
+
+__all__ = ["create"]
+
+_LIMIT_SECONDS = 1800.0
+_SHOWN = 15
+_TRACES = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
+
+Tell = Callable[[str], None]
+"""Takes one line of progress."""
+
+
+def create(
+    name: str,
+    requirements: tuple[str, ...],
+    *,
+    python: str | None = None,
+    tell: Tell = lambda _: None,
+    uv: str | None = None,
+) -> Path:
+    """Make an environment and return its interpreter. One that fails is removed again.
+
+    Args:
+        name: of the environment, which must not exist.
+        requirements: what to install, as pip reads it.
+        python: version (with uv) or path of the interpreter to build on; None: this one.
+        tell: told each line of progress.
+        uv: path of uv; None: looked for on the path; "": not used.
+
+    Raises:
+        PluginError: the name is taken or cannot be one, or a step failed; the text has the
+            step and its last lines.
+    """
+    folder = environment_folder(name)
+    if folder.exists():
+        raise PluginError(f"there is an environment {name!r} already: uoarm env remove {name}")
+    found = shutil.which("uv") if uv is None else uv
+    base = python or sys.executable
+    interpreter = environment_python(name)
+    if found:
+        steps = [
+            [found, "venv", "--python", base, str(folder)],
+            [found, "pip", "install", "--python", str(interpreter), *requirements],
+        ]
+    else:
+        steps = [
+            [base, "-m", "venv", str(folder)],
+            [str(interpreter), "-m", "pip", "install", *requirements],
+        ]
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        for step in steps:
+            _run(step, tell)
+        said = json.dumps({"name": name, "requirements": requirements})
+        (folder / MARK).write_text(said, encoding="utf-8")
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise PluginError(f"environment {name!r} cannot be made: {error}") from error
+        raise
+    return interpreter
+
+
+def _run(step: list[str], tell: Tell) -> None:
+    """Run one step, telling what it prints as it prints it."""
+    variables = {key: value for key, value in os.environ.items() if key not in _TRACES}
+    lines: list[str] = []
+    tell(f"$ {' '.join(step)}")
+    with subprocess.Popen(  # noqa: S603 - uv, or the interpreter that the operator chose
+        step,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=variables,
+    ) as process:
+        limit = threading.Timer(_LIMIT_SECONDS, process.kill)
+        limit.daemon = True
+        limit.start()
+        try:
+            assert process.stdout is not None, "stdout is a pipe"
+            for line in process.stdout:
+                text = line.decode(errors="replace").rstrip()
+                lines.append(text)
+                tell(text)
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            limit.cancel()
+    if process.returncode != 0:
+        last = "\n".join(lines[-_SHOWN:])
+        raise PluginError(f"{' '.join(step)} ended with status {process.returncode}:\n{last}")

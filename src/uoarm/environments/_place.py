@@ -1,0 +1,98 @@
+"""Where environments lie, and which there are."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+from attrs import frozen
+
+from uoarm.errors import PluginError
+
+__all__ = ["MARK", "Environment", "environment_folder", "environment_python", "listed", "remove"]
+
+MARK = "uoarm-environment.json"
+"""A file in every environment that was made to its end; says of what it was made."""
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+@frozen
+class Environment:
+    """One Python environment for bridge hosts.
+
+    Attributes:
+        name: what `host: {environment: NAME}` says.
+        folder: where it is.
+        requirements: what was asked for when it was made.
+        is_whole: whether its making came to an end.
+    """
+
+    name: str
+    folder: Path
+    requirements: tuple[str, ...]
+    is_whole: bool
+
+
+def environment_folder(name: str) -> Path:
+    """Return where the environment of this name is, or would be.
+
+    It is below `UOARM_HOME`, else where the user's data lies.
+
+    Raises:
+        PluginError: this cannot be the name of an environment.
+    """
+    if not _NAME.fullmatch(name):
+        raise PluginError(
+            f"{name!r} cannot be the name of an environment: expected letters, digits, dots, "
+            "hyphens and underscores, 64 at most"
+        )
+    return _home() / name
+
+
+def environment_python(name: str) -> Path:
+    """Return the interpreter of an environment, which may not be there."""
+    return environment_folder(name) / "bin" / "python"
+
+
+def listed() -> list[Environment]:
+    """Return the environments by name, those included whose making was cut short."""
+    home = _home()
+    if not home.is_dir():
+        return []
+    return [_read(folder) for folder in sorted(home.iterdir()) if (folder / "bin").is_dir()]
+
+
+def remove(name: str) -> None:
+    """Remove an environment.
+
+    Raises:
+        PluginError: there is none of this name, or it cannot be removed.
+    """
+    folder = environment_folder(name)
+    if not folder.is_dir():
+        known = ", ".join(one.name for one in listed()) or "none"
+        raise PluginError(f"there is no environment {name!r} (there are: {known})")
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise PluginError(f"environment {name!r} cannot be removed: {error}") from error
+
+
+def _home() -> Path:
+    home = os.environ.get("UOARM_HOME")
+    if home:
+        return Path(home) / "environments"
+    data = os.environ.get("XDG_DATA_HOME") or "~/.local/share"
+    return Path(data).expanduser() / "uoarm" / "environments"
+
+
+def _read(folder: Path) -> Environment:
+    try:
+        said = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        return Environment(folder.name, folder, tuple(said["requirements"]), is_whole=True)
+    except (OSError, ValueError, LookupError, TypeError):
+        return Environment(folder.name, folder, (), is_whole=False)

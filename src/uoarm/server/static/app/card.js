@@ -1,0 +1,69 @@
+// One card of the graph.
+
+import { rowHeight } from "./cards.js";
+import { plural, rate, short, span } from "./format.js";
+import { Framework, Health, html, Icon } from "./ui.js";
+
+/** What the card says, as one sentence for a screen reader. */
+export function sayCard({ kind, title, health, data }) {
+  if (kind === "bridge") return `Framework ${title}, ${health}, ${data.open} of ${data.all} running`;
+  if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
+  const open = data.rows.filter((one) => one.open);
+  const running = open.map((one) => `${one.name} ${one.health} ${rate(one.rate)}`).join(", ");
+  return `Function ${title}, ${plural(data.rows.length, "component")}, ${running || "not running"}`;
+}
+
+export function Card({ card, place, selected, stop, select, fold }) {
+  const { x, y } = place;
+  const style = { left: `${x}px`, top: `${y}px`, width: `${card.width}px`, height: `${card.height}px` };
+  return html`
+    <div class="card ${card.kind} is-${card.health} ${selected ? "selected" : ""}" style=${style}
+      data-card=${card.id} onClick=${() => select(card)}>
+      <div class="card-head">
+        <button type="button" class="card-title" tabindex=${stop ? 0 : -1} data-title=${card.id}
+          aria-label=${sayCard(card)} aria-pressed=${selected}
+          aria-expanded=${card.kind === "function" ? !card.folded : null}>
+          <${Health} of=${card.health} /><span>${card.title}</span>
+        </button>
+        ${card.kind === "function" && html`<${Fold} card=${card} fold=${fold} />`}
+      </div>
+      ${card.kind === "function" && card.rows.map((row) => html`<${Row} key=${row.name} row=${row} />`)}
+      ${card.kind === "connection" && html`<${Application} data=${card.data} />`}
+      ${card.kind === "bridge" && html`<p class="card-note">${card.data.open} of ${card.data.all} running</p>`}
+    </div>`;
+}
+
+function Fold({ card, fold }) {
+  const press = (event) => {
+    event.stopPropagation();
+    fold(card);
+  };
+  const open = card.data.rows.filter((one) => one.open).length;
+  return html`<button type="button" class="card-fold" tabindex="-1" onClick=${press}
+    aria-label=${`${card.folded ? "Unfold" : "Fold"} ${card.title}`}>
+    <span>${open ? `${open}/` : ""}${card.data.rows.length}</span>
+    <${Icon} name=${card.folded ? "unfold" : "fold"} /></button>`;
+}
+
+function Row({ row }) {
+  return html`
+    <div class="row ${row.open ? "open" : ""}" style=${{ height: `${rowHeight(row)}px` }}>
+      <div class="row-line"><${Health} of=${row.health} /><span class="row-name">${row.name}</span>
+        <${Framework} name=${row.bridge} /></div>
+      ${row.open && !row.cause && html`<div class="row-figures">${figures(row)}</div>`}
+      ${row.cause && html`<div class="row-figures cause" title=${row.cause}>${row.cause}</div>`}
+    </div>`;
+}
+
+function figures(row) {
+  if (row.native) return "moved by the framework itself";
+  if (row.age === null) return "no message yet";
+  const told = [html`<b>${rate(row.rate)}</b>`, `${span(row.age)} ago`];
+  if (row.lost) told.push(html`<span class="bad">${short(row.lost)} dropped</span>`);
+  if (row.invalid) told.push(html`<span class="bad">${short(row.invalid)} invalid</span>`);
+  return told.map((one, at) => html`${at > 0 && " · "}${one}`);
+}
+
+const Application = ({ data }) => html`<div class="row-figures">
+  <span class="row-name">${data.function}</span>
+  <span>${data.state === "running" ? html`<b>${rate(data.rate)}</b>` : data.state}</span></div>`;

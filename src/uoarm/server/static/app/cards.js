@@ -1,0 +1,111 @@
+// Cards and edges of the graph, with their sizes, from the joined system. Pure.
+
+import { groupBy, worst } from "./system.js";
+
+export const WIDTH = 250;
+export const HEAD = 40;
+export const ROW = 28;
+export const OPEN_ROW = 46;
+const FOOT = 6;
+const LETTER = 11; // the width of one, as it is seen from far
+
+export const rowHeight = (row) => (row.open || row.cause ? OPEN_ROW : ROW);
+
+/** Cards of functions, of connections (applications) and, if wanted, of frameworks. */
+export function makeCards(system, shown, { folded, frameworks }) {
+  const cards = shown.map((one) => functionCard(one, folded(one.name)));
+  const names = new Set(shown.map((one) => one.name));
+  for (const one of system.connections) {
+    if (names.has(one.function)) cards.push(connectionCard(one));
+  }
+  if (frameworks) cards.push(...bridgeCards(system, shown));
+  return cards;
+}
+
+function functionCard(one, isFolded) {
+  const rows = isFolded ? [] : one.rows;
+  const inside = rows.reduce((total, row) => total + rowHeight(row), 0);
+  const height = HEAD + inside + (rows.length ? FOOT : 0);
+  const width = isFolded ? Math.min(WIDTH, 80 + LETTER * one.name.length) : WIDTH;
+  return { id: `function/${one.name}`, kind: "function", title: one.name, health: one.health,
+    data: one, folded: isFolded, rows, width, height };
+}
+
+function connectionCard(one) {
+  const health = { failed: "lost", closed: "finished", closing: "degraded" }[one.state] ?? "ok";
+  return { id: `connection/${one.id}`, kind: "connection", title: `Application ${one.id}`, health,
+    data: one, folded: false, rows: [], width: 190, height: 62 };
+}
+
+function bridgeCards(system, shown) {
+  const rows = groupBy(shown.flatMap((one) => one.rows), (row) => row.bridge);
+  const live = new Map(system.bridges.map((one) => [one.name, one]));
+  return [...rows].map(([name, its]) => {
+    const data = live.get(name) ?? { name, health: "idle", cause: "", open_channels: 0 };
+    const open = its.filter((row) => row.open).length;
+    return { id: `bridge/${name}`, kind: "bridge", title: name, data: { ...data, open, all: its.length },
+      health: worst([data.health]), folded: false, rows: [], width: 160, height: 56 };
+  });
+}
+
+/** Edges between cards: messages that flow, and dependencies of what is not running. */
+export function makeEdges(system, cards) {
+  const byId = new Map(cards.map((one) => [one.id, one]));
+  const home = new Map();
+  for (const card of cards) {
+    if (card.kind === "function") for (const row of card.data.rows) home.set(row.name, card);
+    if (card.kind === "connection") home.set(card.data.id, card);
+  }
+  const edges = new Map();
+  for (const route of system.routes) {
+    const [from, to] = [home.get(route.from), home.get(route.to)];
+    if (from && to && from !== to) {
+      const id = `${route.from}>${route.to}`;
+      edges.set(id, merge(edges.get(id), flowing(id, from, to, route)));
+    }
+  }
+  const live = new Set([...edges.values()].map((one) => `${one.from}>${one.to}`));
+  for (const card of cards.filter((one) => one.kind === "function")) {
+    for (const row of card.data.rows) {
+      for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
+      const bridge = byId.get(`bridge/${row.bridge}`);
+      if (bridge) edges.set(`${bridge.id}>${card.id}`, edge(`${bridge.id}>${card.id}`, "runs", bridge, card));
+    }
+  }
+  return [...edges.values()];
+}
+
+function wish(from, to, live, edges) {
+  const id = from && `${from.id}>${to.id}`;
+  if (from && from !== to && !live.has(id)) edges.set(id, edge(id, "uses", from, to));
+}
+
+const edge = (id, kind, from, to) => ({ id, kind, from: from.id, to: to.id, fromRow: "", toRow: "" });
+
+const flowing = (id, from, to, route) => ({
+  ...edge(id, "flows", from, to),
+  fromRow: route.from,
+  toRow: route.to,
+  rate: route.rate,
+  lost: route.lost,
+  age: route.age,
+  native: route.native,
+  bad: route.lost + route.invalid > 0 || Boolean(route.last_error),
+});
+
+function merge(one, other) {
+  if (!one) return other;
+  const rate = one.rate === null ? other.rate : Math.max(one.rate, other.rate ?? 0);
+  return { ...one, rate, lost: one.lost + other.lost, bad: one.bad || other.bad };
+}
+
+/** Where an edge leaves or enters a card, from its upper edge: the middle of the row's line. */
+export function anchor(card, rowName) {
+  let top = HEAD;
+  for (const row of card.rows) {
+    const height = rowHeight(row);
+    if (row.name === rowName) return top + height / 2;
+    top += height;
+  }
+  return card.rows.length ? HEAD / 2 : card.height / 2;
+}

@@ -1,0 +1,45 @@
+// Numbers and times as short text.
+
+const UNITS = [[1e9, "G"], [1e6, "M"], [1e3, "k"]];
+
+/** 1234567 as "1.23 M"; what is below a thousand keeps at most three figures. */
+export function short(number) {
+  if (number === null || number === undefined) return "–";
+  const [size, unit] = UNITS.find(([limit]) => Math.abs(number) >= limit) ?? [1, ""];
+  const text = Number((number / size).toPrecision(3)).toString();
+  return unit ? `${text} ${unit}` : text;
+}
+
+export const rate = (perSecond) => (perSecond == null ? "–" : `${short(perSecond)}/s`);
+
+/** Seconds as "3 ms", "1.2 s", "4 min", "2 h". */
+export function span(seconds) {
+  if (seconds == null) return "–";
+  if (seconds < 0.9995) return `${Math.max(0, Math.round(seconds * 1000))} ms`;
+  if (seconds < 59.95) return `${Number(seconds.toFixed(1))} s`;
+  if (seconds < 3570) return `${Math.round(seconds / 60)} min`;
+  return `${Number((seconds / 3600).toFixed(1))} h`;
+}
+
+/** A Date as "14:03:07". */
+export const clock = (date) => date.toLocaleTimeString("en-GB", { hour12: false });
+
+export const noun = (count, word) => (count === 1 ? word : `${word}s`);
+
+/** A number of things: plural(1, "drop") is "1 drop". */
+export const plural = (count, word) => `${short(count)} ${noun(count, word)}`;
+
+/** Any message as indented text, cut where it is long: lists, strings, the whole. */
+export function pretty(message, { items = 40, letters = 200, whole = 20000 } = {}) {
+  const cut = (_, value) => {
+    if (typeof value === "string" && value.length > letters) {
+      return `${value.slice(0, letters)}… (${short(value.length)} characters)`;
+    }
+    if (Array.isArray(value) && value.length > items) {
+      return [...value.slice(0, items), `… ${short(value.length - items)} more`];
+    }
+    return value;
+  };
+  const text = JSON.stringify(message, cut, 2) ?? "nothing";
+  return text.length > whole ? `${text.slice(0, whole)}\n…` : text;
+}

@@ -1,0 +1,90 @@
+// The graph: cards and edges on a plane that one can move over.
+
+import { useLayoutEffect, useMemo, useRef, useState } from "../vendor/htm-preact.js";
+import { neighbour } from "./camera.js";
+import { Card } from "./card.js";
+import { makeCards, makeEdges } from "./cards.js";
+import { Edges } from "./edges.js";
+import { layOut } from "./layout.js";
+import { Stage, useCamera } from "./stage.js";
+import { MANY } from "./system.js";
+import { html, Icon } from "./ui.js";
+
+/** Args: the joined system, the functions that the search found, and what is selected. */
+export function Graph({ system, shown, selected, select }) {
+  const [folds, setFolds] = useState(new Map());
+  const [frameworks, setFrameworks] = useState(false);
+  const [focused, setFocused] = useState("");
+  const many = shown.reduce((total, one) => total + one.rows.length, 0) > MANY;
+  const folded = (name) => folds.get(name) ?? many;
+  const cards = makeCards(system, shown, { folded, frameworks });
+  const edges = makeEdges(system, cards);
+  const shape = shapeOf(cards, edges);
+  const stage = useRef(null);
+  const wide = stage.current ? stage.current.clientWidth / stage.current.clientHeight : 1.6;
+  const layout = useMemo(() => layOut(cards, edges, { aspect: wide }), [shape]);
+  const camera = useCamera(stage, layout, cards.find((one) => one.id === selected));
+
+  const fold = (card) => setFolds(new Map(folds).set(card.title, !card.folded));
+  const foldAll = (all) => setFolds(new Map(shown.map((one) => [one.name, all])));
+  const allFolded = shown.length > 0 && shown.every((one) => folded(one.name));
+  const stop = cards.some((one) => one.id === focused) ? focused : cards[0]?.id;
+
+  const focus = (card) => {
+    setFocused(card.id);
+    stage.current.querySelector(`[data-title="${CSS.escape(card.id)}"]`)?.focus({ preventScroll: true });
+    camera.keepSeen(card);
+  };
+  const keys = (event) => {
+    const at = event.target.closest("[data-card]")?.dataset.card;
+    const card = cards.find((one) => one.id === at);
+    const act = keyAction(event, { card, cards, edges, layout, camera, fold, focus });
+    if (act) {
+      event.preventDefault();
+      act();
+    }
+  };
+  useLayoutEffect(camera.follow, [shown.map((one) => one.name).join()]);
+
+  const plane = html`
+    <${Edges} cards=${cards} edges=${edges} layout=${layout} />
+    ${cards.map((one) => html`<${Card} key=${one.id} card=${one} place=${layout.places.get(one.id)}
+      selected=${one.id === selected} stop=${one.id === stop} select=${select} fold=${fold} />`)}`;
+  return html`
+    <section class="graph" aria-label="Graph of the system" onKeyDown=${keys}
+      onFocusIn=${(event) => setFocused(event.target.dataset.title ?? focused)}>
+      <${Stage} stage=${stage}>${plane}</${Stage}>
+      ${cards.length === 0 && html`<p class="empty">Nothing is found.</p>`}
+      <div class="graph-tools" role="toolbar" aria-label="Graph">
+        <${Tool} icon="plus" label="Larger (+)" act=${() => camera.zoomBy(1.25)} />
+        <${Tool} icon="minus" label="Smaller (-)" act=${() => camera.zoomBy(0.8)} />
+        <${Tool} icon="fit" label="Show all (0)" act=${camera.fitAll} />
+        <button type="button" class="tool text" onClick=${() => foldAll(!allFolded)}>
+          ${allFolded ? "Unfold all" : "Fold all"}</button>
+        <button type="button" class="tool text" aria-pressed=${frameworks}
+          onClick=${() => setFrameworks(!frameworks)}>Frameworks</button>
+      </div>
+      <p class="graph-help">Arrows move · Enter opens · F folds · + − 0 zoom</p>
+    </section>`;
+}
+
+const Tool = ({ icon, label, act }) => html`<button type="button" class="tool" title=${label}
+  aria-label=${label} onClick=${act}><${Icon} name=${icon} /></button>`;
+
+function keyAction(event, { card, cards, edges, layout, camera, fold, focus }) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return null;
+  if (event.key === "+" || event.key === "=") return () => camera.zoomBy(1.25);
+  if (event.key === "-") return () => camera.zoomBy(0.8);
+  if (event.key === "0") return camera.fitAll;
+  if (!card) return null;
+  if (event.key.toLowerCase() === "f" && card.kind === "function") return () => fold(card);
+  if (!event.key.startsWith("Arrow")) return null;
+  const next = neighbour(card.id, event.key, cards, layout.places, edges);
+  return () => next && focus(next);
+}
+
+/** What makes a new layout needed: which cards there are, how high, and what joins them. */
+function shapeOf(cards, edges) {
+  const sizes = cards.map((one) => `${one.id}:${one.height}`);
+  return [...sizes, ...edges.map((one) => `${one.kind}${one.id}`)].join("\n");
+}

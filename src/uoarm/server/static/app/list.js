@@ -1,0 +1,54 @@
+// The same system as a list: for phones, for screen readers, and for those who prefer one.
+
+import { plural, rate, short, span } from "./format.js";
+import { Framework, Health, html } from "./ui.js";
+
+export function List({ system, shown, selected, select }) {
+  const using = new Map();
+  for (const one of system.connections) using.set(one.function, (using.get(one.function) ?? 0) + 1);
+  return html`
+    <section class="list" aria-label="Functions">
+      ${shown.length === 0 && html`<p class="empty">Nothing is found.</p>`}
+      <ul>${shown.map((one) => html`<${Item} key=${one.name} of=${one} users=${using.get(one.name) ?? 0}
+        selected=${selected === `function/${one.name}`} select=${select} />`)}</ul>
+      ${system.connections.length > 0 && html`<h2>Applications</h2>
+        <ul>${system.connections.map((one) => html`<${Connection} key=${one.id} of=${one}
+          selected=${selected === `connection/${one.id}`} select=${select} />`)}</ul>`}
+      ${system.bridges.length > 0 && html`<h2>Frameworks</h2>
+        <ul>${system.bridges.map((one) => html`<${Bridge} key=${one.name} of=${one}
+          selected=${selected === `bridge/${one.name}`} select=${select} />`)}</ul>`}
+    </section>`;
+}
+
+function Item({ of, users, selected, select }) {
+  const open = of.rows.filter((row) => row.open);
+  const cause = of.rows.find((row) => row.cause)?.cause;
+  const bridges = [...new Set(of.rows.map((row) => row.bridge))];
+  return html`
+    <li><button type="button" class="item" aria-pressed=${selected} data-item=${of.name}
+      onClick=${() => select({ kind: "function", title: of.name })}>
+      <span class="item-name"><${Health} of=${of.health} /><b>${of.name}</b>
+        <span class="kind">${of.service ? "service" : "stream"}</span></span>
+      <span class="item-note">${of.description}</span>
+      <span class="item-figures">${open.map((row) => html`<span key=${row.name}>${row.name} <b>${rate(row.rate)}</b>
+        ${row.age !== null && html` · ${span(row.age)} ago`}
+        ${row.lost > 0 && html` · <span class="bad">${short(row.lost)} dropped</span>`}</span>`)}
+        ${cause && html`<span class="cause">${cause}</span>`}</span>
+      <span class="item-tags">${bridges.map((one) => html`<${Framework} key=${one} name=${one} />`)}
+        <span>${plural(of.rows.length, "component")}${users > 0 && `, ${plural(users, "user")}`}</span></span>
+    </button></li>`;
+}
+
+const Connection = ({ of, selected, select }) => html`
+  <li><button type="button" class="item" aria-pressed=${selected}
+    onClick=${() => select({ kind: "connection", data: of })}>
+    <span class="item-name"><b>Application ${of.id}</b></span>
+    <span class="item-note">uses ${of.function}, ${of.state}</span>
+    <span class="item-figures"><b>${rate(of.rate)}</b></span></button></li>`;
+
+const Bridge = ({ of, selected, select }) => html`
+  <li><button type="button" class="item" aria-pressed=${selected}
+    onClick=${() => select({ kind: "bridge", data: of })}>
+    <span class="item-name"><${Health} of=${of.health} /><b>${of.name}</b></span>
+    <span class="item-note">${of.cause || `plugin ${of.plugin}`}</span>
+    <span class="item-figures">${plural(of.open_channels, "channel")}</span></button></li>`;

@@ -1,0 +1,95 @@
+// The page: one store, one address, the views.
+
+import { render, useEffect, useMemo, useState } from "../vendor/htm-preact.js";
+import { readAddress, writeAddress } from "./address.js";
+import { Graph } from "./graph.js";
+import { List } from "./list.js";
+import { Panel } from "./panel.js";
+import { Header, Lock, Summary } from "./shell.js";
+import { Store } from "./store.js";
+import { search } from "./system.js";
+import { Timeline } from "./timeline.js";
+import { html } from "./ui.js";
+
+const NARROW = "(max-width: 700px)";
+const KEPT = "uoarm.token";
+
+function App({ store }) {
+  useVersion(store);
+  const [address, go] = useAddress();
+  const [query, setQuery] = useState("");
+  const [filter, setFilter] = useState({ running: false, bridge: "" });
+  const shown = useMemo(() => search(store.system.functions, query, filter), [store.system, query, filter]);
+  const selected = address.name ? `${address.kind}/${address.name}` : "";
+  const open = (kind, name) => go({ ...address, kind, name, tab: "" });
+  const select = ({ kind, title, data }) => open(kind, { connection: data?.id, bridge: data?.name }[kind] ?? title);
+  const follow = (kind, name) => {
+    const owner = kind === "component" && store.functions.find((one) => one.components.some((part) => part.name === name));
+    return owner ? open("function", owner.name) : open(kind, name);
+  };
+  const given = { system: store.system, shown, selected, select };
+  const view = useMemo(() => {
+    if (address.view === "timeline") return null;
+    return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} />`;
+  }, [store.system, shown, selected, address.view, address.tab]);
+
+  return html`
+    <${Header} store=${store} address=${address} query=${query} setQuery=${setQuery} />
+    <main id="main" tabindex="-1" class=${selected ? "with-panel" : ""}>
+      ${store.link === "locked"
+        ? html`<${Lock} tried=${store.wire.token !== ""} unlock=${(token) => unlock(store, token)} />`
+        : html`
+          <div class="view">
+            ${address.view !== "timeline" && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
+            ${view ?? html`<${Timeline} events=${store.events} since=${store.since} query=${query}
+              owners=${store.owners} open=${follow} />`}
+          </div>
+          ${selected && html`<${Panel} store=${store} address=${address} close=${() => close(address, go)} />`}`}
+    </main>`;
+}
+
+function useVersion(store) {
+  const [, setVersion] = useState(0);
+  useEffect(() => store.listen(setVersion), []);
+}
+
+function useAddress() {
+  const read = () => readAddress(location.hash, matchMedia(NARROW).matches ? "list" : "graph");
+  const [address, setAddress] = useState(read);
+  useEffect(() => {
+    const changed = () => setAddress(read());
+    window.addEventListener("hashchange", changed);
+    return () => window.removeEventListener("hashchange", changed);
+  }, []);
+  return [address, (next) => (location.hash = writeAddress(next))];
+}
+
+/** Closes the panel; the keyboard goes back to where it was opened. */
+function close(address, go) {
+  const { kind, name } = address;
+  go({ view: address.view });
+  const opener = `[data-title="${CSS.escape(`${kind}/${name}`)}"], [data-item="${CSS.escape(name)}"]`;
+  document.querySelector(opener)?.focus({ preventScroll: true });
+}
+
+function unlock(store, token) {
+  sessionStorage.setItem(KEPT, token);
+  store.unlock(token);
+}
+
+/** Whether the server wants a token, or another one: a browser hides why a WebSocket was refused. */
+async function isLocked(token) {
+  const headers = token ? { Authorization: `Bearer ${token}` } : {};
+  try {
+    return (await fetch("metrics", { headers })).status === 401;
+  } catch {
+    return false; // the server is away
+  }
+}
+
+const url = new URL(".", location.href);
+url.protocol = url.protocol.replace("http", "ws");
+url.hash = "";
+const store = new Store(url.href, { isLocked });
+store.unlock(sessionStorage.getItem(KEPT) ?? "");
+render(html`<${App} store=${store} />`, document.getElementById("page"));

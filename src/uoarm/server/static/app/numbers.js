@@ -1,0 +1,42 @@
+// The numbers inside messages, to draw lines of. Pure.
+
+const MOST_PATHS = 24;
+const DEEPEST = 4;
+const MOST_ITEMS = 8;
+
+/** [path, number] of what is numeric in a message, the first few. Long lists are left out. */
+export function numbersOf(message) {
+  const found = [];
+  walk(message, "", 0, found);
+  return found;
+}
+
+function walk(value, path, depth, found) {
+  if (found.length >= MOST_PATHS || depth > DEEPEST) return;
+  if (typeof value === "number") found.push([path || "value", value]);
+  else if (typeof value === "boolean") found.push([path || "value", Number(value)]);
+  else if (value !== null && typeof value === "object") {
+    if (Array.isArray(value) && value.length > MOST_ITEMS) return;
+    for (const [name, one] of Object.entries(value)) {
+      walk(one, path ? `${path}.${name}` : name, depth + 1, found);
+    }
+  }
+}
+
+/** A line's last points; it never holds more than `most`. */
+export class Series {
+  constructor(most = 300) {
+    this.most = most;
+    this.times = [];
+    this.values = [];
+  }
+
+  add(time, value) {
+    this.times.push(time);
+    this.values.push(value);
+    if (this.times.length > this.most) {
+      this.times.shift();
+      this.values.shift();
+    }
+  }
+}

@@ -1,0 +1,113 @@
+// What is selected, in full: a function, an application's connection, or a framework.
+
+import { useEffect, useRef } from "../vendor/htm-preact.js";
+import { writeAddress } from "./address.js";
+import { Call } from "./call.js";
+import { Explain } from "./explain.js";
+import { rate, short, span } from "./format.js";
+import { Kill } from "./kill.js";
+import { Send } from "./send.js";
+import { Facts, Framework, Health, html, Icon, Notice } from "./ui.js";
+import { Watch } from "./watch.js";
+
+export function Panel({ store, address, close }) {
+  const title = useRef(null);
+  const { kind, name } = address;
+  useEffect(() => title.current?.focus({ preventScroll: true }), [kind, name]);
+  const keys = (event) => event.key === "Escape" && close();
+  const Body = { function: FunctionPanel, connection: ConnectionPanel, bridge: BridgePanel }[kind];
+  return html`
+    <aside class="panel" aria-labelledby="panel-title" onKeyDown=${keys}>
+      <header class="panel-head">
+        <div><p class="kind">${{ connection: "application", bridge: "framework" }[kind] ?? kind}</p>
+          <h2 id="panel-title" tabindex="-1" ref=${title}>${name}</h2></div>
+        <button type="button" class="tool" aria-label="Close (Escape)" title="Close (Escape)" onClick=${close}>
+          <${Icon} name="close" /></button>
+      </header>
+      ${Body && html`<${Body} key=${`${kind}/${name}`} store=${store} address=${address} />`}
+    </aside>`;
+}
+
+function FunctionPanel({ store, address }) {
+  const one = store.system.functions.find((other) => other.name === address.name);
+  if (!one) return html`<${Gone} what="function" />`;
+  const use = one.service ? "Call" : one.outputs.length ? "Watch" : "Send";
+  const tabs = [["", "Overview"], ["use", use], ["explain", "Explain"]];
+  return html`
+    ${one.description && html`<p class="lead">${one.description}</p>`}
+    <nav class="tabs" aria-label=${`About ${one.name}`}>${tabs.map(([tab, label]) => html`
+      <a key=${tab} href=${writeAddress({ ...address, tab })}
+        aria-current=${address.tab === tab ? "page" : null}>${label}</a>`)}</nav>
+    <div class="panel-body">
+      ${address.tab === "" && html`<${Overview} store=${store} one=${one} />`}
+      ${address.tab === "use" && html`<${Use} store=${store} one=${one} />`}
+      ${address.tab === "explain" && html`<${Explain} store=${store} one=${one} />`}
+    </div>`;
+}
+
+function Use({ store, one }) {
+  if (one.service) return html`<${Call} store=${store} name=${one.name} />`;
+  return html`
+    ${one.outputs.length > 0 && html`<${Watch} store=${store} one=${one} />`}
+    ${one.inputs.length > 0 && html`<${Send} store=${store} one=${one} />`}`;
+}
+
+function Overview({ store, one }) {
+  const connections = store.system.connections.filter((other) => other.function === one.name);
+  return html`
+    <h3>Components, in the order in which they are tried</h3>
+    <ul class="parts">${one.rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul>
+    <h3>Applications that use it</h3>
+    ${connections.length === 0 && html`<p class="quiet">None at this moment.</p>`}
+    <ul class="parts">${connections.map((other) => html`
+      <li key=${other.id}><div class="part-head"><b>${other.id}</b><span>${other.state}</span>
+        <span class="push">${rate(other.rate)}</span><${Kill} store=${store} connection=${other} /></div></li>`)}</ul>`;
+}
+
+const Part = ({ row }) => html`
+  <li><div class="part-head"><${Health} of=${row.health} word=${true} /><b>${row.name}</b>
+      <span class="push"><${Framework} name=${row.bridge} /></span></div>
+    <${Facts} of=${[
+      ["priority", String(row.priority)],
+      ["takes from", (row.uses ?? []).join(", ")],
+      ["rate", row.open ? rate(row.rate) : ""],
+      ["last message", row.open && row.age !== null ? `${span(row.age)} ago` : ""],
+      ["received", row.open ? short(row.received) : ""],
+      ["dropped", row.lost ? short(row.lost) : ""],
+      ["invalid", row.invalid ? short(row.invalid) : ""],
+      ["used by", row.users.join(", ")],
+    ]} />
+    ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
+    ${row.error && html`<${Notice} kind="warn" title="Last error">${row.error}</${Notice}>`}</li>`;
+
+function ConnectionPanel({ store, address }) {
+  const one = store.system.connections.find((other) => other.id === address.name);
+  if (!one) return html`<${Gone} what="connection" />`;
+  const routes = store.system.routes.filter((route) => route.to === one.id || one.components.includes(route.to));
+  return html`<div class="panel-body">
+    <${Facts} of=${[["function", one.function], ["state", one.state],
+      ["components", one.components.join(" → ")], ["cause", one.cause]]} />
+    <p><${Kill} store=${store} connection=${one} /></p>
+    <h3>Flows</h3>
+    <ul class="parts">${routes.map((route) => html`<li key=${`${route.producer}>${route.consumer}`}>
+      <div class="part-head"><b>${route.producer}</b><span>→ ${route.consumer}</span>
+        <span class="push">${rate(route.rate)}</span></div>
+      <${Facts} of=${[["received", short(route.received)], ["delivered", short(route.delivered)],
+        ["last message", route.age === null ? "none yet" : `${span(route.age)} ago`],
+        ["dropped", route.dropped.map(([why, count]) => `${short(count)} ${why}`).join(", ")],
+        ["invalid", route.invalid ? short(route.invalid) : ""]]} />
+      ${route.last_error && html`<${Notice} kind="warn" title="Last error">${route.last_error}</${Notice}>`}
+    </li>`)}</ul></div>`;
+}
+
+function BridgePanel({ store, address }) {
+  const live = store.system.bridges.find((other) => other.name === address.name);
+  const rows = store.system.functions.flatMap((one) => one.rows).filter((row) => row.bridge === address.name);
+  return html`<div class="panel-body">
+    <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
+    ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)]]} />`}
+    ${live?.cause && html`<${Notice} kind="bad" title="Cause">${live.cause}</${Notice}>`}
+    <h3>Components</h3><ul class="parts">${rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul></div>`;
+}
+
+const Gone = ({ what }) => html`<div class="panel-body"><${Notice}>This ${what} is there no more.</${Notice}></div>`;

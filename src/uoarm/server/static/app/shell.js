@@ -1,0 +1,83 @@
+// The frame around the views: what is connected, where one is, what is searched.
+
+import { useEffect, useRef, useState } from "../vendor/htm-preact.js";
+import { VIEWS, writeAddress } from "./address.js";
+import { noun } from "./format.js";
+import { html, Icon } from "./ui.js";
+
+const LINKS = { open: "live", opening: "connecting", closed: "reconnecting", locked: "locked" };
+const NAMES = { graph: "Graph", list: "List", timeline: "Timeline" };
+
+export function Header({ store, address, query, setQuery }) {
+  const input = useRef(null);
+  useEffect(() => {
+    const press = (event) => {
+      const typing = /^(INPUT|TEXTAREA|SELECT)$/.test(event.target.tagName);
+      if (event.key === "/" && !typing) {
+        event.preventDefault();
+        input.current.focus();
+      }
+    };
+    window.addEventListener("keydown", press);
+    return () => window.removeEventListener("keydown", press);
+  }, []);
+  return html`
+    <header class="top">
+      <a class="skip" href="#main" onClick=${skip}>Skip to the content</a>
+      <h1><img src="icon.svg" alt="" width="26" height="26" /><span>uoarm</span></h1>
+      <nav aria-label="Views">${VIEWS.map((one) => html`
+        <a href=${writeAddress({ ...address, view: one })}
+          aria-current=${address.view === one ? "page" : null}>${NAMES[one]}</a>`)}</nav>
+      <label class="search"><${Icon} name="search" /><span class="hidden">Search</span>
+        <input type="search" ref=${input} value=${query} placeholder="Search" aria-keyshortcuts="/" autocomplete="off" spellcheck=${false}
+          onInput=${(event) => setQuery(event.target.value)} /><kbd aria-hidden="true">/</kbd></label>
+      <p class="link-state ${store.link}" role="status"><span class="lamp" aria-hidden="true"></span>
+        <span>${LINKS[store.link]}</span></p>
+    </header>`;
+}
+
+function skip(event) {
+  event.preventDefault();
+  document.querySelector("main").focus();
+}
+
+/** Counts over everything, and what narrows the view. */
+export function Summary({ system, filter, setFilter }) {
+  const rows = system.functions.flatMap((one) => one.rows);
+  const running = rows.filter((one) => one.open).length;
+  const lost = rows.filter((one) => one.health === "lost").length;
+  const bridges = [...new Set(rows.map((one) => one.bridge))].sort();
+  const toggle = (change) => setFilter({ ...filter, ...change });
+  return html`
+    <div class="summary">
+      <p><span><b>${system.functions.length}</b> ${noun(system.functions.length, "function")}</span>
+        <span><b>${running}</b> of ${rows.length} components running</span>
+        <span><b>${system.connections.length}</b> ${noun(system.connections.length, "application")}</span>
+        ${lost > 0 && html`<span class="bad"><b>${lost}</b> lost</span>`}</p>
+      <div class="chips" role="group" aria-label="Show only">
+        <button type="button" class="chip" aria-pressed=${filter.running}
+          onClick=${() => toggle({ running: !filter.running })}>Running</button>
+        ${bridges.length > 1 && bridges.map((one) => html`
+          <button type="button" class="chip" key=${one} aria-pressed=${filter.bridge === one}
+            onClick=${() => toggle({ bridge: filter.bridge === one ? "" : one })}>${one}</button>`)}
+      </div>
+    </div>`;
+}
+
+/** Asks for the token where the server wants one. */
+export function Lock({ unlock, tried }) {
+  const [token, setToken] = useState("");
+  const send = (event) => {
+    event.preventDefault();
+    unlock(token.trim());
+  };
+  return html`
+    <form class="lock" onSubmit=${send}>
+      <h2>This server needs a token</h2>
+      <p>Whoever runs it makes one with <code>uoarm token</code>. It stays in this tab.</p>
+      <label>Token <input type="password" autocomplete="off" required value=${token}
+        onInput=${(event) => setToken(event.target.value)} /></label>
+      ${tried && html`<p class="bad" role="alert">The server did not accept that token.</p>`}
+      <button class="button main">Connect</button>
+    </form>`;
+}

@@ -1,0 +1,107 @@
+// What the page knows, in one place. Changes are told once per frame.
+
+import { join } from "./system.js";
+import { Watches } from "./watches.js";
+import { Wire } from "./wire.js";
+
+const EVERY = 1000;
+const MOST_EVENTS = 1000;
+const NOTHING = { bridges: [], components: [], connections: [], routes: [], own: [] };
+
+export class Store {
+  constructor(url, { isLocked, socket, frame = (act) => requestAnimationFrame(act) } = {}) {
+    this.link = "opening";
+    this.hello = null;
+    this.functions = [];
+    this.status = NOTHING;
+    this.events = [];
+    this.since = new Date();
+    this.owners = new Map(); // functions of connections, kept when these have ended
+    this.system = join([], NOTHING);
+    this.listeners = new Set();
+    this.frame = frame;
+    this.changing = false;
+    this.version = 0;
+    this.wire = new Wire(url, (...told) => this.#hear(...told), { isLocked, socket });
+    this.watches = new Watches(this.wire, () => this.changed());
+  }
+
+  listen(listener) {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** Tells listeners in the next frame that something is different. */
+  changed() {
+    if (this.changing) return;
+    this.changing = true;
+    this.frame(() => {
+      this.changing = false;
+      this.version += 1;
+      for (const one of this.listeners) one(this.version);
+    });
+  }
+
+  /** Asks for the status again, now. */
+  async refresh() {
+    this.#see(await this.wire.ask("Status"));
+  }
+
+  unlock(token) {
+    this.wire.token = token;
+    this.link = "opening";
+    this.wire.open();
+    this.changed();
+  }
+
+  #hear(op, type, message) {
+    if (op === "link") this.#linked(type, message);
+    else if (op === "Data") this.watches.take(type, message);
+    else if (op === "Status" && type === "connection") this.watches.ended(message);
+    else if (op === "Status" && type === "change") this.#happened([{ ...message, age: 0 }]);
+    else if (op === "Error") this.watches.refused(type, message);
+  }
+
+  #linked(link, hello) {
+    this.link = link;
+    clearInterval(this.timer);
+    if (link === "open") {
+      this.hello = hello;
+      this.#begin().catch((error) => console.warn(error.message));
+    } else {
+      this.watches.broken();
+    }
+    this.changed();
+  }
+
+  async #begin() {
+    const ask = (...asked) => this.wire.ask(...asked);
+    const [list, status] = await Promise.all([ask("List"), ask("Status", "watch")]);
+    this.functions = list.functions;
+    this.events = [];
+    this.#happened(status.past ?? []);
+    this.#see(status);
+    this.timer = setInterval(() => this.#look(), EVERY);
+  }
+
+  #look() {
+    if (document.hidden) return;
+    this.refresh().catch((error) => console.warn(error.message));
+  }
+
+  #see(status) {
+    this.status = status;
+    for (const one of status.connections) this.owners.set(one.id, one.function);
+    this.system = join(this.functions, status, this.events);
+    this.changed();
+  }
+
+  #happened(told) {
+    const now = Date.now();
+    const fresh = told.filter((one) => !this.events.some((other) => other.number === one.number));
+    for (const one of fresh) this.events.push({ ...one, at: new Date(now - one.age * 1000) });
+    this.events = this.events.slice(-MOST_EVENTS);
+    this.system = join(this.functions, this.status, this.events);
+    this.changed();
+  }
+}

@@ -1,0 +1,91 @@
+// The living system as cards and edges: what the graph and the list show. Pure.
+
+const WORST_FIRST = ["lost", "degraded", "ok", "finished", "idle"];
+export const MANY = 60; // with more components than this, cards begin folded
+
+export const worst = (healths) => WORST_FIRST.find((one) => healths.includes(one)) ?? "idle";
+
+const sum = (numbers) => numbers.reduce((total, one) => total + one, 0);
+const known = (numbers) => numbers.filter((one) => one !== null && one !== undefined);
+const most = (numbers) => (known(numbers).length ? Math.max(...known(numbers)) : null);
+const least = (numbers) => (known(numbers).length ? Math.min(...known(numbers)) : null);
+
+export const drops = (route) => sum(route.dropped.map(([, count]) => count));
+
+/** The component or connection at one end of a route: "camera.default" is of "camera". */
+export const endOf = (place, names) =>
+  names.has(place) ? place : place.slice(0, Math.max(0, place.lastIndexOf(".")));
+
+/** Everything known about the system, joined: functions with rows, connections, frameworks. */
+export function join(functions, status, events = []) {
+  const deaths = lastDeaths(events);
+  const open = new Map(status.components.map((one) => [one.name, one]));
+  const names = new Set([...open.keys(), ...status.connections.map((one) => one.id)]);
+  const routes = status.routes.map((one) => ({
+    ...one,
+    from: endOf(one.producer, names),
+    to: endOf(one.consumer, names),
+    lost: drops(one),
+  }));
+  const from = groupBy(routes, (one) => one.from);
+  const to = groupBy(routes, (one) => one.to);
+  return {
+    functions: functions.map((one) => withRows(one, open, from, deaths)),
+    connections: status.connections.map((one) => ({ ...one, ...flow(to.get(one.id) ?? []) })),
+    bridges: status.bridges.map((one) => ({ ...one })),
+    routes,
+  };
+}
+
+function withRows(described, open, from, deaths) {
+  const rows = described.components.map((one) => {
+    const live = open.get(one.name);
+    const died = deaths.get(`component ${one.name}`);
+    const health = live?.health ?? (died ? "lost" : "idle");
+    const cause = live?.cause || (live ? "" : died?.cause) || "";
+    const users = live?.users ?? [];
+    return { ...one, open: Boolean(live), health, cause, users, ...flow(from.get(one.name) ?? []) };
+  });
+  return { ...described, rows, health: worst(rows.map((one) => one.health)) };
+}
+
+function flow(routes) {
+  return {
+    rate: most(routes.map((one) => one.rate)),
+    age: least(routes.map((one) => one.age)),
+    lost: sum(routes.map((one) => one.lost)),
+    invalid: sum(routes.map((one) => one.invalid)),
+    received: most(routes.map((one) => one.received)) ?? 0,
+    native: routes.some((one) => one.native),
+    error: routes.find((one) => one.last_error)?.last_error ?? "",
+  };
+}
+
+/** The last change of each subject, where that was its death. */
+export function lastDeaths(events) {
+  const last = new Map();
+  for (const one of events) last.set(one.subject, one);
+  return new Map([...last].filter(([, one]) => one.change === "lost" || one.change === "failed"));
+}
+
+/** The functions that a search finds; every word must be found somewhere in it. */
+export function search(functions, query, { running = false, bridge = "" } = {}) {
+  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
+  return functions.filter((one) => {
+    if (running && !one.rows.some((row) => row.open)) return false;
+    if (bridge && !one.rows.some((row) => row.bridge === bridge)) return false;
+    const names = one.rows.map((row) => `${row.name} ${row.bridge}`).join(" ");
+    const text = `${one.name} ${one.description} ${names}`.toLowerCase();
+    return words.every((word) => text.includes(word));
+  });
+}
+
+export function groupBy(things, key) {
+  const groups = new Map();
+  for (const one of things) {
+    const name = key(one);
+    if (!groups.has(name)) groups.set(name, []);
+    groups.get(name).push(one);
+  }
+  return groups;
+}

@@ -1,0 +1,66 @@
+// What happened, newest first.
+
+import { useState } from "../vendor/htm-preact.js";
+import { clock } from "./format.js";
+import { html } from "./ui.js";
+
+const KINDS = [["connection", "Applications"], ["component", "Components"], ["bridge", "Frameworks"]];
+const SAID = { connection: "application", bridge: "framework" };
+const BAD = new Set(["lost", "failed"]);
+const QUIET = new Set(["opening", "closed", "finished"]);
+const UNSURE = new Set(["degraded", "closing"]);
+const SHOWN = 300;
+
+/** How grave a change is: "lost", "degraded", "finished" or "ok". */
+export function gravity(change) {
+  if (BAD.has(change)) return "lost";
+  if (UNSURE.has(change)) return "degraded";
+  return QUIET.has(change) ? "finished" : "ok";
+}
+
+/** Kind and name of what changed: "component camera". */
+export function subjectOf({ subject }) {
+  const at = subject.indexOf(" ");
+  return at < 0 ? { kind: "", name: subject } : { kind: subject.slice(0, at), name: subject.slice(at + 1) };
+}
+
+/** The newest events that a search and a choice of kinds leave. */
+export function filterEvents(events, { query = "", kind = "", bad = false }) {
+  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
+  return events.filter((one) => {
+    const text = `${one.subject} ${one.change} ${one.cause}`.toLowerCase();
+    const kindFits = !kind || subjectOf(one).kind === kind;
+    return kindFits && (!bad || gravity(one.change) === "lost") && words.every((word) => text.includes(word));
+  }).slice(-SHOWN).reverse();
+}
+
+/** Args: the events, since when, what is searched, whose a connection was, and open(kind, name). */
+export function Timeline({ events, since, query, owners, open }) {
+  const [kind, setKind] = useState("");
+  const [bad, setBad] = useState(false);
+  const shown = filterEvents(events, { query, kind, bad });
+  const choice = (name, label) => html`<button type="button" class="chip" aria-pressed=${kind === name}
+    onClick=${() => setKind(name)}>${label}</button>`;
+  return html`
+    <section class="timeline" aria-label="Timeline">
+      <div class="chips" role="group" aria-label="Which events">
+        ${choice("", "All")}${KINDS.map(([one, label]) => choice(one, label))}
+        <button type="button" class="chip" aria-pressed=${bad} onClick=${() => setBad(!bad)}>Only losses</button>
+      </div>
+      ${shown.length === 0 && html`<p class="empty">No such events since ${clock(since)}.
+        Changes of connections, components and frameworks appear here.</p>`}
+      <ol>${shown.map((one) => html`<${Event} key=${one.number} of=${one} owner=${owners.get(subjectOf(one).name)} open=${open} />`)}</ol>
+    </section>`;
+}
+
+function Event({ of, owner, open }) {
+  const { kind, name } = subjectOf(of);
+  return html`
+    <li class="event ${gravity(of.change)}">
+      <time datetime=${of.at.toISOString()}>${clock(of.at)}</time>
+      <span class="event-dot" aria-hidden="true"></span>
+      <div><span class="kind">${SAID[kind] ?? kind}</span> <button type="button" class="link" onClick=${() => open(kind, name)}>
+        ${name}</button> ${owner && html`<span class="quiet">${owner}</span>`} <b class="change">${of.change}</b>
+        ${of.cause && html`<p>${of.cause}</p>`}</div>
+    </li>`;
+}

@@ -1,0 +1,84 @@
+// The native protocol over one WebSocket: questions with answers, and what the server tells unasked.
+
+const FORM = "uoarm.v1.json";
+const FIRST_WAIT = 500;
+const LONGEST_WAIT = 8000;
+
+/** An answer that says no. `code` is for programs, `message` for people. */
+export class Refusal extends Error {
+  constructor({ code, text, rejected }) {
+    super(text);
+    this.code = code;
+    this.rejected = rejected ?? null;
+  }
+}
+
+/**
+ * Keeps a WebSocket to the server open, and opens it again after it broke.
+ *
+ * hear: called with (op, type, message) for Data and Status, and with
+ * ("link", "open" | "closed" | "locked") when the connection itself changes.
+ */
+export class Wire {
+  constructor(url, hear, { socket = WebSocket, isLocked = async () => false } = {}) {
+    this.url = url;
+    this.hear = hear;
+    this.socket = socket;
+    this.isLocked = isLocked;
+    this.token = "";
+    this.wait = FIRST_WAIT;
+    this.count = 0;
+    this.asked = new Map();
+  }
+
+  open() {
+    const forms = this.token ? [FORM, `uoarm.token.${this.token}`] : [FORM];
+    const link = new this.socket(this.url, forms);
+    this.link = link;
+    link.onmessage = (event) => this.#read(JSON.parse(event.data));
+    link.onclose = () => link === this.link && this.#closed();
+  }
+
+  /** Resolves to the reply's message; rejects with a Refusal. */
+  ask(op, type = "", message = undefined) {
+    const id = String(++this.count);
+    return new Promise((resolve, reject) => {
+      if (this.link?.readyState !== 1) {
+        reject(new Refusal({ code: "closed", text: "not connected to the server" }));
+        return;
+      }
+      this.asked.set(id, { resolve, reject });
+      const told = type ? { op, type, id } : { op, id };
+      if (message !== undefined) told.jsonMessage = message;
+      this.link.send(JSON.stringify(told));
+    });
+  }
+
+  #read({ op, type, id, jsonMessage }) {
+    const asker = this.asked.get(id);
+    this.asked.delete(id);
+    if (op === "Reply") asker?.resolve(jsonMessage);
+    else if (op === "Error" && asker) asker.reject(new Refusal(jsonMessage));
+    else {
+      if (op === "Status" && type === "hello") {
+        this.wait = FIRST_WAIT;
+        this.hear("link", "open", jsonMessage);
+      }
+      this.hear(op, type, jsonMessage);
+    }
+  }
+
+  async #closed() {
+    for (const { reject } of this.asked.values()) {
+      reject(new Refusal({ code: "closed", text: "the connection to the server broke" }));
+    }
+    this.asked.clear();
+    if (await this.isLocked(this.token)) {
+      this.hear("link", "locked");
+      return;
+    }
+    this.hear("link", "closed");
+    setTimeout(() => this.open(), this.wait);
+    this.wait = Math.min(this.wait * 2, LONGEST_WAIT);
+  }
+}

@@ -1,0 +1,81 @@
+/** A client of `uoarm serve` for browsers and Node. The protocol: docs/protocol.md. */
+
+export type Code =
+  | "unreadable" | "unknown" | "denied" | "resolution" | "bridge" | "timeout" | "message"
+  | "usage" | "closed" | "limit" | "busy" | "internal";
+
+/** A JSON value, and with `binary` also octets, typed arrays and BigInt. */
+export type Message = unknown;
+
+export class UoarmError extends Error {
+  readonly code: Code;
+}
+
+export interface RequestOptions {
+  /** How many messages the server checks against their structure. */
+  validate?: "off" | "sampled" | "always";
+  /** false: only to send; no messages come. */
+  receive?: boolean;
+  /** What the server does with messages that this client reads too slowly. */
+  queue?: { length?: number; policy?: "latest" | "drop-oldest" };
+  /** Least seconds between two messages; those between are left out. */
+  every?: number;
+}
+
+/** One open function. Iterating to the end, or out of the loop, gives it back. */
+export class Stream<T = Message> implements AsyncIterable<T> {
+  readonly connection: string;
+  readonly inputs: readonly string[];
+  readonly warnings: readonly string[];
+  /** Messages that did not get here, as gaps in their numbers. */
+  readonly lost: number;
+  [Symbol.asyncIterator](): AsyncIterator<T, undefined>;
+  /** The next message, or undefined when no more will come; rejects when the function failed. */
+  get(): Promise<T | undefined>;
+  /** Hand one message to an input; resolves when the server has taken it. */
+  send(message: Message, input?: string): Promise<void>;
+  /** Give the function back. Once is enough. */
+  kill(): Promise<void>;
+}
+
+export interface FunctionInfo {
+  name: string;
+  description: string;
+  service: boolean;
+  outputs: string[];
+  inputs: string[];
+  components: { name: string; bridge: string; priority: number }[];
+}
+
+export interface Change {
+  number: number;
+  time: number;
+  subject: string;
+  change: string;
+  cause: string;
+}
+
+export class Robot {
+  /** What the server said first: protocol, server, session, role, limits. */
+  readonly hello: Record<string, unknown>;
+  request<T = Message>(name: string, options?: RequestOptions): Promise<Stream<T>>;
+  call<T = Message>(name: string, message: Message, options?: { timeout?: number }): Promise<T>;
+  functions(): Promise<FunctionInfo[]>;
+  resolve(name: string): Promise<{ plan: Record<string, unknown>; text: string }>;
+  status(): Promise<Record<string, unknown>>;
+  watch(): Promise<AsyncIterable<Change>>;
+  close(): void;
+}
+
+export interface ConnectOptions {
+  token?: string;
+  /** CBOR instead of JSON: octets come as Uint8Array, wide integers as BigInt. */
+  binary?: boolean;
+  /** Seconds until connecting is given up. */
+  timeout?: number;
+  /** A WebSocket class, where there is no global one. */
+  WebSocket?: new (url: string, protocols: string[]) => unknown;
+}
+
+/** Connect to a server; rejects with a UoarmError when it refuses or is not there. */
+export function connect(url: string, options?: ConnectOptions): Promise<Robot>;

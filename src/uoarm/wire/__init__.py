@@ -1,0 +1,26 @@
+"""The native protocol on the wire: its messages, their schema, and both forms of them.
+
+Shared by the server and the client. Needs the packages of the extra `server`.
+"""
+
+from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
+from uoarm.wire._binary import read_binary, write_binary
+from uoarm.wire._depth import check_depth
+from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form, write_or_tell
+from uoarm.wire._skeleton import dump_parts
+
+__all__ = [
+    "ASKED",
+    "BINARY_FORM",
+    "FORMS",
+    "TEXT_FORM",
+    "Form",
+    "check_asked",
+    "check_depth",
+    "dump_parts",
+    "protocol_schema",
+    "read_binary",
+    "salvage_id",
+    "write_binary",
+    "write_or_tell",
+]

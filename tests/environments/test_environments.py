@@ -1,0 +1,144 @@
+"""Environments: what they are made of, how they are made, and what is said of broken ones."""
+
+from __future__ import annotations
+
+import json
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import uoarm
+from uoarm import environments
+from uoarm.cli import main
+from uoarm.errors import PluginError
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("UOARM_HOME", str(tmp_path))
+    return tmp_path / "environments"
+
+
+def _executable(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def _fake_uv(folder: Path, install: str) -> str:
+    """A stand-in for uv that notes what it was asked for."""
+    text = f"""
+echo "$@" >> {folder}/asked
+if [ "$1" = venv ]; then mkdir -p "$4/bin"; ln -s {sys.executable} "$4/bin/python"; exit 0; fi
+{install}"""
+    return str(_executable(folder / "uv", text))
+
+
+def test_an_environment_for_the_python_bridge_needs_this_same_uoarm_only() -> None:
+    (only,) = environments.requirements("python", None)
+    assert only.startswith(("uoarm[hosts] @ file://", f"uoarm[hosts]=={uoarm.__version__}"))
+
+
+def test_a_plugin_that_is_not_installed_here_is_taken_from_the_index_with_its_extra() -> None:
+    assert environments.requirements("absent", "jazzy")[1:] == ("uoarm-absent[jazzy]",)
+
+
+def test_a_project_given_by_its_path_stands_for_the_plugin() -> None:
+    wanted = environments.requirements("absent", "jazzy", ("plugins/uoarm-absent[jazzy]", "more"))
+    assert wanted[1:] == ("plugins/uoarm-absent[jazzy]", "more")
+
+
+def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
+    told: list[str] = []
+    uv = _fake_uv(tmp_path, "echo installing")
+    python = environments.create("jazzy", ("a", "b[c]"), python="3.12", tell=told.append, uv=uv)
+    assert python == home / "jazzy" / "bin" / "python"
+    assert (tmp_path / "asked").read_text().splitlines() == [
+        f"venv --python 3.12 {home / 'jazzy'}",
+        f"pip install --python {python} a b[c]",
+    ]
+    assert "installing" in told
+    (made,) = environments.listed()
+    assert (made.name, made.requirements, made.is_whole) == ("jazzy", ("a", "b[c]"), True)
+
+
+def test_one_that_fails_is_removed_and_its_last_lines_are_told(tmp_path: Path, home: Path) -> None:
+    uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
+    with pytest.raises(PluginError, match=r"ended with status 2:\nno such project"):
+        environments.create("jazzy", ("a",), uv=uv)
+    assert not (home / "jazzy").exists()
+
+
+def test_a_name_is_not_used_twice(tmp_path: Path) -> None:
+    uv = _fake_uv(tmp_path, "")
+    environments.create("jazzy", ("a",), uv=uv)
+    with pytest.raises(PluginError, match="uoarm env remove jazzy"):
+        environments.create("jazzy", ("a",), uv=uv)
+
+
+@pytest.mark.parametrize("name", ["", "..", "a/b", "-x", "a b", "x" * 65])
+def test_a_name_cannot_lead_elsewhere(name: str) -> None:
+    with pytest.raises(PluginError, match="cannot be the name"):
+        environments.create(name, ("a",))
+    with pytest.raises(PluginError, match="cannot be the name"):
+        environments.remove(name)
+
+
+def test_without_uv_venv_and_pip_make_it(tmp_path: Path, home: Path) -> None:
+    wheel = tmp_path / "nothing_much-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as made:
+        made.writestr("nothing_much.py", "found = True\n")
+        info = "nothing_much-1.0.dist-info"
+        made.writestr(
+            f"{info}/METADATA", "Metadata-Version: 2.1\nName: nothing-much\nVersion: 1.0\n"
+        )
+        tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        made.writestr(f"{info}/WHEEL", tag)
+        made.writestr(f"{info}/RECORD", "")
+    python = environments.create("plain", ("--no-index", str(wheel)), uv="")
+    found = list((home / "plain").rglob("nothing_much.py"))
+    assert python.exists()
+    assert len(found) == 1
+
+
+def test_what_was_made_can_be_removed_and_nothing_else(tmp_path: Path, home: Path) -> None:
+    environments.create("one", ("a",), uv=_fake_uv(tmp_path, ""))
+    with pytest.raises(PluginError, match=r"no environment 'two' \(there are: one\)"):
+        environments.remove("two")
+    environments.remove("one")
+    assert environments.listed() == []
+    assert not (home / "one").exists()
+
+
+def test_the_doctor_tells_what_is_missing(tmp_path: Path, home: Path) -> None:
+    environments.create("good", ("a",), uv=_fake_uv(tmp_path, ""))
+    good = home / "good" / "bin" / "python"
+    good.unlink()
+    _executable(good, f'exec {sys.executable} "$@"')
+    _executable(home / "bad" / "bin" / "python", "echo no module named zenoh >&2; exit 1")
+    (home / "bad" / "uoarm-environment.json").write_text(json.dumps({"requirements": []}))
+    (home / "cut" / "bin").mkdir(parents=True)
+    found = {one.name: environments.examine(one) for one in environments.listed()}
+    assert found["good"].problem == ""
+    assert found["good"].facts["uoarm"] == uoarm.__version__
+    assert "python" in found["good"].facts["plugins"]
+    assert found["bad"].problem == "it lacks what a host needs: no module named zenoh"
+    assert "cut short" in found["cut"].problem
+
+
+def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    _fake_uv(tmp_path, "")
+    run = CliRunner().invoke
+    made = run(main, ["env", "create", "mine", "--plugin", "python", "--with", "more"])
+    assert made.exit_code == 0, made.output
+    assert "environment mine is ready" in made.output
+    assert json.loads(run(main, ["env", "list", "--json"]).output)[0]["requirements"][1] == "more"
+    assert "mine: " in run(main, ["env", "list"]).output
+    assert run(main, ["env", "remove", "mine"]).exit_code == 0
+    assert run(main, ["env", "remove", "mine"]).exit_code == 4
+    assert run(main, ["env", "doctor"]).exit_code == 0

@@ -1,0 +1,165 @@
+"""Patient records: nothing is stored twice, and nothing is lost while the service is down."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra healthbot is not installed")
+RECORDS = Path(__file__).parents[2] / "examples" / "healthbot" / "records"
+sys.path.insert(0, str(RECORDS))
+
+import httpx  # noqa: E402
+from healthbot_records.component import PatientRecord  # noqa: E402
+from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
+from healthbot_records.spool import Spool  # noqa: E402
+
+PULSE: Measurement = {
+    "patient": "p1", "kind": "pulse", "time": "2026-11-21T09:00:00Z", "value": 71
+}  # fmt: skip
+PRESSURE: Measurement = {
+    "patient": "p1",
+    "kind": "pressure",
+    "time": "2026-11-21T09:01:00+13:00",
+    "systolic": 121,
+    "diastolic": 78,
+}
+
+
+class Service:
+    """The web service in a process of its own, on a port that it keeps."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._process: subprocess.Popen[str] | None = None
+        self.url = ""
+        self.start(0)
+
+    def start(self, port: int | None = None) -> None:
+        wanted = self.url.rsplit(":", 1)[-1].removesuffix("/fhir") if port is None else str(port)
+        command = [sys.executable, "-m", "healthbot_records", "--port", wanted]
+        self._process = subprocess.Popen(
+            [*command, "--database", str(self._folder / "records.db")],
+            env={**os.environ, "PYTHONPATH": str(RECORDS)},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        self.url = self._process.stdout.readline().split()[-1]
+
+    def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
+        if self._process is not None:
+            self._process.send_signal(how)
+            self._process.communicate(timeout=20)
+            self._process = None
+
+    def stored(self) -> list[dict[str, Any]]:
+        bundle = httpx.get(f"{self.url}/Observation", params={"patient": "p1"}, timeout=10).json()
+        return [entry["resource"] for entry in bundle["entry"]]
+
+
+@pytest.fixture
+def service(tmp_path: Path) -> Iterator[Service]:
+    made = Service(tmp_path)
+    yield made
+    made.stop()
+
+
+@pytest.fixture
+def record(service: Service, tmp_path: Path) -> Iterator[PatientRecord]:
+    made = PatientRecord(service.url, str(tmp_path / "spool.db"))
+    yield made
+    made.close()
+
+
+def test_a_measurement_becomes_an_observation_with_its_codes() -> None:
+    pulse, pressure = observation(PULSE), observation(PRESSURE)
+    assert pulse["code"]["coding"][0]["code"] == "8867-4"
+    assert pulse["valueQuantity"]["value"] == 71
+    parts = {one["code"]["coding"][0]["code"]: one for one in pressure["component"]}
+    assert parts["8480-6"]["valueQuantity"]["value"] == 121
+    assert parts["8462-4"]["valueQuantity"]["code"] == "mm[Hg]"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"), [({"time": "2026-11-21T09:00:00"}, "no offset"), ({"value": None}, "value")]
+)
+def test_a_measurement_that_says_too_little_is_refused(change: Any, told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        observation({**PULSE, **change})
+
+
+def test_what_is_sent_twice_is_stored_once(service: Service, record: PatientRecord) -> None:
+    first, second = record(PULSE), record(PULSE)
+    assert first == second == {"id": identity(PULSE), "stored": True, "waiting": 0}
+    assert [one["id"] for one in service.stored()] == [identity(PULSE)]
+
+
+def test_nothing_is_lost_while_the_service_is_down(
+    service: Service, record: PatientRecord, tmp_path: Path
+) -> None:
+    record(PULSE)
+    service.stop(signal.SIGKILL)
+    receipt = record(PRESSURE)
+    assert receipt == {"id": identity(PRESSURE), "stored": False, "waiting": 1}
+    record.close()
+    left = Spool(tmp_path / "spool.db")
+    assert len(left) == 1
+    left.close()
+    service.start()
+    again = PatientRecord(service.url, str(tmp_path / "spool.db"))
+    try:
+        arrived = threading.Event()
+        for _ in range(200):
+            if len(service.stored()) == 2:
+                break
+            arrived.wait(0.05)
+        assert {one["id"] for one in service.stored()} == {identity(PULSE), identity(PRESSURE)}
+    finally:
+        again.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        (b"{", "not JSON"),
+        (b'{"resourceType": "Patient"}', "type Observation"),
+        (b'{"resourceType": "Observation", "id": "other"}', "not that of the address"),
+        (b'{"resourceType": "Observation", "id": "x"}', "must be there"),
+        (b" " * 70_000, "larger than"),
+    ],
+)
+def test_the_service_says_what_is_wrong_with_a_resource(
+    service: Service, body: bytes, told: str
+) -> None:
+    answer = httpx.put(f"{service.url}/Observation/x", content=body, timeout=10)
+    assert answer.status_code == 400
+    outcome = answer.json()
+    assert outcome["resourceType"] == "OperationOutcome"
+    assert told in outcome["issue"][0]["diagnostics"]
+
+
+def test_what_the_service_refuses_for_good_holds_up_nothing(
+    service: Service, record: PatientRecord
+) -> None:
+    with pytest.raises(ValueError, match=r"refused it: .*larger than"):
+        record({**PULSE, "patient": "p" * 70_000})
+    assert record(PULSE)["stored"]
+
+
+def test_an_observation_can_be_read_and_searched(service: Service, record: PatientRecord) -> None:
+    record(PULSE)
+    record(PRESSURE)
+    found = httpx.get(f"{service.url}/Observation/{identity(PULSE)}", timeout=10).json()
+    assert found == observation(PULSE)
+    bundle = httpx.get(f"{service.url}/Observation", params={"code": "85354-9"}, timeout=10).json()
+    assert bundle["total"] == 1
+    assert httpx.get(f"{service.url}/Observation/none", timeout=10).status_code == 404

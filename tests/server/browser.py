@@ -1,0 +1,199 @@
+"""A real Chromium without a window, driven over its own debugging protocol."""
+
+from __future__ import annotations
+
+import base64
+import itertools
+import json
+import shutil
+import subprocess
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any
+
+from typing_extensions import Self
+from websockets.sync.client import ClientConnection, connect
+
+SECONDS = 20.0
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--remote-debugging-port=0",
+)
+KEYS = {
+    "Enter": (13, "\r"),
+    "Escape": (27, ""),
+    "Tab": (9, ""),
+    " ": (32, " "),
+    "ArrowLeft": (37, ""),
+    "ArrowUp": (38, ""),
+    "ArrowRight": (39, ""),
+    "ArrowDown": (40, ""),
+}
+
+
+def find_chromium() -> str | None:
+    return next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+class Browser:
+    """One Chromium with an empty profile, and one page in it."""
+
+    def __init__(self, program: str) -> None:
+        self._stack = ExitStack()
+        self._ids = itertools.count(1)
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        profile = self._stack.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
+        self._process = subprocess.Popen(
+            [program, *OPTIONS, f"--user-data-dir={profile}", "about:blank"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self._stack.callback(self._stop)
+        try:
+            self._socket = self._connect(Path(profile) / "DevToolsActivePort")
+            target = self._attach()
+            self._session = target
+            for domain in ("Page", "Runtime", "Network", "Log"):
+                self.tell(f"{domain}.enable")
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def tell(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send one command and return its result."""
+        number = next(self._ids)
+        message = {"id": number, "method": method, "params": parameters}
+        if session := getattr(self, "_session", ""):
+            message["sessionId"] = session
+        self._socket.send(json.dumps(message))
+        while (told := json.loads(self._socket.recv(timeout=SECONDS))).get("id") != number:
+            self._note(told)
+        assert "error" not in told, f"{method}: {told['error']}"
+        result: dict[str, Any] = told["result"]
+        return result
+
+    def js(self, expression: str) -> Any:
+        """Return the value of an expression in the page."""
+        told = self.tell(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in told, (expression, told["exceptionDetails"])
+        return told["result"].get("value")
+
+    def until(self, expression: str) -> Any:
+        """Wait until an expression is true in the page and return it."""
+        deadline = time.monotonic() + SECONDS
+        while (value := self.js(f"({expression}) || null")) is None:
+            shown = self.js("document.body.innerText.slice(0, 2000)")
+            assert time.monotonic() < deadline, f"never: {expression}\n{shown}\n{self.complaints}"
+            time.sleep(0.02)
+        return value
+
+    def go(self, url: str) -> None:
+        self.tell("Page.navigate", url="about:blank")
+        self.tell("Page.navigate", url=url)
+
+    def show(self, width: int, height: int, *, phone: bool = False, dark: bool = False) -> None:
+        self.tell(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=phone,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.tell("Emulation.setEmulatedMedia", features=[scheme])
+
+    def click(self, selector: str, text: str = "") -> None:
+        """Press the middle of the first visible element that a selector and a text find."""
+        place = self.until(f"({_FIND})({json.dumps(selector)}, {json.dumps(text)})")
+        for kind in ("mousePressed", "mouseReleased"):
+            self.tell("Input.dispatchMouseEvent", type=kind, button="left", clickCount=1, **place)
+
+    def press(self, key: str) -> None:
+        code, text = KEYS.get(key, (ord(key[0].upper()), key))
+        given = {"key": key, "windowsVirtualKeyCode": code}
+        self.tell("Input.dispatchKeyEvent", type="keyDown", text=text, **given)
+        self.tell("Input.dispatchKeyEvent", type="keyUp", **given)
+
+    def write(self, text: str) -> None:
+        """Put text where the keyboard is."""
+        self.tell("Input.insertText", text=text)
+
+    def picture(self, path: Path) -> None:
+        data = self.tell("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(data))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def _connect(self, file: Path) -> ClientConnection:
+        deadline = time.monotonic() + SECONDS
+        while not (file.exists() and file.read_text().count("\n")):
+            assert self._process.poll() is None, "chromium ended at once"
+            assert time.monotonic() < deadline, "chromium does not start"
+            time.sleep(0.02)
+        port, path = file.read_text().split("\n")[:2]
+        url = f"ws://127.0.0.1:{port}{path}"
+        return self._stack.enter_context(connect(url, max_size=None, compression=None))
+
+    def _attach(self) -> str:
+        target = self.tell("Target.createTarget", url="about:blank")["targetId"]
+        session: str = self.tell("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
+        return session
+
+    def _note(self, told: dict[str, Any]) -> None:
+        parameters = told.get("params", {})
+        if told.get("method") == "Network.requestWillBeSent":
+            self.requests.append(parameters["request"]["url"])
+        elif told.get("method") == "Network.webSocketCreated":
+            self.requests.append(parameters["url"])
+        elif told.get("method") == "Runtime.exceptionThrown":
+            details = parameters["exceptionDetails"]
+            self.complaints.append(details.get("exception", {}).get("description", str(details)))
+        elif told.get("method") == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.complaints.append(
+                f"{parameters['entry']['text']} {parameters['entry'].get('url')}"
+            )
+
+    def _stop(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+_FIND = """(selector, text) => {
+  for (const one of document.querySelectorAll(selector)) {
+    if (!one.textContent.includes(text)) continue;
+    one.scrollIntoView({ block: "nearest" });
+    const { left, top, width, height } = one.getBoundingClientRect();
+    if (width > 0 && height > 0) return { x: left + width / 2, y: top + height / 2 };
+  }
+  return null;
+}"""

@@ -1,0 +1,169 @@
+"""The Python client against the server, in both forms."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+from tests.server.conftest import Serve
+from tests.server.robot import END, script
+from websockets.exceptions import InvalidStatus
+
+from uoarm import (
+    BridgeError,
+    BridgeTimeoutError,
+    ConnectionClosedError,
+    MessageError,
+    QueuePolicy,
+    ResolutionError,
+    UsageError,
+)
+from uoarm.client import Client, ServerError, connect
+from uoarm.server import Limits, Server, hash_token
+
+Work = Callable[[Client], Awaitable[None]]
+FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
+
+
+def run(server: Server, work: Work, *, binary: bool = True, token: str | None = None) -> None:
+    async def within() -> None:
+        url = f"ws://127.0.0.1:{server.ports[0]}/"
+        async with connect(url, binary=binary, token=token) as client:
+            await asyncio.wait_for(work(client), 30)
+
+    asyncio.run(within())
+
+
+@FORMS
+def test_messages_come_and_gaps_are_counted(server: Server, binary: bool) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers", queue=QueuePolicy(length=100))
+        script.put({"value": 1}, {"value": object()}, {"value": 3}, END)
+        assert [message["value"] async for message in stream] == [1, 3]
+        assert stream.lost == 1
+        with pytest.raises(ConnectionClosedError, match="finished"):
+            await stream.get()
+
+    run(server, work, binary=binary)
+
+
+@FORMS
+def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
+    async def work(client: Client) -> None:
+        async with await client.request("echo") as echo:
+            assert echo.inputs == ("default",)
+            await asyncio.gather(*(echo.send({"value": value}) for value in range(50)))
+            assert [(await echo.get(5))["value"] for _ in range(50)] == list(range(50))
+            with pytest.raises(MessageError, match="value"):
+                await echo.send({"value": 300})
+            with pytest.raises(UsageError):
+                await echo.send({"value": 1}, "other")
+        await echo.kill()
+        assert not (await client.status())["own"]
+
+    run(server, work, binary=binary)
+
+
+def test_octets_stay_octets(server: Server) -> None:
+    async def work(client: Client) -> None:
+        stream = await client.request("picture")
+        script.put({"width": 1, "data": bytes(10_000)})
+        assert (await stream.get(10))["data"] == bytes(10_000)
+
+    run(server, work)
+
+
+def test_calls_and_their_errors(server: Server) -> None:
+    async def work(client: Client) -> None:
+        assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
+        with pytest.raises(BridgeError, match="cannot do 5"):
+            await client.call("broken", {"value": 5})
+        with pytest.raises(BridgeTimeoutError):
+            await client.call("slow", {"value": 5}, timeout=0.05)
+        with pytest.raises(MessageError):
+            await client.call("add", {"a": 1})
+        with pytest.raises(ResolutionError, match="nothing"):
+            await client.request("missing")
+        with pytest.raises(UsageError):
+            await client.call("numbers", {})
+
+    run(server, work)
+
+
+def test_a_slow_call_holds_up_nothing(server: Server) -> None:
+    async def work(client: Client) -> None:
+        slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
+        assert await client.call("add", {"a": 1, "b": 2}) == {"value": 3}
+        script.gate.set()
+        assert await slow == {"value": 1}
+
+    run(server, work)
+
+
+def test_looking_around(server: Server) -> None:
+    async def work(client: Client) -> None:
+        assert {"numbers", "add"} <= {one["name"] for one in await client.functions()}
+        assert "numbers" in (await client.resolve("doubled"))["text"]
+        assert client.hello["protocol"] == 1
+        async with await client.request("numbers"):
+            assert (await client.status())["own"][0]["received"] == 0
+
+    run(server, work)
+
+
+def test_changes_are_watched(server: Server) -> None:
+    async def work(client: Client) -> None:
+        async def changes() -> list[str]:
+            seen: list[str] = []
+            async for event in client.watch():
+                seen.append(event.change)
+                if event.change == "closed":
+                    break
+            return seen
+
+        watching = asyncio.ensure_future(changes())
+        await client.status()
+        async with await client.request("numbers"):
+            pass
+        assert await watching == ["opening", "running", "closed"]
+
+    run(server, work)
+
+
+def test_when_the_server_closes_everything_that_waits_fails(serve: Serve) -> None:
+    server = serve(Limits(message_bytes=2000))
+
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        slow = asyncio.ensure_future(client.call("slow", {"value": 1}))
+        await client.status()
+        with pytest.raises(ConnectionClosedError):
+            await client.call("add", {"a": "x" * 3000})  # too long: the server closes
+        with pytest.raises(ConnectionClosedError):
+            await slow
+        with pytest.raises(ConnectionClosedError):
+            await stream.get()
+        with pytest.raises(ConnectionClosedError):
+            await client.functions()
+
+    run(server, work)
+
+
+def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(
+        "version: 1\nroles: {none: {}}\n"
+        f"tokens: [{{name: x, role: none, sha256: {hash_token('secret')}}}]\n"
+    )
+    server = serve(access=access)
+
+    async def work(client: Client) -> None:
+        with pytest.raises(ServerError) as denied:
+            await client.request("numbers")
+        assert denied.value.code == "denied"
+
+    run(server, work, token="secret")
+    with pytest.raises(InvalidStatus):
+        run(server, work)

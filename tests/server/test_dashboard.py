@@ -1,0 +1,379 @@
+"""The dashboard in a real Chromium: what a person does with pointer and keyboard, and sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from tests.server.browser import Browser, find_chromium
+from tests.server.conftest import Connect, Serve
+from tests.server.shown import END, SHOWN, crowd, front
+from tests.server.talk import eventually
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Server, hash_token
+
+Open = Callable[..., None]
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no chromium here; Debian's package chromium has it")
+    with Browser(program) as browser:
+        yield browser
+
+
+@pytest.fixture
+def browser(chromium: Browser, serve: Serve) -> Iterator[Browser]:
+    """A page that must not complain and must not ask any other server for anything.
+
+    It is left before servers end: `serve` comes first, so it goes last.
+    """
+    del serve
+    chromium.requests.clear()
+    chromium.complaints.clear()
+    chromium.show(1280, 800)
+    yield chromium
+    chromium.go("about:blank")
+    assert chromium.complaints == []
+    strange = [one for one in chromium.requests if "//127.0.0.1:" not in one]
+    assert [one for one in strange if not one.startswith(("data:", "about:"))] == []
+
+
+def manage(configuration: str) -> RobotManager:
+    return RobotManager(loads(configuration, origin=str(Path(__file__).parent / "robot.yaml")))
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    front.reset()
+    manager = manage(SHOWN)
+    yield manager
+    front.put(END)
+    manager.close()
+
+
+@pytest.fixture
+def visit(browser: Browser, server: Server) -> Open:
+    def visit(place: str = "") -> None:
+        browser.go(f"http://127.0.0.1:{server.ports[0]}/{place}")
+        browser.until("document.querySelector('.link-state.open')")
+
+    return visit
+
+
+def text(selector: str) -> str:
+    return f"(document.querySelector({selector!r})?.innerText ?? '')"
+
+
+def says(selector: str, words: str) -> str:
+    return f"{text(selector)}.includes({words!r})"
+
+
+def test_the_graph_shows_functions_components_and_what_flows(
+    browser: Browser, visit: Open, talk: Connect
+) -> None:
+    client = talk()
+    client.open("faces")
+    visit()
+    browser.until("document.querySelectorAll('.card.function').length === 5")
+    browser.until("document.querySelectorAll('.row.open').length === 2")
+    browser.until(says('[data-card="connection/c1"]', "faces"))
+    assert "loose" in browser.js(text('[data-card="function/faces"] .row.open'))
+    front.take((9, 9, 9))
+    front.take((9, 9, 9))
+    browser.until(says('[data-card="function/camera"] .row.open', "/s"))
+    browser.until("document.querySelectorAll('.edge.flows').length === 2")
+
+
+def test_frameworks_can_be_shown(browser: Browser, visit: Open) -> None:
+    visit()
+    browser.click(".graph-tools .tool", "Frameworks")
+    browser.until(says('[data-card="bridge/other"]', "0 of 1 running"))
+    assert browser.js("document.querySelectorAll('.edge.runs').length") == 6
+
+
+def test_a_picture_is_watched(browser: Browser, visit: Open, robot: RobotManager) -> None:
+    visit()
+    browser.click('[data-card="function/camera"]')
+    browser.click(".tabs a", "Watch")
+    browser.click(".button.main", "Watch")
+    browser.until(says(".panel", "No message yet"))
+    front.take((250, 100, 3))
+    browser.until("document.querySelector('.picture canvas')")
+    pixel = "[...document.querySelector('canvas').getContext('2d').getImageData(3, 2, 1, 1).data]"
+    browser.until(f"{pixel}.join() === '250,100,3,255'")
+    assert browser.js(says(".message", '"encoding": "rgb8"'))
+    browser.click(".button", "Stop")
+    eventually(lambda: robot.status().connections == (), "the connection is given back")
+
+
+def test_numbers_become_lines(browser: Browser, visit: Open) -> None:
+    visit("#/graph/function/faces/use")
+    browser.until("document.querySelector('.bar select')")
+    browser.js(
+        "(s => { s.value = '0'; s.dispatchEvent(new Event('change', { bubbles: true })); })"
+        "([...document.querySelectorAll('.bar select')].at(-1))"
+    )
+    browser.click(".button.main", "Watch")
+    browser.until(says(".panel", "No message yet"))
+    for shade in (10, 20, 30):
+        front.take((shade, 0, 0))
+    browser.until(says(".sparks", "10 … 30"))
+    browser.until("document.querySelectorAll('.spark canvas').length === 1")
+
+
+def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: Open) -> None:
+    visit("#/graph/function/drive/use")
+    browser.click('[id="field-x"]')
+    browser.write("11")
+    browser.click(".form .button.main", "Call")
+    browser.until(says(".problem", "at most 10"))
+    assert browser.js("document.querySelector('#field-x').getAttribute('aria-invalid')") == "true"
+    browser.until("document.activeElement.id === 'field-x'")
+    browser.js("document.activeElement.select()")
+    browser.write("-2.5")
+    browser.until("!document.querySelector('.problem')")
+    browser.click('[id="field-hurry"]')
+    browser.click("fieldset .button", "item")
+    browser.click('[id="field-stops.0.count"]')
+    browser.write("7")
+    browser.press("Enter")
+    browser.until(says(".panel .message", "fast to -2.5 on map by 7"))
+
+
+def test_a_message_is_sent_and_comes_back(browser: Browser, visit: Open) -> None:
+    visit("#/graph/function/echo/use")
+    browser.click('[id="field-count"]')
+    browser.write("9007199254740993")
+    browser.click(".form .button.main", "Send")
+    browser.until(says(".panel", "It was handed over."))
+    browser.until(says(".panel", "9007199254740993"))
+
+
+def test_a_connection_of_someone_else_is_killed(
+    browser: Browser, visit: Open, talk: Connect
+) -> None:
+    client = talk()
+    connection = client.open("camera")
+    visit("#/graph/function/camera")
+    browser.click(".panel .button.bad", "Kill")
+    browser.click(".panel .button.bad", "sure?")
+    assert client.next("connection")["jsonMessage"]["connection"] == connection
+    browser.until(says(".panel", "None at this moment."))
+
+
+def test_a_death_is_shown_with_its_cause(browser: Browser, visit: Open, talk: Connect) -> None:
+    client = talk()
+    client.open("camera")
+    visit()
+    browser.until(says('[data-card="function/camera"] .row.open', "no message yet"))
+    front.put(RuntimeError("the lens cap is on"))
+    browser.until(says('[data-card="function/camera"].is-lost', "the lens cap is on"))
+    browser.click(".top nav a", "Timeline")
+    browser.click(".chip", "Only losses")
+    browser.until(says(".event.lost", "the lens cap is on"))
+    browser.click(".event .link", "front")
+    browser.until(says(".panel .notice", "the lens cap is on"))
+
+
+def test_what_happened_before_the_page_came_is_in_the_timeline(
+    browser: Browser, visit: Open, talk: Connect
+) -> None:
+    client = talk()
+    client.ask("Kill", client.open("camera"))
+    visit("#/timeline")
+    browser.until(says(".timeline", "closed"))
+
+
+def test_the_resolution_is_a_tree_with_counterexamples(browser: Browser, visit: Open) -> None:
+    visit("#/graph/function/faces/explain")
+    browser.until(says(".tree .chosen", "loose"))
+    assert browser.js(says(".tree .chosen .chosen", "front"))
+    assert browser.js(says(".tree .chosen .chosen", "proven to fit"))
+    refused = browser.js(text(".tree .rejected"))
+    assert "strict" in refused
+    assert "counterexample" in refused
+    assert "width" in refused
+    assert browser.js(says(".tree .untried", "spare"))
+
+
+def test_why_nothing_fits_is_a_tree_too(browser: Browser, visit: Open) -> None:
+    visit("#/graph/function/hopeless/explain")
+    browser.until(says(".notice", "Every candidate was rejected"))
+    assert browser.js(says(".tree .rejected", "unfit"))
+    assert browser.js(says(".tree .rejected .rejected", "counterexample"))
+
+
+def test_everything_works_by_keyboard(browser: Browser, visit: Open) -> None:
+    visit()
+    browser.until("document.querySelector('.card')")
+    browser.press("/")
+    browser.until("document.activeElement.type === 'search'")
+    browser.write("camera")
+    browser.until("document.querySelectorAll('.card.function').length === 1")
+    for _ in range(9):
+        browser.press("Tab")
+        if browser.js("document.activeElement.dataset.title ?? ''"):
+            break
+    assert browser.js("document.activeElement.dataset.title") == "function/camera"
+    seen = "getComputedStyle(document.activeElement.closest('.card')).outlineWidth"
+    assert browser.js(seen) == "3px"
+    browser.press("Enter")
+    browser.until("document.activeElement.id === 'panel-title'")
+    browser.press("Escape")
+    browser.until("document.activeElement.dataset.title === 'function/camera'")
+    browser.until("!document.querySelector('.panel')")
+
+
+def test_arrows_walk_along_the_graph(browser: Browser, visit: Open) -> None:
+    visit()
+    browser.until("document.querySelector('.card')")
+    browser.js("document.querySelector('[data-title=\"function/camera\"]').focus()")
+    browser.press("ArrowRight")
+    reached = browser.js("document.activeElement.dataset.title")
+    assert reached in {"function/faces", "function/hopeless"}
+    rows = "document.activeElement.closest('.card').querySelectorAll('.row').length"
+    assert browser.js(rows) > 0
+    browser.press("f")
+    browser.until(f"{rows} === 0")
+    browser.press("ArrowLeft")
+    assert browser.js("document.activeElement.dataset.title") == "function/camera"
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("place", ["graph/function/camera", "list", "timeline"])
+def test_text_stands_out(
+    browser: Browser, visit: Open, talk: Connect, place: str, *, dark: bool
+) -> None:
+    client = talk()
+    client.open("camera")
+    front.put(RuntimeError("the lens cap is on"))
+    assert client.next("connection")["jsonMessage"]["state"] == "failed"
+    client.open("echo")
+    browser.show(1280, 800, dark=dark)
+    visit(f"#/{place}")
+    browser.until("document.querySelector('.is-lost, .item .cause, .event.lost')")
+    assert browser.js(CONTRAST) == []
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["list", "graph", "timeline", "list/function/camera/use", "list/function/faces/explain"],
+)
+def test_a_phone_needs_no_scrolling_sideways(browser: Browser, visit: Open, place: str) -> None:
+    browser.show(375, 720, phone=True)
+    visit(f"#/{place}")
+    browser.until("document.querySelector('.panel .notice, .tree, .item, .card, .timeline ol')")
+    assert browser.js("document.documentElement.scrollWidth") == 375
+    controls = "[...document.querySelectorAll('button, a, input, select')]"
+    beyond = "!one.closest('.stage, .skip') && one.getBoundingClientRect().right > 376"
+    assert browser.js(f"{controls}.filter(one => {beyond}).length") == 0
+
+
+def test_a_phone_begins_with_the_list(browser: Browser, visit: Open) -> None:
+    browser.show(375, 720, phone=True)
+    visit()
+    browser.click(".item", "drive")
+    browser.until(says(".panel", "drives to a place"))
+
+
+def test_a_token_is_asked_for_where_the_server_wants_one(
+    browser: Browser, serve: Serve, tmp_path: Path
+) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(
+        f"""
+version: 1
+roles: {{all: {{see: ["*"], request: ["*"]}}}}
+tokens:
+  - {{name: person, role: all, sha256: {hash_token("right")}}}
+""",
+        encoding="utf-8",
+    )
+    server = serve(access=access)
+    browser.go(f"http://127.0.0.1:{server.ports[0]}/")
+    browser.until("document.querySelector('.lock')")
+    browser.click(".lock input")
+    browser.write("wrong")
+    browser.press("Enter")
+    browser.until(says(".lock", "did not accept"))
+    browser.js("document.querySelector('.lock input').select()")
+    browser.write("right")
+    browser.press("Enter")
+    browser.until("document.querySelectorAll('.card.function').length === 5")
+    browser.complaints.clear()  # the refusals: a browser tells them all
+
+
+class TestManyComponents:
+    """Five hundred of them."""
+
+    @pytest.fixture
+    def robot(self) -> Iterator[RobotManager]:
+        with manage(crowd(100, 5)) as manager:
+            yield manager
+
+    def test_they_begin_folded_and_are_found(self, browser: Browser, visit: Open) -> None:
+        visit()
+        browser.until("document.querySelectorAll('.card.function').length === 100")
+        assert browser.js("document.querySelectorAll('.row').length") == 0
+        assert browser.js(says(".summary", "0 of 500 components running"))
+        browser.press("/")
+        browser.write("part42_3")
+        browser.until("document.querySelectorAll('.card.function').length === 1")
+        browser.until("document.querySelectorAll('.row').length === 5")
+        browser.click(".card-fold")
+        browser.until("document.querySelectorAll('.row').length === 0")
+
+    def test_all_of_them_can_be_unfolded(self, browser: Browser, visit: Open) -> None:
+        visit()
+        browser.click(".graph-tools .tool", "Unfold all")
+        browser.until("document.querySelectorAll('.row').length === 500")
+        before = browser.js("document.querySelector('.plane').style.transform")
+        browser.js("document.querySelector('.card-title').focus()")
+        browser.press("+")
+        assert browser.js("document.querySelector('.plane').style.transform") != before
+
+
+# What has less contrast than WCAG's level AA asks for: 4.5, or 3 for large text.
+CONTRAST = """
+(() => {
+  const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const rgba = (colour) => {
+    canvas.clearRect(0, 0, 1, 1);
+    canvas.fillStyle = colour;
+    canvas.fillRect(0, 0, 1, 1);
+    return [...canvas.getImageData(0, 0, 1, 1).data];
+  };
+  const light = (colour) => {
+    const part = (one) => (one /= 255) <= 0.04045 ? one / 12.92 : ((one + 0.055) / 1.055) ** 2.4;
+    const [red, green, blue] = colour.map(part);
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+  };
+  const ground = (one) => {
+    for (let at = one; at; at = at.parentElement) {
+      const colour = rgba(getComputedStyle(at).backgroundColor);
+      if (colour[3] === 255) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const found = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const one = walker.currentNode.parentElement;
+    const unseen = one.closest(".hidden, .skip, svg, noscript, :disabled");
+    if (!walker.currentNode.data.trim() || unseen) continue;
+    const style = getComputedStyle(one);
+    const [a, b] = [light(rgba(style.color)), light(ground(one))];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    if (ratio < (parseFloat(style.fontSize) >= 24 ? 3 : 4.5)) {
+      found.push(`${walker.currentNode.data.trim()}: ${ratio.toFixed(2)} (${one.className})`);
+    }
+  }
+  return found;
+})()
+"""

@@ -1,0 +1,62 @@
+"""`uoarm status --url`: the live status of a robot that runs behind the server."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from click.testing import CliRunner
+from tests.server.robot import END, script
+
+from uoarm import RobotManager
+from uoarm.cli import main
+from uoarm.server import Server
+
+
+def url_of(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+@contextmanager
+def watching(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "uoarm", "status", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=20)
+
+
+def test_the_status_of_a_running_robot_is_shown(server: Server, robot: RobotManager) -> None:
+    with robot.request("numbers"):
+        shown = CliRunner().invoke(main, ["status", "--url", url_of(server)])
+        assert shown.exit_code == 0, shown.output
+        assert "connections: 1" in shown.output
+        assert "numbers" in shown.output
+        told = CliRunner().invoke(main, ["status", "--url", url_of(server), "--json"])
+        assert json.loads(told.output)["connections"][0]["state"] == "running"
+        script.put(END)
+
+
+def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotManager) -> None:
+    with watching("--url", url_of(server), "--watch", "--json", "--every", "60") as process:
+        assert process.stdout is not None
+        assert json.loads(process.stdout.readline())["connections"] == []
+        with robot.request("numbers"):
+            event = json.loads(process.stdout.readline())["event"]
+            while event["change"] != "running":
+                event = json.loads(process.stdout.readline())["event"]
+            assert event["subject"].startswith("connection")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+
+
+def test_a_server_that_is_not_there_is_named() -> None:
+    shown = CliRunner().invoke(main, ["status", "--url", "ws://127.0.0.1:1/"])
+    assert shown.exit_code == 4
+    assert "ws://127.0.0.1:1/" in shown.output

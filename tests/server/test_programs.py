@@ -1,0 +1,67 @@
+"""Programs in other languages, and unmodified clients of rosbridge, as people use them.
+
+roslib comes from npm: set UOARM_ROSLIB to a folder in which `npm install roslib@2` was run.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.server.robot import script
+from tests.server.talk import eventually
+
+from uoarm import RobotManager
+from uoarm.server import Server
+
+CLIENTS = Path(__file__).parent / "clients"
+ROSLIB = os.environ.get("UOARM_ROSLIB", "")
+
+
+def run(robot: RobotManager, command: list[str], *, rounds: int = 1) -> None:
+    """Run a program, playing to it what it waits for."""
+
+    def opened(function: str) -> bool:
+        if process.poll() is not None:
+            pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
+        return any(one.function == function for one in robot.status().connections)
+
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        try:
+            for _ in range(rounds):
+                eventually(lambda: opened("doubled"), "it listens to numbers")
+                script.put(*({"value": value} for value in (1, 2, 3)))
+                eventually(lambda: opened("picture"), "it listens to pictures")
+                script.put({"width": 16, "data": bytes(range(256))})
+            out, _ = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert process.returncode == 0, out
+    assert out.strip().endswith("done"), out
+
+
+def test_roslibpy(server: Server, robot: RobotManager) -> None:
+    url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
+    run(robot, [sys.executable, str(CLIENTS / "with_roslibpy.py"), url])
+
+
+@pytest.mark.skipif(
+    not ROSLIB or shutil.which("node") is None,
+    reason="needs node, and UOARM_ROSLIB with a folder in which roslib is installed",
+)
+def test_roslib(server: Server, robot: RobotManager) -> None:
+    url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
+    run(robot, ["node", str(CLIENTS / "with_roslib.mjs"), url, ROSLIB])
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, from version 20.10 on")
+def test_the_javascript_client(server: Server, robot: RobotManager) -> None:
+    flags = ["--experimental-websocket", "--no-warnings"]
+    url = f"ws://127.0.0.1:{server.ports[0]}/"
+    run(robot, ["node", *flags, str(CLIENTS / "with_uoarm.mjs"), url], rounds=2)

@@ -1,0 +1,31 @@
+"""The page's own code where it is pure: run by node."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent / "web"
+OLDEST = 20
+
+
+def find_node() -> str:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node here")
+    version = subprocess.run([node, "--version"], capture_output=True, text=True, check=True).stdout
+    if int(version.removeprefix("v").partition(".")[0]) < OLDEST:
+        pytest.skip(f"node {version.strip()} is older than {OLDEST}")
+    return node
+
+
+def test_the_pages_code_does_what_it_says() -> None:
+    files = [str(one) for one in sorted(TESTS.glob("*.test.mjs"))]
+    done = subprocess.run(
+        [find_node(), "--test", *files], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert f"# pass {sum(Path(one).read_text().count('test(') for one in files)}" in done.stdout

@@ -1,0 +1,67 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { fit, neighbour, reveal, zoom } from "../../../src/uoarm/server/static/app/camera.js";
+import { layOut } from "../../../src/uoarm/server/static/app/layout.js";
+
+const card = (id) => ({ id, width: 100, height: 40 });
+const edge = (from, to, kind = "uses") => ({ id: `${from}>${to}`, from, to, kind });
+const boxes = (cards, { places }) => cards.map((one) => ({ ...places.get(one.id), ...one }));
+
+function overlapping(found) {
+  const meet = (a, b) => a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
+  return found.flatMap((one, at) => found.slice(at + 1).filter((other) => meet(one, other)));
+}
+
+test("cards stand in the direction of flow and none on another", () => {
+  const cards = Array.from({ length: 60 }, (_, at) => card(`n${at}`));
+  const edges = cards.slice(1, 40).map((one, at) => edge(`n${Math.floor(at / 2)}`, one.id, "flows"));
+  const found = layOut(cards, edges);
+  assert.deepEqual(overlapping(boxes(cards, found)), []);
+  for (const one of edges) assert.ok(found.places.get(one.from).x < found.places.get(one.to).x, one.id);
+});
+
+test("everything lies inside what the layout says it needs", () => {
+  const cards = ["a", "b", "c", "d"].map(card);
+  const found = layOut(cards, [edge("a", "b")]);
+  for (const one of boxes(cards, found)) {
+    assert.ok(one.x >= 0 && one.x + one.width <= found.width + 1e-9);
+    assert.ok(one.y >= 0 && one.y + one.height <= found.height + 1e-9);
+  }
+});
+
+test("nothing, circles and several edges between two cards are laid out", () => {
+  assert.deepEqual([layOut([], []).width, layOut([], []).height], [0, 0]);
+  const found = layOut([card("a"), card("b")], [edge("a", "b", "flows"), edge("b", "a", "flows"), { ...edge("a", "b"), id: "x" }]);
+  assert.equal(found.paths.size, 3);
+});
+
+test("the point under the pointer stays there", () => {
+  const before = { x: 10, y: 20, scale: 1 };
+  const after = zoom(before, 1.5, 110, 70);
+  assert.deepEqual([(110 - after.x) / after.scale, (70 - after.y) / after.scale], [100, 50]);
+});
+
+test("all is shown, or, where that is too small, the beginning", () => {
+  const view = { width: 400, height: 300 };
+  assert.ok(fit({ width: 4000, height: 100 }, view).scale < 0.1);
+  assert.deepEqual(fit({ width: 4000, height: 100 }, view, { least: 0.6, margin: 10 }).x, 10);
+  assert.equal(fit({ width: 10, height: 10 }, view).scale, 1);
+});
+
+test("a card out of sight is brought into it", () => {
+  const view = { width: 400, height: 300 };
+  const still = { x: 0, y: 0, scale: 1 };
+  assert.deepEqual(reveal(still, { x: 100, y: 100 }, card("a"), view), still);
+  assert.deepEqual(reveal(still, { x: 900, y: 100 }, card("a"), view), { x: 400 - 24 - 1000, y: 0, scale: 1 });
+});
+
+test("arrows find the nearest card in their direction", () => {
+  const cards = ["a", "b", "c"].map(card);
+  const places = new Map([["a", { x: 0, y: 0 }], ["b", { x: 300, y: 10 }], ["c", { x: 0, y: 200 }]]);
+  const from = (id, key) => neighbour(id, key, cards, places)?.id;
+  assert.deepEqual([from("a", "ArrowRight"), from("a", "ArrowDown"), from("b", "ArrowLeft"), from("a", "ArrowUp")],
+    ["b", "c", "a", undefined]);
+  places.set("c", { x: 400, y: 60 });
+  assert.equal(from("a", "ArrowRight"), "b");
+  assert.equal(neighbour("a", "ArrowRight", cards, places, [edge("a", "c")]).id, "c");
+});

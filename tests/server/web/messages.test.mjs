@@ -1,0 +1,66 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { readAddress, writeAddress } from "../../../src/uoarm/server/static/app/address.js";
+import { pretty, rate, short, span } from "../../../src/uoarm/server/static/app/format.js";
+import { numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
+import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
+
+const base64 = (...octets) => Buffer.from(octets).toString("base64");
+
+test("raw pictures are found wherever they lie, in their order of colours", () => {
+  const frame = { width: 2, height: 1, encoding: "bgr8", data: base64(1, 2, 3, 4, 5, 6) };
+  const pixels = pixelsOf(findPicture({ faces: [], frame }));
+  assert.deepEqual([...pixels], [3, 2, 1, 255, 6, 5, 4, 255]);
+});
+
+test("rows may be longer than their pixels", () => {
+  const image = { width: 1, height: 2, encoding: "mono8", step: 3, data: base64(7, 0, 0, 9) };
+  assert.deepEqual([...pixelsOf(findPicture(image))], [7, 7, 7, 255, 9, 9, 9, 255]);
+});
+
+test("compressed pictures are known by their format or their first octets", () => {
+  assert.equal(findPicture({ format: "rgb8; jpeg compressed bgr8", data: "AA==" }).url, "data:image/jpeg;base64,AA==");
+  assert.match(findPicture({ data: base64(0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a) }).url, /^data:image\/png/);
+});
+
+test("what is no picture is not taken for one", () => {
+  const image = { width: 2, height: 2, encoding: "rgb8", data: base64(1) };
+  assert.equal(pixelsOf(findPicture(image)), null);
+  for (const one of [null, 3, [], { data: "hello" }, { ...image, width: 1e9 }, { ...image, encoding: "yuv" }]) {
+    assert.equal(findPicture(one), null);
+  }
+});
+
+test("numbers are found by path, long lists left out", () => {
+  const message = { a: 1, b: { c: [2, true] }, long: Array(100).fill(1), s: "x" };
+  assert.deepEqual(numbersOf(message), [["a", 1], ["b.c.0", 2], ["b.c.1", 1]]);
+  assert.deepEqual(numbersOf(5), [["value", 5]]);
+  assert.ok(numbersOf(Object.fromEntries(Array.from({ length: 500 }, (_, at) => [at, at]))).length <= 24);
+});
+
+test("a line keeps its last points only", () => {
+  const line = new Series(2);
+  for (const one of [1, 2, 3]) line.add(one, one * 10);
+  assert.deepEqual([line.times, line.values], [[2, 3], [20, 30]]);
+});
+
+test("numbers and times are short", () => {
+  assert.deepEqual([0, 999, 1234, 1.5e6, -2e9, null].map(short), ["0", "999", "1.23 k", "1.5 M", "-2 G", "–"]);
+  assert.deepEqual([0.0124, 0.9996, 59, 61, 7200, null].map(span), ["12 ms", "1 s", "59 s", "1 min", "2 h", "–"]);
+  assert.equal(rate(24.96), "25/s");
+});
+
+test("a long message is cut where it is long", () => {
+  const told = pretty({ data: "a".repeat(5000), list: Array(100).fill(0) });
+  assert.match(told, /… \(5 k characters\)/);
+  assert.match(told, /… 60 more/);
+  assert.ok(told.length < 1500);
+  assert.equal(pretty(undefined), "nothing");
+});
+
+test("an address says what is shown, whatever the names", () => {
+  const place = { view: "graph", kind: "function", name: "a/b c#d", tab: "use" };
+  assert.deepEqual(readAddress(writeAddress(place)), place);
+  assert.deepEqual(readAddress("", "list"), { view: "list", kind: "", name: "", tab: "" });
+  assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", kind: "", name: "", tab: "" });
+});

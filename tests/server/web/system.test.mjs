@@ -1,0 +1,71 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { makeCards, makeEdges } from "../../../src/uoarm/server/static/app/cards.js";
+import { endOf, join, search } from "../../../src/uoarm/server/static/app/system.js";
+
+const FUNCTIONS = [
+  { name: "camera", description: "pictures", components: [{ name: "cam", bridge: "ros", priority: 1, uses: [] }] },
+  { name: "faces", description: "", components: [
+    { name: "dnn", bridge: "ros", priority: 2, uses: ["camera"] },
+    { name: "haar", bridge: "python", priority: 1, uses: ["camera"] }] },
+];
+const component = (name, of, users) => ({ name, function: of, bridge: "ros", health: "ok", users, cause: "" });
+const route = (producer, consumer, more = {}) => ({ producer, consumer, received: 5, delivered: 5,
+  dropped: [], invalid: 0, rate: 10, age: 0.1, last_error: "", native: false, ...more });
+const STATUS = {
+  bridges: [{ name: "ros", plugin: "ros2", health: "ok", open_channels: 2, cause: "" }],
+  components: [component("cam", "camera", ["c1"]), component("haar", "faces", ["c1"])],
+  connections: [{ id: "c1", function: "faces", state: "running", components: ["cam", "haar"], cause: "" }],
+  routes: [route("cam.default", "haar.default", { dropped: [["queue", 3]] }), route("haar.default", "c1", { rate: 9 })],
+};
+const NOTHING = { bridges: [], components: [], connections: [], routes: [] };
+const all = { folded: () => false, frameworks: false };
+
+test("rates, drops and health are joined to components and applications", () => {
+  const system = join(FUNCTIONS, STATUS);
+  const [camera, faces] = system.functions;
+  assert.deepEqual([camera.rows[0].rate, camera.rows[0].lost, camera.health], [10, 3, "ok"]);
+  assert.deepEqual(faces.rows.map((one) => one.open), [false, true]);
+  assert.equal(system.connections[0].rate, 9);
+});
+
+test("what died is shown with its cause until it runs again", () => {
+  const events = [{ subject: "component cam", change: "lost", cause: "unplugged" }];
+  const dead = join(FUNCTIONS, NOTHING, events).functions[0];
+  assert.deepEqual([dead.health, dead.rows[0].cause], ["lost", "unplugged"]);
+  assert.equal(join(FUNCTIONS, STATUS, events).functions[0].health, "ok");
+});
+
+test("edges flow where messages flow, and are wished for elsewhere", () => {
+  const running = join(FUNCTIONS, STATUS);
+  const edges = makeEdges(running, makeCards(running, running.functions, all));
+  assert.deepEqual(edges.map((one) => [one.kind, one.from, one.to, one.bad]), [
+    ["flows", "function/camera", "function/faces", true],
+    ["flows", "function/faces", "connection/c1", false],
+  ]);
+  const idle = join(FUNCTIONS, NOTHING);
+  const wished = makeEdges(idle, makeCards(idle, idle.functions, all));
+  assert.deepEqual(wished.map((one) => one.kind), ["uses"]);
+});
+
+test("frameworks are cards where they are wanted", () => {
+  const system = join(FUNCTIONS, STATUS);
+  const cards = makeCards(system, system.functions, { ...all, frameworks: true });
+  const found = cards.filter((one) => one.kind === "bridge");
+  assert.deepEqual(found.map((one) => [one.title, one.data.open, one.data.all]), [["ros", 1, 2], ["python", 1, 1]]);
+});
+
+test("every word of a search must be found", () => {
+  const { functions } = join(FUNCTIONS, STATUS);
+  const names = (...asked) => search(functions, ...asked).map((one) => one.name);
+  assert.deepEqual(names("PICT"), ["camera"]);
+  assert.deepEqual(names("faces haar"), ["faces"]);
+  assert.deepEqual(names("faces cam"), []);
+  assert.deepEqual(names("", { bridge: "python" }), ["faces"]);
+  assert.deepEqual(names("", { running: true }), ["camera", "faces"]);
+});
+
+test("names with dots are told apart from ports", () => {
+  const names = new Set(["a.b", "c1"]);
+  assert.deepEqual(["a.b.default", "a.b", "c1", "c1.input"].map((one) => endOf(one, names)), ["a.b", "a.b", "c1", "c1"]);
+});

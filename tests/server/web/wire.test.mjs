@@ -1,0 +1,91 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Watches } from "../../../src/uoarm/server/static/app/watches.js";
+import { Refusal, Wire } from "../../../src/uoarm/server/static/app/wire.js";
+
+/** A socket whose other end is the test. */
+class Socket {
+  static made = [];
+  constructor(url, forms) {
+    Object.assign(this, { url, forms, readyState: 1, sent: [] });
+    Socket.made.push(this);
+  }
+  send(text) {
+    this.sent.push(JSON.parse(text));
+  }
+  tell(message) {
+    this.onmessage({ data: JSON.stringify(message) });
+  }
+}
+
+function open(options = {}) {
+  const heard = [];
+  const wire = new Wire("ws://x/", (...told) => heard.push(told), { socket: Socket, ...options });
+  wire.open();
+  return { wire, heard, socket: Socket.made.at(-1) };
+}
+
+test("answers find their askers, in any order", async () => {
+  const { wire, socket } = open();
+  const [one, other] = [wire.ask("List"), wire.ask("Call", "add", { a: 1 })];
+  assert.deepEqual(socket.sent[1], { op: "Call", type: "add", id: "2", jsonMessage: { a: 1 } });
+  socket.tell({ op: "Reply", id: "2", jsonMessage: 3 });
+  socket.tell({ op: "Reply", id: "1", jsonMessage: { functions: [] } });
+  assert.deepEqual([await one, await other], [{ functions: [] }, 3]);
+});
+
+test("an error is a refusal with its code and what was rejected", async () => {
+  const { wire, socket } = open();
+  const asked = wire.ask("Resolve", "f");
+  socket.tell({ op: "Error", id: "1", jsonMessage: { code: "resolution", text: "no", rejected: [1] } });
+  await assert.rejects(asked, { message: "no", code: "resolution", rejected: [1] });
+});
+
+test("what nobody asked for is heard", () => {
+  const { heard, socket } = open();
+  socket.tell({ op: "Status", type: "hello", jsonMessage: { protocol: 1 } });
+  socket.tell({ op: "Data", type: "c1", "x-number": 1, jsonMessage: 7 });
+  assert.deepEqual(heard, [["link", "open", { protocol: 1 }], ["Status", "hello", { protocol: 1 }], ["Data", "c1", 7]]);
+});
+
+test("a broken connection refuses what was asked, and is opened again", async (context) => {
+  context.mock.timers.enable({ apis: ["setTimeout"] });
+  const { wire, heard, socket } = open();
+  const asked = wire.ask("List");
+  socket.readyState = 3;
+  socket.onclose();
+  await assert.rejects(asked, Refusal);
+  await assert.rejects(wire.ask("List"), { code: "closed" });
+  assert.deepEqual(heard.at(-1), ["link", "closed"]);
+  const before = Socket.made.length;
+  context.mock.timers.tick(500);
+  assert.equal(Socket.made.length, before + 1);
+});
+
+test("a server that wants a token is not asked again without one", async () => {
+  const { wire, heard, socket } = open({ isLocked: async (token) => token === "" });
+  socket.onclose();
+  await new Promise(setImmediate);
+  assert.deepEqual(heard.at(-1), ["link", "locked"]);
+  wire.token = "secret";
+  wire.open();
+  assert.deepEqual(Socket.made.at(-1).forms, ["uoarm.v1.json", "uoarm.token.secret"]);
+});
+
+test("a watch has the latest message, lines of numbers, and its end", async () => {
+  let time = 0;
+  const told = [];
+  const wire = { ask: async (...asked) => (told.push(asked), { connection: "c1", components: ["a"], inputs: [], warnings: [] }) };
+  const watches = new Watches(wire, () => {}, () => time);
+  const watch = await watches.open("f", { every: 0.1 });
+  for (time = 1; time <= 3; time += 1) watches.take("c1", { x: time * 2 });
+  assert.deepEqual([watch.latest, watch.taken, watches.rate(watch)], [{ x: 6 }, 3, 1]);
+  assert.deepEqual(watch.series.get("x").values, [2, 4, 6]);
+  for (let at = 0; at < 500; at += 1) watches.take("c1", { [`name${at}`]: at });
+  assert.ok(watch.series.size <= 48);
+  watches.ended({ connection: "c1", state: "failed", cause: "unplugged" });
+  watches.take("c1", { x: 9 });
+  assert.deepEqual([watch.end, watch.taken], [{ state: "failed", cause: "unplugged" }, 503]);
+  await watches.close("f");
+  assert.deepEqual(told, [["Request", "f", { every: 0.1 }]]);
+});

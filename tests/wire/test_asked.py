@@ -1,0 +1,94 @@
+"""What clients ask is checked against the published schema, in both forms."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from uoarm.errors import ControlMessageError
+from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
+from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form
+
+
+def test_the_protocol_schema_is_a_schema_and_has_every_operation() -> None:
+    schema = protocol_schema()
+    Draft202012Validator.check_schema(schema)
+    assert {f"ask.{op}" for op in ASKED} <= schema["$defs"].keys()
+
+
+plain = st.none() | st.booleans() | st.integers(0, 9) | st.text(max_size=3)
+fields = st.dictionaries(
+    st.sampled_from(["type", "id", "jsonMessage", "x-note", "x-timeout", "odd"]),
+    plain | st.fixed_dictionaries({}, optional={"every": plain, "receive": plain, "z": plain}),
+)
+
+
+@given(st.sampled_from(ASKED), fields)
+def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str, Any]) -> None:
+    message = {**rest, "op": op}
+    schema = {**protocol_schema(), "$ref": f"#/$defs/ask.{op}"}
+    allowed = Draft202012Validator(schema).is_valid(message)
+    try:
+        check_asked(message)
+    except ControlMessageError:
+        assert not allowed
+    else:
+        assert allowed
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ({}, "op is missing; expected one of Request"),
+        ({"op": "request"}, "did you mean 'Request'"),
+        ({"op": ["x"]}, "got list"),
+        ({"op": "Reply", "id": "1"}, "op: expected one of"),
+        ({"op": "Request", "id": "1"}, "'type' is a required property"),
+        ({"op": "Call", "type": "f"}, "'id' is a required property"),
+        ({"op": "Request", "id": "1", "type": "f", "jsonMessage": {"every": -1}}, "every"),
+    ],
+)
+def test_an_error_names_the_field(message: dict[str, Any], said: str) -> None:
+    with pytest.raises(ControlMessageError, match=said):
+        check_asked(message)
+
+
+@pytest.mark.parametrize("identity", [None, 5, "", "x" * 129, ["1"]])
+def test_only_an_id_that_can_be_told_back_is_salvaged(identity: object) -> None:
+    assert salvage_id({"id": identity}) is None
+    assert salvage_id({"id": "7", "op": 5}) == "7"
+
+
+@pytest.mark.parametrize("frame", ["", "{", "42", "[]", "null", "{{{", "NaN", b"{}", '{"a":1}x'])
+def test_text_that_is_no_object_is_refused(frame: str | bytes) -> None:
+    with pytest.raises(ControlMessageError):
+        TEXT_FORM.read(frame, 64)
+
+
+@pytest.mark.parametrize("frame", ["{}", b"", b"\x01", b"\x80", b"\xff"])
+def test_binary_that_is_no_map_is_refused(frame: str | bytes) -> None:
+    with pytest.raises(ControlMessageError):
+        BINARY_FORM.read(frame, 64)
+
+
+@pytest.mark.parametrize("frame", ["{" * 5000, "[" * 1_000_000, '{"a":' * 100_000, '"' + "\\" * 99])
+def test_deep_nesting_costs_little_and_is_refused(frame: str) -> None:
+    started = time.process_time()
+    with pytest.raises(ControlMessageError):
+        TEXT_FORM.read(frame, 64)
+    assert time.process_time() - started < 5  # rosbridge needs for ever
+
+
+@pytest.mark.parametrize("form", FORMS.values(), ids=lambda form: form.name)
+def test_data_is_an_ordinary_control_message(form: Form) -> None:
+    message = {"a": [1, 2.5], "b": None, "c": "x"}
+    written = form.write_data("c1", 7, message)
+    read = form.read(written.decode() if form.text else written, 64)
+    assert read == {"op": "Data", "type": "c1", "x-number": 7, "jsonMessage": message}
+    schema = {**protocol_schema(), "$ref": "#/$defs/tell.Data"}
+    Draft202012Validator(schema).validate(read)

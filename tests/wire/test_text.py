@@ -1,0 +1,129 @@
+"""Messages as JSON text and back: nothing loses digits, octets are base64."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from array import array
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from uoarm.errors import MessageError
+from uoarm.local import Range
+from uoarm.wire._text import write_text
+from uoarm.wire._text_structure import make_reader, text_schema
+
+OCTETS = {
+    "type": "array",
+    "items": {"type": "integer", "minimum": 0, "maximum": 255},
+    "x-octets": True,
+}
+EVERYTHING: dict[str, Any] = {
+    "type": "object",
+    "properties": {
+        "data": OCTETS,
+        "wide": {"type": "integer"},
+        "small": {"type": "integer", "minimum": 0, "maximum": 255},
+        "angle": {"type": "number", "x-nonfinite": True},
+        "name": {"type": "string"},
+        "list": {"type": "array", "items": {"$ref": "#/$defs/angle"}},
+    },
+    "$defs": {"angle": {"type": "number", "x-nonfinite": True}},
+}
+messages = st.fixed_dictionaries(
+    {},
+    optional={
+        "data": st.binary(max_size=50),
+        "wide": st.integers(-(2**70), 2**70),
+        "small": st.integers(0, 255),
+        "angle": st.floats(),
+        "name": st.text(max_size=20) | st.sampled_from(["NaN", "null", "12"]),
+        "list": st.lists(st.floats(), max_size=5),
+    },
+)
+
+
+def same(left: object, right: object) -> bool:
+    if isinstance(left, float) and isinstance(right, float) and math.isnan(left):
+        return math.isnan(right)
+    if isinstance(left, dict) and isinstance(right, dict):
+        return left.keys() == right.keys() and all(same(left[key], right[key]) for key in left)
+    if isinstance(left, list) and isinstance(right, list):
+        return len(left) == len(right) and all(map(same, left, right))
+    return left == right
+
+
+@given(messages)
+def test_what_is_written_is_read_back_exactly(message: dict[str, Any]) -> None:
+    reader = make_reader(EVERYTHING)
+    assert reader is not None
+    parsed = json.loads(write_text(message))
+    assert same(reader(parsed), message)
+    Draft202012Validator(text_schema(EVERYTHING)).validate(parsed)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (float("nan"), '"NaN"'),
+        ([1.5, float("-inf"), None], '[1.5,"-Infinity",null]'),
+        (2**53, '"9007199254740992"'),
+        (2**53 - 1, "9007199254740991"),
+        (b"\x00\xff", '"AP8="'),
+        (memoryview(b"\x00\xff"), '"AP8="'),
+        (memoryview(b"\x00?\xff?")[::2], '"AP8="'),
+        (np.array([0, 9, 255, 9], dtype=np.uint8)[::2], '"AP8="'),
+        ({"a\0": b"\x00", "b": "\0", "c": b""}, '{"a\\u0000":"AA==","b":"\\u0000","c":""}'),
+        (array("d", [1.0, float("nan")]), '[1.0,"NaN"]'),
+        (np.array([1.0, float("inf")]), '[1.0,"Infinity"]'),
+        (np.array([2**60, 1]), '["1152921504606846976",1]'),
+        (np.array([[1, 2], [3, 4]], dtype=">i4"), "[[1,2],[3,4]]"),
+        (np.array([1, 2], dtype=np.uint8), '"AQI="'),
+        (np.float32(0.5), "0.5"),
+        (("a", True), '["a",true]'),
+    ],
+)
+def test_values_without_an_exact_json_number_are_strings(value: object, text: str) -> None:
+    assert write_text(value) == text.encode()
+
+
+def test_what_has_no_json_form_is_refused_by_name() -> None:
+    with pytest.raises(MessageError, match="Range"):
+        write_text({"x": Range(1, 2)})
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ({"data": "no base64!"}, r"\$\.data: expected octets"),
+        ({"wide": "1e5"}, r"\$\.wide: expected an integer"),
+        ({"wide": 1.8446744073709552e19}, r"\$\.wide: .* lost digits"),
+        ({"list": [1, "nan"]}, r"\$\.list\[1\]: expected a number"),
+    ],
+)
+def test_text_that_its_place_cannot_carry_is_refused_with_the_path(
+    message: object, said: str
+) -> None:
+    reader = make_reader(EVERYTHING)
+    assert reader is not None
+    with pytest.raises(MessageError, match=said):
+        reader(message)
+
+
+def test_a_structure_of_strings_needs_no_reader() -> None:
+    assert make_reader({"type": "object", "properties": {"text": {"type": "string"}}}) is None
+
+
+def test_a_recursive_structure_has_an_end() -> None:
+    branches = {"left": {"$ref": "#"}, "next": {"$ref": "#"}, "right": {"$ref": "#"}}
+    tree = {"type": "object", "properties": {**branches, "data": OCTETS}}
+    reader = make_reader(tree)
+    assert reader is not None
+    data = base64.b64encode(b"x").decode()
+    assert reader({"next": {"data": data}}) == {"next": {"data": b"x"}}
