@@ -43,15 +43,22 @@ class RtmWorld(World):
     Args:
         nameserver: where everybody is.
         start: starts a component for one test alone.
+        make: makes the bridge of a specification.
     """
 
-    def __init__(self, nameserver: str, start: Callable[..., Peer]) -> None:
+    def __init__(
+        self,
+        nameserver: str,
+        start: Callable[..., Peer],
+        make: Callable[[BridgeSpec], Bridge] = lambda spec: Registry().create(spec),
+    ) -> None:
         self._nameserver = nameserver
         self._start = start
+        self._make = make
 
     def bridge(self) -> Bridge:
         options = {"nameserver": self._nameserver, "watch": 0.1, "idl": [IDL, TYPES_IDL]}
-        return Registry().create(BridgeSpec("rtm", "rtm", options))
+        return self._make(BridgeSpec("rtm", "rtm", options, {}))
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(Role.INPUT, f"{kind}_in"), at(Role.OUTPUT, f"{kind}_out"))

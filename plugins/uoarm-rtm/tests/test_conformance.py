@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -21,6 +22,22 @@ def loop(nameserver: str) -> Iterator[Peer]:
     component.activate()
     yield component
     component.end()
+
+
+HOSTS = importlib.util.find_spec("zenoh") is not None
+
+
+@pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
+class TestHostedRtmBridge(BridgeConformance):
+    """The suite through a bridge host, whose link has its own tests: one kind is enough."""
+
+    kinds = ("ranges",)
+
+    @pytest.fixture
+    def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
+        from uoarm.host import RemoteBridge
+
+        return RtmWorld(nameserver, peer, RemoteBridge)
 
 
 class TestRtmBridge(BridgeConformance):

@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping
 from attrs import field, frozen
 
 from uoarm.bridge import Channel
+from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._codec import Codec
+from uoarm_rtm._connector import Connector
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._settings import Settings
@@ -41,11 +43,18 @@ class Place:
 
 
 class Pulse:
-    """Counts what passes, and tells of a loss once."""
+    """Counts what passes, and tells of a loss once.
 
-    def __init__(self, channel: Channel, place: Place) -> None:
+    Args:
+        channel: the channel that it belongs to.
+        place: the port that the channel leads to.
+        stale_after: seconds without a message that count as a loss; None for any number.
+    """
+
+    def __init__(self, channel: Channel, place: Place, stale_after: float | None = None) -> None:
         self._channel = channel
         self._place = place
+        self._stale_after = stale_after
         self._health: Health = Health.OK
         self.count = 0
         self.refused = 0
@@ -67,18 +76,20 @@ class Pulse:
             self._health = health
             self._place.report(self._channel, health, cause)
 
-    def tick(self) -> None:
-        """Read the component's state, and notice a silence longer than `stale_after`.
-
-        Raises:
-            BridgeError: the component is gone.
-            BridgeTimeoutError: it hangs.
-        """
-        self.state = state_of(self._place.peer, self._place.seconds)
-        limit = self._place.settings.stale_after
+    def look(self, connector: Connector) -> None:
+        """Look after a connection: the component's state, its end, a silence that is too long."""
+        place, limit = self._place, self._stale_after
         silence = time.monotonic() - self.last
         if limit is not None and silence > limit:
-            self.tell(Health.LOST, f"no message from {self._place.where} for {silence:.1f} s")
+            self.tell(Health.LOST, f"no message from {place.where} for {silence:.1f} s")
+        try:
+            self.state = state_of(place.peer, place.seconds)
+            if not connector.alive():
+                self.tell(Health.LOST, f"{place.where} has ended the connection")
+        except BridgeTimeoutError:
+            self.tell(Health.LOST, f"{place.where} does not answer: it hangs")
+        except BridgeError as error:
+            self.tell(Health.LOST, str(error))
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the port, and the component's state when it was last looked at."""

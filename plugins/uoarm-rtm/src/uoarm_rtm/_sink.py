@@ -80,14 +80,7 @@ class InPortSink(Sink):
 
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
-        try:
-            self.pulse.tick()
-            if not self._connector.alive():
-                self.pulse.tell(Health.LOST, f"{self._place.where} has ended the connection")
-        except BridgeTimeoutError:
-            self.pulse.tell(Health.LOST, f"{self._place.where} does not answer: it hangs")
-        except BridgeError as error:
-            self.pulse.tell(Health.LOST, str(error))
+        self.pulse.look(self._connector)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""

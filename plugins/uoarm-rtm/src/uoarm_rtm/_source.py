@@ -10,7 +10,7 @@ from typing import Any
 from omniORB import CORBA
 
 from uoarm.bridge import Channel, Delivery
-from uoarm.errors import BridgeError, BridgeTimeoutError, MessageError
+from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import BIG, LITTLE
@@ -56,7 +56,7 @@ class Source(Channel):
         self._delivery = Delivery(deliver)
         self._order = BIG if place.settings.endian == "big" else LITTLE
         self._ended = threading.Event()
-        self.pulse = Pulse(self, place)
+        self.pulse = Pulse(self, place, place.settings.stale_after)
         self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
         properties = asked(place.settings, place.codec.name)
         if self._inlet is not None:
@@ -85,14 +85,7 @@ class Source(Channel):
 
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
-        try:
-            self.pulse.tick()
-            if not self._connector.alive():
-                self.pulse.tell(Health.LOST, f"{self._place.where} has ended the connection")
-        except BridgeTimeoutError:
-            self.pulse.tell(Health.LOST, f"{self._place.where} does not answer: it hangs")
-        except BridgeError as error:
-            self.pulse.tell(Health.LOST, str(error))
+        self.pulse.look(self._connector)
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
