@@ -128,7 +128,7 @@ def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
         while asked(scene.robot, "Status")["connections"][0]["components"][-1] != "plain_detector":
             assert time.monotonic() < deadline, "the spare never took over"
             time.sleep(0.2)
-        numbers = []
+        numbers: list[int] = []
         while len(numbers) < 3 or numbers[-1] < numbers[0] + 10:
             told = json.loads(socket.recv(timeout=60))
             assert told["op"] == "Data", told
