@@ -104,13 +104,16 @@ function spoken(rows) {
 
 async function run() {
   for (;;) {
+    let robot;
     try {
-      const robot = await connect(ROBOT);
+      robot = await connect(ROBOT);
       for (;;) await visit(robot);
     } catch (error) {
       console.warn(error.message);
       show({ step: 0, prompt: "I need a moment", more: "The robot is not ready. I am trying again." });
       await new Promise((resolve) => setTimeout(resolve, PAUSE));
+    } finally {
+      robot?.close();
     }
   }
 }
