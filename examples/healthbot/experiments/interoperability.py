@@ -73,7 +73,7 @@ async def first(robot: Client, name: str) -> str:
 
 
 async def main() -> None:
-    """Ask for every function twice: the first time bridges and their processes are started."""
+    """Ask for every function twice; resolving it first has started its bridges."""
     rows = []
     with stage() as scene:
         async with connect(scene.places.robot_url) as robot:
