@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,9 @@ import httpx  # noqa: E402
 from healthbot_records.component import PatientRecord  # noqa: E402
 from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
 from healthbot_records.spool import Spool  # noqa: E402
+
+from uoarm.local import PythonBridge  # noqa: E402
+from uoarm.model import Endpoint, Role  # noqa: E402
 
 PULSE: Measurement = {
     "patient": "p1", "kind": "pulse", "time": "2026-11-21T09:00:00Z", "value": 71
@@ -163,3 +167,22 @@ def test_an_observation_can_be_read_and_searched(service: Service, record: Patie
     bundle = httpx.get(f"{service.url}/Observation", params={"code": "85354-9"}, timeout=10).json()
     assert bundle["total"] == 1
     assert httpx.get(f"{service.url}/Observation/none", timeout=10).status_code == 404
+
+
+def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Path) -> None:
+    """Through the bridge, as the robot calls it: the queue works on between calls."""
+    parameters = {"url": service.url, "spool": str(tmp_path / "bridged.db")}
+    address = ("healthbot_records.component:PatientRecord",)
+    endpoint = Endpoint("records", "record", Role.SERVICE, address, parameters=parameters)
+    bridge = PythonBridge("records", {"path": [str(RECORDS)]})
+    try:
+        service.stop(signal.SIGKILL)
+        told = bridge.call(endpoint, dict(PULSE), timeout=30.0)
+        assert told == {"id": identity(PULSE), "stored": False, "waiting": 1}
+        service.start()
+        deadline = time.monotonic() + 60
+        while not service.stored():
+            assert time.monotonic() < deadline, "the measurement never arrived"
+            time.sleep(0.05)
+    finally:
+        bridge.close()
