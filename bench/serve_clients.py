@@ -1,8 +1,8 @@
 """The WebSocket front end under load; any rosbridge server can be measured in the same way.
 
 `python -m bench.serve_clients` measures a server of its own. With `--rosbridge ws://HOST:PORT` it
-measures the server there, and with `--side-by-side` both, through topics between clients of the
-type std_msgs/String, which every rosbridge server has.
+measures the server there too, through topics between clients of the type std_msgs/String, which
+every rosbridge server has.
 """
 
 from __future__ import annotations

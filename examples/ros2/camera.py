@@ -35,6 +35,7 @@ def main() -> None:
         publisher.publish(image)
 
     node.create_timer(0.1, take)
+    print("showing pictures on /image_raw", flush=True)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

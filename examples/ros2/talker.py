@@ -26,6 +26,7 @@ def main() -> None:
             raise ExternalShutdownException
 
     node.create_timer(0.5, say)
+    print("talking on /chatter", flush=True)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

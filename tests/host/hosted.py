@@ -57,6 +57,11 @@ class takes_long:
     def __iter__(self) -> Iterator[int]:
         yield 1
 
+def shout(value: int) -> int:
+    for _ in range(value):
+        print("x" * 100_000)
+    return value
+
 def say(value: int) -> int:
     print("spoken", value)
     return value

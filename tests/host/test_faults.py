@@ -120,6 +120,12 @@ def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: 
     bridge.close()
 
 
+def test_a_host_that_prints_more_than_a_pipe_holds_goes_on(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    assert bridge.call(at("shout", Role.SERVICE), 30, timeout=20) == 30
+    bridge.close()
+
+
 def test_messages_under_way_at_a_death_are_counted(tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
     sink = bridge.open_sink(at("slow", Role.INPUT), ANY)

@@ -93,6 +93,7 @@ def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:
     assert "it was unplugged" in gap.cause
     assert connection.state is ConnectionState.RUNNING
     assert connection.plan.provider.component.name == "next"
+    wait(stage.replaced)
     (told,) = [event for event in stage.events if event.change == "replaced"]
     assert told.subject == "connection c1"
     assert told.cause == f"{gap.cause}; next goes on"

@@ -7,6 +7,16 @@ import os
 import pytest
 from tests.schema._official import Group, SuiteMissingError, groups
 
+from uoarm.schema._regex import compile_pattern
+from uoarm.schema._walker import walker_of
+
+
+@pytest.fixture(scope="session", autouse=True)
+def fresh_patterns() -> None:
+    """Compile every pattern anew, also where a run is forked off one that has compiled them."""
+    compile_pattern.cache_clear()
+    walker_of.cache_clear()
+
 
 @pytest.fixture(scope="session")
 def official_groups() -> tuple[Group, ...]:

@@ -74,6 +74,39 @@ def test_the_narrower_pattern_is_contained_and_not_the_other_way(narrow: str, wi
     assert not found_in(narrow, back.counterexample)
 
 
+@pytest.mark.parametrize(
+    ("pattern", "text"),
+    [
+        (r"^\u{1f600}$", "\U0001f600"),
+        (r"^\u{41}b$", "Ab"),
+        (r"^\u0041\x42$", "AB"),
+        (r"^\cA\cb$", "\x01\x02"),
+        (r"^\t\n\v\f\r\0$", "\t\n\x0b\x0c\r\0"),
+        (r"^[\b]$", "\b"),
+        (r"^[\]\-a]+$", "]-a"),
+        (r"^\.\*\/\-$", ".*/-"),
+        (r"^a{2}b{1,}c{0,1}$", "aabbc"),
+        (r"^(?<name>a|b)+$", "abba"),
+        (r"^\p{gc=Lu}\p{General_Category=Ll}$", "Ab"),
+        (r"^\p{ASCII}\p{Any}$", "~\u2028"),
+    ],
+)
+def test_an_escape_means_its_character(pattern: str, text: str) -> None:
+    assert found_in(pattern, text)
+    assert not found_in(pattern, f"{text}{text}x")
+    assert not found_in(pattern, "")
+
+
+@pytest.mark.parametrize("groups", [99, 100])
+def test_groups_may_be_nested_a_hundred_times(groups: int) -> None:
+    """Those that were closed before do not count."""
+    pattern = f"^{'(a)' * 150}{'(' * groups}b{')' * groups}$"
+    if groups < 100:
+        assert found_in(pattern, "a" * 150 + "b")
+    else:
+        assert check({"type": "string"}, {"pattern": pattern}).undecided is not None
+
+
 def test_a_look_ahead_excludes_one_word() -> None:
     words = {"type": "string", "pattern": "^[a-z]+$"}
     without = {"type": "string", "pattern": "^(?!root$)[a-z]+$"}

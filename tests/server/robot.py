@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 from typing import Annotated, TypedDict
 
@@ -79,12 +79,14 @@ class Script:
         self._changed = threading.Condition()
         self._items: dict[str, deque[object]] = {"numbers": deque(), "picture": deque()}
         self._newest: dict[str, object] = {}
+        self.started = Counter[str]()
 
     def reset(self) -> None:
         with self._changed:
             self.gate = threading.Event()
             self._items = {name: deque() for name in self._items}
             self._newest.clear()
+            self.started.clear()
             self._changed.notify_all()
 
     def put(self, *items: object) -> None:
@@ -104,6 +106,7 @@ class Script:
         me = object()
         with self._changed:
             self._newest[name] = me
+            self.started[name] += 1
             self._changed.notify_all()
         while True:
             with self._changed:

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
 from tests.server.talk import Talk, eventually
+from tests.server.test_rosbridge import Ros
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
@@ -127,6 +128,28 @@ def test_an_operator_may_kill_what_others_hold(guarded: Server) -> None:
         numbers = viewer.open("numbers")
         operator.ask("Kill", numbers, {"everyone": True})
         assert viewer.next("connection")["jsonMessage"]["state"] == "closed"
+
+
+def test_roles_hold_for_rosbridge_clients_too(guarded: Server) -> None:
+    def at(role: str) -> Ros:
+        return Ros(url(guarded, f"/rosbridge?token={TOKENS[role]}"))
+
+    with pytest.raises(InvalidStatus):
+        Ros(url(guarded, "/rosbridge"))
+    with at("viewer") as viewer, at("driver") as driver:
+        for client, denied in (
+            (viewer, {"op": "publish", "topic": "/uoarm/echo", "msg": {"value": 1}}),
+            (viewer, {"op": "subscribe", "topic": "/uoarm/echo"}),
+            (viewer, {"op": "advertise", "topic": "/chatter", "type": "x"}),
+            (viewer, {"op": "advertise_service", "service": "/half", "type": "x"}),
+            (driver, {"op": "subscribe", "topic": "/uoarm/numbers"}),
+            (driver, {"op": "subscribe", "topic": "/chatter"}),
+        ):
+            assert client.refused(**denied).startswith("denied: "), denied
+        viewer.send(op="call_service", id="1", service="/uoarm/add", args=[1, 2])
+        assert viewer.receive()["result"] is False
+        assert driver.call("/uoarm/add", [1, 2]) == {"value": 3}
+        assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
 
 
 def test_a_token_taken_back_ends_its_sessions_without_a_restart(

@@ -13,7 +13,7 @@ from tests.server.talk import eventually
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.server import Server, hash_token
+from uoarm.server import Server, Settings, hash_token, serve_in_thread
 
 Open = Callable[..., None]
 
@@ -307,6 +307,24 @@ tokens:
     browser.press("Enter")
     browser.until("document.querySelectorAll('.card.function').length === 5")
     browser.complaints.clear()  # the refusals: a browser tells them all
+
+
+def test_the_page_comes_back_when_the_server_does(browser: Browser, robot: RobotManager) -> None:
+    with serve_in_thread(robot, Settings(port=0)) as first:
+        port = first.ports[0]
+        browser.go(f"http://127.0.0.1:{port}/#/graph/function/camera/use")
+        browser.click(".button.main", "Watch")
+        browser.until(says(".panel", "No message yet"))
+    browser.until("document.querySelector('.link-state.closed')")
+    browser.until(says(".panel .notice", "broke"))
+    front.put(END)  # for the camera that was watched: it waits for a picture still
+    with serve_in_thread(robot, Settings(port=port)):
+        browser.until("document.querySelector('.link-state.open')")
+        browser.click(".button.main", "Watch")
+        front.take((1, 2, 3))
+        browser.until("document.querySelector('.picture canvas')")
+        browser.go("about:blank")
+    browser.complaints.clear()  # a browser tells every address that it could not reach
 
 
 class TestManyComponents:

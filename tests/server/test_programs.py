@@ -9,35 +9,35 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 from tests.server.robot import script
 from tests.server.talk import eventually
 
-from uoarm import RobotManager
 from uoarm.server import Server
 
 CLIENTS = Path(__file__).parent / "clients"
 ROSLIB = os.environ.get("UOARM_ROSLIB", "")
 
 
-def run(robot: RobotManager, command: list[str], *, rounds: int = 1) -> None:
+def run(command: list[str], *, rounds: int = 1) -> None:
     """Run a program, playing to it what it waits for."""
 
-    def opened(function: str) -> bool:
-        if process.poll() is not None:
+    def started(source: str, count: int) -> bool:
+        if process.poll():
             pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
-        return any(one.function == function for one in robot.status().connections)
+        return script.started[source] == count
 
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as process:
         try:
-            for _ in range(rounds):
-                eventually(lambda: opened("doubled"), "it listens to numbers")
+            for count in range(1, rounds + 1):
+                eventually(partial(started, "numbers", count), "it listens to numbers")
                 script.put(*({"value": value} for value in (1, 2, 3)))
-                eventually(lambda: opened("picture"), "it listens to pictures")
+                eventually(partial(started, "picture", count), "it listens to pictures")
                 script.put({"width": 16, "data": bytes(range(256))})
             out, _ = process.communicate(timeout=60)
         finally:
@@ -46,22 +46,22 @@ def run(robot: RobotManager, command: list[str], *, rounds: int = 1) -> None:
     assert out.strip().endswith("done"), out
 
 
-def test_roslibpy(server: Server, robot: RobotManager) -> None:
+def test_roslibpy(server: Server) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-    run(robot, [sys.executable, str(CLIENTS / "with_roslibpy.py"), url])
+    run([sys.executable, str(CLIENTS / "with_roslibpy.py"), url])
 
 
 @pytest.mark.skipif(
     not ROSLIB or shutil.which("node") is None,
     reason="needs node, and UOARM_ROSLIB with a folder in which roslib is installed",
 )
-def test_roslib(server: Server, robot: RobotManager) -> None:
+def test_roslib(server: Server) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-    run(robot, ["node", str(CLIENTS / "with_roslib.mjs"), url, ROSLIB])
+    run(["node", str(CLIENTS / "with_roslib.mjs"), url, ROSLIB])
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node, from version 20.10 on")
-def test_the_javascript_client(server: Server, robot: RobotManager) -> None:
+def test_the_javascript_client(server: Server) -> None:
     flags = ["--experimental-websocket", "--no-warnings"]
     url = f"ws://127.0.0.1:{server.ports[0]}/"
-    run(robot, ["node", *flags, str(CLIENTS / "with_uoarm.mjs"), url], rounds=2)
+    run(["node", *flags, str(CLIENTS / "with_uoarm.mjs"), url], rounds=2)

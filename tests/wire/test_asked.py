@@ -84,6 +84,13 @@ def test_deep_nesting_costs_little_and_is_refused(frame: str) -> None:
     assert time.process_time() - started < 5  # rosbridge needs for ever
 
 
+def test_nesting_is_allowed_up_to_the_limit_and_brackets_in_text_are_none() -> None:
+    nested = '{"a":' + "[" * 63 + "]" * 63 + ',"b":"' + "[{" * 100 + '\\""}'
+    assert "a" in TEXT_FORM.read(nested, 64)
+    with pytest.raises(ControlMessageError, match="64 levels"):
+        TEXT_FORM.read(nested.replace("[]", "[[]]"), 64)
+
+
 @pytest.mark.parametrize("form", FORMS.values(), ids=lambda form: form.name)
 def test_data_is_an_ordinary_control_message(form: Form) -> None:
     message = {"a": [1, 2.5], "b": None, "c": "x"}

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import select
 import socket
+import tempfile
 import tty
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 from typing_extensions import Self
 
-__all__ = ["LIMIT", "PseudoTerminal", "listening"]
+__all__ = ["LIMIT", "PseudoTerminal", "fresh_link", "listening"]
 
 LIMIT = 5.0
+_LINKS = tempfile.TemporaryDirectory(prefix="uoarm-rocos-")
+_COUNT = itertools.count()
+
+
+def fresh_link() -> str:
+    """A path for a port that no other test ever has, as numbers of pseudo-terminals come again."""
+    return str(Path(_LINKS.name) / f"port{next(_COUNT)}")
 
 
 class PseudoTerminal:
@@ -22,7 +32,8 @@ class PseudoTerminal:
     def __init__(self) -> None:
         device, line = os.openpty()
         tty.setraw(line)
-        self.path = os.ttyname(line)
+        self.path = fresh_link()
+        Path(self.path).symlink_to(os.ttyname(line))
         self._device = os.fdopen(device, "r+b", buffering=0)
         self._line = os.fdopen(line, "r+b", buffering=0)
 
@@ -45,6 +56,7 @@ class PseudoTerminal:
         return self._device.read(10_000) or b""
 
     def cut(self) -> None:
+        Path(self.path).unlink(missing_ok=True)
         self._device.close()
         self._line.close()
 

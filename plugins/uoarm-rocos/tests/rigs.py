@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from queue import Empty, Queue
 from typing import Any
 
-from lines import LIMIT
+from lines import LIMIT, fresh_link
 from uoarm_rocos._framing import LengthFramer, StuffedFramer
 from uoarm_rocos.simulate import End, Faults, Model, ProfileServer, PtyEnd, Simulated, TcpEnd, run
 
@@ -88,7 +88,7 @@ def running(device: Simulated, end: End, faults: Faults | None = None) -> Iterat
 @contextmanager
 def served(model: Model, kind: str = "tcp", faults: Faults | None = None) -> Iterator[str]:
     """A device that speaks the profile for a model, on this kind of line; its URL."""
-    end: End = TcpEnd() if kind == "tcp" else PtyEnd()
+    end: End = TcpEnd() if kind == "tcp" else PtyEnd(fresh_link())
     framer = LengthFramer if end.framed else StuffedFramer
     with ExitStack() as stack:
         yield stack.enter_context(running(ProfileServer(model, framer), end, faults))

@@ -25,6 +25,7 @@ from uoarm_rocos._fields import (
 from uoarm_rocos.simulate import Job
 
 from uoarm.bridge import Bridge, Registry
+from uoarm.host import RemoteBridge
 from uoarm.model import BridgeSpec, Endpoint, Message
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
@@ -82,7 +83,8 @@ class Mirror:
 class RocosWorld(World):
     """One mirror that lasts, and one that can be killed."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, *, hosted: bool = False) -> None:
+        self._hosted = hosted
         self._lasting, self._mortal = ExitStack(), ExitStack()
         urls = {
             "mirror": self._lasting.enter_context(served(Mirror(), kind)),
@@ -93,6 +95,8 @@ class RocosWorld(World):
         }
 
     def bridge(self) -> Bridge:
+        if self._hosted:
+            return RemoteBridge(BridgeSpec("rocos", "rocos", self._options, {}))
         return Registry().create(BridgeSpec("rocos", "rocos", self._options))
 
     def pair(self, kind: str) -> Pair:
@@ -133,6 +137,18 @@ class TestOverTcp(BridgeConformance):
     @pytest.fixture
     def world(self) -> Iterator[World]:
         made = RocosWorld("tcp")
+        yield made
+        made.close()
+
+
+class TestInAHost(BridgeConformance):
+    """The whole suite with the bridge in a process of its own."""
+
+    kinds = ("octets",)
+
+    @pytest.fixture
+    def world(self) -> Iterator[World]:
+        made = RocosWorld("tcp", hosted=True)
         yield made
         made.close()
 

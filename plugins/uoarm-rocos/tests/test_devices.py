@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 import pytest
-from lines import LIMIT, PseudoTerminal
+from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running
 from uoarm_rocos._settings import DRIVERS, DeviceSettings, devices_of
 from uoarm_rocos._transport import LineSettings
@@ -47,7 +47,7 @@ def test_an_oximeter_says_finger_out_then_searching_then_numbers(driver: str, ki
     oximeter = Oximeter(kind, person, Story(finger_in=2.5, found=2.0))
     got = Events()
     with (
-        running(oximeter, PtyEnd()) as url,
+        running(oximeter, PtyEnd(fresh_link())) as url,
         bridged(clip={"driver": driver, "url": url, "wait": LIMIT}) as (bridge, _),
     ):
         source = bridge.open_source(PULSE, ANY, got)
@@ -102,7 +102,7 @@ def test_an_oximeter_over_a_network_socket() -> None:
 def test_two_receivers_get_the_same() -> None:
     one, two = Events(), Events()
     with (
-        running(Oximeter("contec"), PtyEnd()) as url,
+        running(Oximeter("contec"), PtyEnd(fresh_link())) as url,
         bridged(clip={"driver": "contec-cms50dplus", "url": url}) as (bridge, _),
     ):
         first = bridge.open_source(PULSE, ANY, one)
@@ -156,7 +156,7 @@ def test_an_unplugged_oximeter_comes_back() -> None:
 def test_a_call_waits_for_a_measurement_and_the_monitor_hears_that_it_was_taken() -> None:
     monitor = BloodPressureMonitor(Person(systolic=120, diastolic=80), interval=0.3)
     with (
-        running(monitor, PtyEnd()) as url,
+        running(monitor, PtyEnd(fresh_link())) as url,
         bridged(cuff={"driver": "and-ua767pbt", "url": url}) as (bridge, _),
     ):
         structure = bridge.describe(PRESSURE).reply

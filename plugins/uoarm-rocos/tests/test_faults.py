@@ -147,14 +147,14 @@ class Scripted:
         self.seq += 1
 
     def hear(self, kind: type[WireMessage]) -> WireMessage:
+        """Return the first message of a kind; others wait for their turn."""
         while True:
-            while not self._read:
-                data = self.connection.recv(10_000)
-                assert data
-                self._read += [CODEC.read(part) for part in self.framer.feed(data)]
-            message = self._read.pop(0)
-            if isinstance(message, kind):
-                return message
+            for place, message in enumerate(self._read):
+                if isinstance(message, kind):
+                    return self._read.pop(place)
+            data = self.connection.recv(10_000)
+            assert data
+            self._read += [CODEC.read(part) for part in self.framer.feed(data)]
 
     def begin(self, heartbeat: float = 20.0) -> None:
         """Give the robot's catalogue, with time to think on a busy machine."""

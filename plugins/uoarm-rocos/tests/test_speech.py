@@ -6,6 +6,7 @@ import io
 import shutil
 import stat
 import struct
+import sys
 import threading
 import time
 import wave
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 from lines import LIMIT
 from rigs import bridged, endpoint
-from uoarm_rocos.speech import _device
+from uoarm_rocos.speech import _device, _espeak
 from uoarm_rocos.speech._device import Speech
 from uoarm_rocos.speech._espeak import EspeakEngine
 from uoarm_rocos.speech._festival import FestivalEngine
@@ -82,9 +83,9 @@ def test_a_missing_engine_is_unavailable_with_what_to_install(
         with pytest.raises(BridgeError, match="apt install festival") as raised:
             bridge.describe(SAY)
         assert raised.value.reason is FailureReason.UNAVAILABLE
-    monkeypatch.setitem(__import__("sys").modules, "espeakng_loader", None)
+    monkeypatch.setitem(sys.modules, "espeakng_loader", None)
     with pytest.raises(BridgeError, match="pip install 'uoarm-rocos"):
-        EspeakEngine().check()
+        _espeak._library.__wrapped__()
 
 
 def test_priorities_choose_the_engine_that_is_there(

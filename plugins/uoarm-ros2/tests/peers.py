@@ -47,7 +47,7 @@ class Peer:
     def do(self, op: str, **arguments: object) -> dict[str, Any]:
         """Tell the peer to do something and wait until it says that it has."""
         self.start(op, **arguments)
-        return self._answer(20.0)
+        return self._answer(40.0)
 
     def kill(self) -> None:
         """End it without any farewell."""

@@ -52,6 +52,11 @@ def commands(block: int) -> list[str]:
     return [line for line in lines if not line.startswith("pip install")]
 
 
+def in_background(run: Run, command: str) -> None:
+    """Start a node and wait until it says that it is there."""
+    assert " on /" in lines(run(command.removesuffix("&")).stdout, 1)[0]
+
+
 def lines(stream: IO[str] | None, count: int) -> list[str]:
     assert stream is not None
     return [stream.readline() for _ in range(count)]
@@ -65,7 +70,7 @@ def interrupted(process: subprocess.Popen[str]) -> int:
 
 def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
     talker, request = commands(0)
-    run(talker.removesuffix("&"))
+    in_background(run, talker)
     heard = run(request)
     numbers = [int(re.findall(r'"hello (\d+)"', line)[0]) for line in lines(heard.stdout, 3)]
     assert numbers == list(range(numbers[0], numbers[0] + 3))
@@ -81,7 +86,7 @@ def test_the_doctor_says_what_is_used(run: Run) -> None:
 
 def test_a_camera_of_ros_feeds_python_which_feeds_ros(run: Run) -> None:
     camera, listener, resolve, request = commands(2)
-    run(camera.removesuffix("&"))
+    in_background(run, camera)
     faces = run(listener.removesuffix("&"))
     resolving = run(resolve)
     plan, _ = resolving.communicate(timeout=30.0)
@@ -98,7 +103,7 @@ def test_every_command_of_the_page_is_run_here() -> None:
 
 
 def test_the_status_shows_what_ros_knows(run: Run) -> None:
-    run(commands(0)[0].removesuffix("&"))
+    in_background(run, commands(0)[0])
     with RobotManager.from_file(EXAMPLE / "robot.yaml") as robot, robot.request("chatter") as chat:
         chat.get(timeout=10.0)
         ((channel,),) = (component.channels for component in robot.status().components)

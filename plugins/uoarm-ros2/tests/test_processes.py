@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import faulthandler
-import gc
 import os
 import signal
 import subprocess
@@ -21,7 +20,7 @@ from peers import DOMAIN, Peer
 from uoarm.bridge import Bridge, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
-from uoarm.testing import Background
+from uoarm.testing import Background, Census
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -89,11 +88,6 @@ def test_making_a_bridge_changes_nothing_global(make_bridge: Make) -> None:
     assert faulthandler.is_enabled() == was_enabled
 
 
-def _resources() -> tuple[int, int]:
-    here = Path("/proc/self")
-    return len(list((here / "fd").iterdir())), len(list((here / "task").iterdir()))
-
-
 def _resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
@@ -113,26 +107,22 @@ def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make, executor:
 
     for _ in range(50):
         cycle()
-    gc.collect()
-    resources, memory = _resources(), _resident()
+    census, memory = Census(), _resident()
     for _ in range(500):
         cycle()
-    gc.collect()
     assert bridge.open_channels == 0
-    assert _resources() == resources
+    census.check()
     assert _resident() - memory < 500 * 8_000
 
 
 def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     make_bridge("first").close()
-    threads = set(threading.enumerate())
-    descriptors = _resources()[0]
+    census = Census()
     for number in range(50):
         bridge = make_bridge(f"number_{number}")
         sink(bridge, endpoint(Role.INPUT, "/x", INT64, peer="optional", wait=0.0))
         bridge.close()
-    assert _resources()[0] == descriptors
-    assert {each for each in set(threading.enumerate()) - threads if "ros2" in each.name} == set()
+    census.check()
 
 
 @pytest.mark.parametrize("executor", ["standard", "events"])

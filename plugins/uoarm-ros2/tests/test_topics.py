@@ -108,7 +108,11 @@ def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer:
     assert bridge.open_channels == 0
 
 
-def test_a_clash_that_comes_later_is_an_event(bridge: Bridge, peer: Start) -> None:
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_a_clash_that_comes_later_is_an_event(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    bridge = make_bridge(executor=executor)
     events = Inbox()
     bridge.watch(events)
     good, bad = peer("good"), peer("bad")
@@ -131,7 +135,11 @@ def test_a_subscription_that_asks_for_more_is_an_event(bridge: Bridge, peer: Sta
     events.event(Health.DEGRADED, "clash on durability (offered volatile, asked tran")
 
 
-def test_a_killed_publisher_is_lost_and_its_successor_resumes(bridge: Bridge, peer: Start) -> None:
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_a_killed_publisher_is_lost_and_its_successor_resumes(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    bridge = make_bridge(executor=executor)
     events, inbox = Inbox(), Inbox()
     bridge.watch(events)
     talker = peer("talker")

@@ -39,9 +39,15 @@ def show_live_status(
 
     async def work() -> None:
         async with connect(url, token=token) as robot:
+            if not watch:
+                show(await robot.status())
+                return
+            events = asyncio.ensure_future(_follow_events(robot, as_json=as_json))
+            await asyncio.sleep(
+                0
+            )  # asks for events before the first status, so that none is missed
             show(await robot.status())
-            if watch:
-                await asyncio.gather(_follow_events(robot, as_json=as_json), _follow(robot, show))
+            await asyncio.gather(events, _follow(robot, show))
 
     async def _follow(robot: Any, show: Callable[[Mapping[str, Any]], None]) -> None:
         while True:

@@ -79,7 +79,10 @@ class RemoteSource(RemoteChannel):
 
 
 class RemoteSink(RemoteChannel, Sink):
-    """An input in a host. `send` blocks only where the host's own sink may."""
+    """An input in a host.
+
+    `send` waits for room for 10 s at most where the host's own sink may block, else for 0.2 s.
+    """
 
     outgoing: Outgoing
 

@@ -157,10 +157,10 @@ class HostConnection:
             if say_close is not None and not self.dead:
                 say_close()
         finally:
-            polite = say_close is not None and not self.dead
+            ends_alone = say_close is not None or bool(self.dead)
             try:
                 if self._started is not None:
-                    self._started.end(_POLITE_SECONDS if polite else 0.0)
+                    self._started.end(_POLITE_SECONDS if ends_alone else 0.0)
             finally:
                 if pulse is not None:
                     pulse.join(_JOIN_SECONDS)

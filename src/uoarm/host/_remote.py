@@ -40,6 +40,7 @@ from uoarm.model import (
 __all__ = ["RemoteBridge"]
 
 _BLOCKING_SECONDS = 10.0
+_PROMPT_SECONDS = 0.2
 _CLOSE_SECONDS = 2.0
 _log = logging.getLogger("uoarm")
 
@@ -119,7 +120,7 @@ class RemoteBridge(Bridge):
         channel.blocking = self._ask(
             "sink", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
         )
-        patience = _BLOCKING_SECONDS if channel.blocking else 0.0
+        patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
         self._channels[number] = channel
         if self._host.dead:

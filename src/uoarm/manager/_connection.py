@@ -234,8 +234,8 @@ class Connection:
             self._opened.close()
         finally:
             self._state = state
+            self._changed()  # before the reader hears of the end, so that its status agrees
             self._inbox.close(discard=state is ConnectionState.CLOSED and not cause)
-            self._changed()
 
     def on_change(self, tell: Callable[[Connection], None]) -> None:
         """Have the manager told of every change of state."""

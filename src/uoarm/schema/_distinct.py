@@ -8,9 +8,16 @@ from typing import Any
 from uoarm.schema._branch import Literal
 from uoarm.schema._results import EMPTY, Found, Result, Unknown
 from uoarm.schema._solve import Goal, Solver
-from uoarm.schema._values import key_of
+from uoarm.schema._values import key_of, kind_of
 
 __all__ = ["Matching", "distinct", "several"]
+
+_GROWTH = {
+    "number": "exclusiveMinimum",
+    "string": "minLength",
+    "array": "minItems",
+    "object": "minProperties",
+}
 
 
 class Matching:
@@ -73,33 +80,40 @@ def distinct(solver: Solver, goals: Sequence[Goal]) -> Generator[Goal, Result, R
 
 def several(solver: Solver, goal: Goal, count: int) -> Generator[Goal, Result, list[Any] | Unknown]:
     """Return up to `count` different values that meet a goal."""
-    found: list[Any] = []
-    keys: list[object] = []
-    longer: Literal | None = None
+    found: dict[object, Any] = {}
+    grown: set[str] = set()
+    beyond: Literal | None = None
     while len(found) < count:
         result: Result = EMPTY
-        if longer is not None:
-            result = yield (*goal, longer)
+        if beyond is not None:
+            result = yield (*goal, beyond)
         if not isinstance(result, Found):
-            others = solver.make(f"one of {keys}", {"enum": list(found)})
+            beyond = None
+            values = list(found.values())
+            others = solver.make(f"one of {list(found)}", {"enum": values})
             result = yield (*goal, (others, False))
         if isinstance(result, Unknown):
             return result
         if not isinstance(result, Found):
             break
-        found.append(result.value)
-        keys.append(key_of(result.value))
-        longer = _longer(solver, found)
-    return found
+        key = key_of(result.value)
+        if key in found:
+            return Unknown("internal: a value that was excluded came again")
+        if beyond is not None or kind_of(result.value) not in grown:
+            beyond = _beyond(solver, result.value)
+            grown.add(kind_of(result.value))
+        found[key] = result.value
+    return list(found.values())
 
 
-def _longer(solver: Solver, found: Sequence[Any]) -> Literal | None:
-    """Return what only an array or object meets that is longer than every value so far.
+def _beyond(solver: Solver, value: Any) -> Literal | None:
+    """Return what only larger values of the same kind meet.
 
-    It spares telling it apart from each of them, part by part.
+    It spares telling a new value apart from each of those before.
     """
-    if not isinstance(found[-1], list | dict):
+    kind = kind_of(value)
+    if kind not in _GROWTH:
         return None
-    size = max(len(one) for one in found if isinstance(one, list | dict)) + 1
-    schema = {"type": ["array", "object"], "minItems": size, "minProperties": size}
-    return solver.make(f"longer than {size}", schema), True
+    size = value if kind == "number" else len(value) + 1
+    schema = {"type": kind, _GROWTH[kind]: size}
+    return solver.make(f"beyond {schema}", schema), True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -13,6 +13,8 @@ from uoarm.schema._values import exact
 __all__ = ["find_number"]
 
 _MAX_TRIES = 20_000
+_LARGEST = 2**1000
+_UNWRITTEN = "no number that JSON can write was found between the bounds"
 
 
 def find_number(atoms: Iterable[tuple[Any, ...]], excluded: frozenset[Fraction]) -> Result:
@@ -69,12 +71,16 @@ def _on_lattice(
     periods = [(step / one).denominator for one in never]
     if 1 in periods:
         return EMPTY
+    skipped = False
     for tries, factor in enumerate(_outwards(least, most)):
         if all(factor % period for period in periods) and factor * step not in excluded:
-            return Found(_as_json(factor * step))
+            written = _as_json(factor * step)
+            if written is not None:
+                return Found(written)
+            skipped = True
         if tries > _MAX_TRIES:
             return Unknown("too many multiples had to be tried")
-    return EMPTY
+    return Unknown(_UNWRITTEN) if skipped else EMPTY
 
 
 def _outwards(least: int | None, most: int | None) -> Iterable[int]:
@@ -116,30 +122,49 @@ def _anywhere(
         return high is None or number < high[0] or (number == high[0] and not high[1])
 
     if low is not None and high is not None and low[0] == high[0]:
-        return Found(_as_json(low[0])) if fits(low[0]) else EMPTY
-    whole = [Fraction(0), Fraction(1)]
-    whole += [low[0], low[0] + 1] if low is not None else []
-    whole += [high[0], high[0] - 1] if high is not None else []
-    for number in whole:
-        if fits(number):
-            return Found(_as_json(number))
+        if not fits(low[0]):
+            return EMPTY
+        written = _as_json(low[0])
+        return Unknown(_UNWRITTEN) if written is None else Found(written)
+    for number in _candidates(low, high):
+        written = _as_json(number)
+        if written is None and _is_small(number):
+            number = exact(float(number))  # noqa: PLW2901 - the nearest that can be written
+            written = _as_json(number)
+        if written is not None and fits(number):
+            return Found(written)
+    return Unknown(_UNWRITTEN)
+
+
+def _candidates(
+    low: tuple[Fraction, bool] | None, high: tuple[Fraction, bool] | None
+) -> Iterator[Fraction]:
+    """Yield numbers that probably lie between two bounds, plain ones first."""
+    yield from (Fraction(0), Fraction(1))
+    if low is not None:
+        yield from (low[0], low[0] + 1)
+    if high is not None:
+        yield from (high[0], high[0] - 1)
     start = low[0] if low is not None else (high[0] - 1 if high is not None else Fraction(0))
     width = high[0] - start if high is not None and low is not None else Fraction(1)
     for power in range(1, 60):
-        for count in (1, 3, 7):
-            number = start + width * Fraction(count, 2**power)
-            if count < 2**power and fits(number) and exact(float(number)) == number:
-                return Found(_as_json(number))
-            if count < 2**power and fits(exact(float(number))):
-                return Found(float(number))
-    for power in range(1, 40):
-        number = start + width / 2**power
-        if fits(number):
-            return Found(_as_json(number))
-    return Unknown("no number that JSON can write was found between the bounds")
+        yield from (start + width * Fraction(n, 2**power) for n in (1, 3, 7) if n < 2**power)
+    if low is None or high is None:
+        away = 1 if high is None else -1
+        edge = low[0] if low is not None else high[0] if high is not None else Fraction(0)
+        yield from (edge + away * n for n in range(1, _MAX_TRIES))
 
 
-def _as_json(number: Fraction) -> int | float:
+def _as_json(number: Fraction) -> int | float | None:
+    """Return a number that is written exactly so; None when there is none."""
     if number.denominator == 1:
         return int(number)
-    return float(number)
+    if not _is_small(number):
+        return None
+    written = float(number)
+    return written if exact(written) == number else None
+
+
+def _is_small(number: Fraction) -> bool:
+    """Say whether a number is within what floats reach."""
+    return abs(number) < _LARGEST

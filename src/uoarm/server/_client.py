@@ -84,6 +84,8 @@ class Client:
 
     def dismiss(self, cause: str) -> None:
         """Close properly, with a closing handshake that is not waited for here."""
+        if self.is_cut:
+            return
         self.is_cut = True
         closing = asyncio.ensure_future(self._socket.close(CloseCode.POLICY_VIOLATION, cause))
         self._closing.add(closing)

@@ -178,7 +178,7 @@ class Desk:
             self._claims[feed] = 1
             self.leave(feed)
         if self._closings:
-            await asyncio.wait(self._closings, timeout=self.limits.stop_seconds / 2)
+            await asyncio.wait(self._closings, timeout=self.limits.stop_seconds / 4)
         self.workers.close()
 
     async def _open(self, wanted: Wanted, feed: Feed) -> None:

@@ -100,7 +100,7 @@ class Server:
             self._watch.cancel()
         for listening in self._listening:
             listening.close(close_connections=False)
-        limit = self._limits.stop_seconds / 3
+        limit = self._limits.stop_seconds / 4
         await _all_within(limit, [client.outbox.emptied() for client in self._clients])
         await _all_within(
             limit, [one.close(CloseCode.GOING_AWAY, "the server stops") for one in self._sockets]
@@ -184,12 +184,18 @@ class Server:
         """Look after clients that are stuck and rights that have changed."""
         while True:
             await asyncio.sleep(_GLANCE_SECONDS)
-            self._admission.refresh()
-            now = time.monotonic()
-            for client, shown in list(self._clients.items()):
-                if self._admission.role(shown) != client.role:
-                    client.dismiss("its rights have changed or ended; connect again")
-                client.check(now)
+            try:
+                self._look_after_clients(time.monotonic())
+            except Exception:  # noqa: BLE001 - the watch must outlive whatever goes wrong
+                _log.exception("looking after the clients failed; it is tried again")
+
+    def _look_after_clients(self, now: float) -> None:
+        self._admission.refresh()
+        roles = {shown: self._admission.role(shown) for shown in set(self._clients.values())}
+        for client, shown in list(self._clients.items()):
+            if roles[shown] != client.role:
+                client.dismiss("its rights have changed or ended; connect again")
+            client.check(now)
 
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}

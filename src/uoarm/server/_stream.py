@@ -8,6 +8,7 @@ from collections.abc import Callable
 from uoarm.errors import MessageError
 from uoarm.flow import Clock
 from uoarm.model import QueuePolicy
+from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Feed, Parcel
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.wire import Form
@@ -52,9 +53,8 @@ class Stream:
         self._every = every
         self._clock = clock
         self._due = 0.0
-        self._on_refused = on_refused
+        self._complaints = Complaints(on_refused)
         self._on_end = on_end
-        self._told: set[str] = set()
 
     def offer(self, parcel: Parcel) -> None:
         """Take one message unless it comes too soon after the last."""
@@ -67,12 +67,9 @@ class Stream:
         self._outbox.put(self.lane, parcel.written(self._key, self._write))
 
     def refuse(self, parcel: Parcel, error: MessageError) -> None:
-        """Count a message that has no form, and tell each reason once."""
+        """Count a message that has no form, and tell why."""
         del parcel
-        self.lane.dropped += 1
-        if str(error) not in self._told:
-            self._told = {str(error)}
-            self._on_refused(error)
+        self._complaints.add(self.lane, error)
 
     def ended(self, state: str, cause: str) -> None:
         """Pass the end on."""

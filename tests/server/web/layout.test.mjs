@@ -20,6 +20,15 @@ test("cards stand in the direction of flow and none on another", () => {
   for (const one of edges) assert.ok(found.places.get(one.from).x < found.places.get(one.to).x, one.id);
 });
 
+test("frameworks stand in a column before everything else", () => {
+  const cards = [...["a", "b", "c"].map(card), { ...card("x"), kind: "bridge" }, { ...card("y"), kind: "bridge" }];
+  const found = layOut(cards, [edge("a", "b"), edge("x", "a", "runs"), edge("y", "c", "runs")]);
+  const left = (id) => found.places.get(id).x;
+  assert.deepEqual([left("x"), left("y")], [0, 0]);
+  assert.ok(["a", "b", "c"].every((id) => left(id) > 100));
+  assert.deepEqual(overlapping(boxes(cards, found)), []);
+});
+
 test("everything lies inside what the layout says it needs", () => {
   const cards = ["a", "b", "c", "d"].map(card);
   const found = layOut(cards, [edge("a", "b")]);

@@ -20,6 +20,8 @@ from uoarm_ros2._settings import Settings
 __all__ = ["End", "Place"]
 
 _ANSWER_TICKS = 5
+_NAME_SECONDS = 0.5
+_UNNAMED = "NAME_UNKNOWN"  # what the graph says of an end whose node it has not heard of yet
 Events = dict[str, Callable[[Any], None]]
 
 
@@ -56,6 +58,7 @@ class End(ABC):
         self._unanswered = 0
         self._unlooked = False
         self._strange = False
+        self._unfit: set[Peer] = set()
         self._closed = False
         self.policies = self._fitting()
         self.native = self._create()
@@ -100,15 +103,17 @@ class End(ABC):
         if self.count() == 0:
             text = f"no {self.peer_word} of {name} was matched within {limit:g} s"
             raise BridgeError(self._clashes() or text, FailureReason.UNAVAILABLE)
-        strangers = self._strangers()
-        if strangers and len(strangers) == len(self.peers()):
-            raise BridgeError(self._strangeness(strangers), FailureReason.UNAVAILABLE)
+        if self._strangers_only():
+            self._place.graph.until(lambda: _UNNAMED not in self._strangeness(), _NAME_SECONDS)
+            raise BridgeError(self._strangeness(), FailureReason.UNAVAILABLE)
 
     def tick(self) -> None:
         """Look after the end a few times a second, in the station's thread."""
         self._pulse.tick()
         if self._closed:
             return
+        if self._place.station.without_events:
+            self._look_around()
         if self._unanswered:
             self._unanswered -= 1
             self._answer_clash()
@@ -127,17 +132,31 @@ class End(ABC):
 
     def events(self) -> Events:
         """Return the callbacks that both kinds of end have."""
-        where, pulse = self._place.topic.name, self._pulse
-        required = self._place.settings.peer_required
-
-        def matched(info: Any) -> None:
-            self._unlooked = True
-            pulse.peers(info.current_count, f"{self.peer_word} of {where}", required=required)
-
-        common: Events = {"matched": matched, "incompatible_qos": self._clash}
+        where, pulse = f"topic {self._place.topic.name}", self._pulse
+        common: Events = {
+            "matched": lambda info: self._matched(info.current_count),
+            "incompatible_qos": lambda info: self._clash(info.total_count),
+        }
         if self.policies.deadline is not None:
-            common["deadline"] = lambda info: pulse.deadline(info.total_count, f"topic {where}")
+            common["deadline"] = lambda info: pulse.deadline(info.total_count, where)
         return common
+
+    def _matched(self, current: int) -> None:
+        self._unlooked = True
+        required = self._place.settings.peer_required
+        self._pulse.peers(
+            current, f"{self.peer_word} of {self._place.topic.name}", required=required
+        )
+
+    def _look_around(self) -> None:
+        """Do in the place of events: see who is matched, and who on the graph does not fit."""
+        current = self.count()
+        if current != self._pulse.matched:
+            self._matched(current)
+        unfit = {peer for peer in self.peers() if self.clashes_with(peer.policies)}
+        if unfit - self._unfit:
+            self._clash(self._pulse.incompatible + len(unfit - self._unfit))
+        self._unfit = unfit
 
     def _strangers(self) -> list[Peer]:
         """Return the peers whose type has our name and another definition: DDS matches by name."""
@@ -145,28 +164,31 @@ class End(ABC):
         own = self._place.station.own_definition(topic.name, topic.type)
         return [peer for peer in self.peers() if own and peer.definition not in {"", own}]
 
-    def _strangeness(self, strangers: list[Peer]) -> str:
+    def _strangers_only(self) -> bool:
+        return 0 < len(self._strangers()) == len(self.peers())
+
+    def _strangeness(self) -> str:
         topic = self._place.topic
         own = self._place.station.own_definition(topic.name, topic.type)
-        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in strangers)
+        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in self._strangers())
         return (
             f"topic {topic.name}: {topic.type} is defined otherwise there than here: {theirs}, "
             f"this process has {own}"
         )
 
     def _look_for_strangers(self) -> None:
-        strangers = self._strangers()
-        if strangers:
-            alone = len(strangers) == len(self.peers()) and self._place.settings.peer_required
-            health = Health.LOST if alone else Health.DEGRADED
-            self._pulse.tell(health, self._strangeness(strangers))
-        elif self._strange and self.count():
+        before, self._strange = self._strange, bool(self._strangers())
+        if self._strange:
+            text = self._strangeness()
+            lost = self._strangers_only() and self._place.settings.peer_required
+            self._pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
+            self._unlooked = _UNNAMED in text  # the graph learns of an end, then of its node
+        elif before and self.count():
             self._pulse.tell(Health.OK, "every peer has our definition of the type")
-        self._strange = bool(strangers)
 
-    def _clash(self, info: Any) -> None:
+    def _clash(self, total: int) -> None:
         """Take note of a peer that does not fit; in the station's thread, as messages are."""
-        self._pulse.incompatible = info.total_count
+        self._pulse.incompatible = total
         self._unanswered = _ANSWER_TICKS
         self._answer_clash()
 
@@ -181,7 +203,7 @@ class End(ABC):
             self._unanswered = 0
             return
         text = self._clashes()
-        if self._unanswered and (not text or "UNKNOWN" in text):
+        if self._unanswered and (not text or _UNNAMED in text):
             return  # the graph learns of a peer, then of its node, a moment after the event
         self._unanswered = 0
         if text:

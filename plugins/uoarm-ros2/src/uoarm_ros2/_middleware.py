@@ -109,8 +109,9 @@ class Station:
         self, context: Any, name: str, namespace: str, executor: str, done: Callable[[], None]
     ) -> None:
         self._executor = _executor(executor, context)
-        # The events executor crashes when entities come or go beside it in other threads.
-        self._alone = executor != "standard"
+        # The events executor crashes when entities come or go beside it in other threads, and when
+        # one goes whose event is still in its queue (it drops Python objects without the lock).
+        self._alone = self.without_events = executor != "standard"
         self.node = Node(
             name,
             context=context,
@@ -212,9 +213,9 @@ class Station:
         raw: bool,
         events: dict[str, Callable[[Any], None]],
     ) -> Any:
-        """Create a subscription; events that the rmw does not know are left out."""
+        """Create a subscription; events that rmw or executor cannot bear are left out."""
         profile = _profile(policies)
-        for callbacks in _fewer(events):
+        for callbacks in _fewer({} if self.without_events else events):
             with suppress(UnsupportedEventTypeError):
                 known = SubscriptionEventCallbacks(use_default_callbacks=False, **callbacks)
                 return self._perform(
@@ -238,9 +239,9 @@ class Station:
         *,
         events: dict[str, Callable[[Any], None]],
     ) -> Any:
-        """Create a publisher; events that the rmw does not know are left out."""
+        """Create a publisher; events that rmw or executor cannot bear are left out."""
         profile = _profile(policies)
-        for callbacks in _fewer(events):
+        for callbacks in _fewer({} if self.without_events else events):
             with suppress(UnsupportedEventTypeError):
                 known = PublisherEventCallbacks(use_default_callbacks=False, **callbacks)
                 return self._perform(

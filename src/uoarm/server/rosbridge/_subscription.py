@@ -15,6 +15,7 @@ from attrs import frozen
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.flow import Clock
 from uoarm.model import QueuePolicy
+from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server.rosbridge._wire import write_publish, write_publish_cbor
@@ -93,9 +94,8 @@ class Subscription:
         self.wishes: dict[str, Wish] = {}
         self._outbox = outbox
         self._clock = clock
-        self._on_refused = on_refused
+        self._complaints = Complaints(on_refused)
         self._on_end = on_end
-        self._told: set[str] = set()
         self._due = -math.inf
         self._held: deque[Parcel] = deque()
         self._timer: asyncio.TimerHandle | None = None
@@ -145,12 +145,9 @@ class Subscription:
             self.lane.dropped += 1
 
     def refuse(self, parcel: Parcel, error: MessageError) -> None:
-        """Count a message that has no form, and tell each reason once."""
+        """Count a message that has no form, and tell why."""
         del parcel
-        self.lane.dropped += 1
-        if str(error) not in self._told:
-            self._told = {str(error)}
-            self._on_refused(error)
+        self._complaints.add(self.lane, error)
 
     def ended(self, state: str, cause: str) -> None:
         """Pass the end on."""

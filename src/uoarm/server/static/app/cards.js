@@ -6,6 +6,7 @@ export const WIDTH = 250;
 export const HEAD = 40;
 export const ROW = 28;
 export const OPEN_ROW = 46;
+const FEW = 40; // with more cards, only what runs is joined to its framework
 const FOOT = 6;
 const LETTER = 11; // the width of one, as it is seen from far
 
@@ -64,12 +65,13 @@ export function makeEdges(system, cards) {
       edges.set(id, merge(edges.get(id), flowing(id, from, to, route)));
     }
   }
+  const few = cards.length <= FEW;
   const live = new Set([...edges.values()].map((one) => `${one.from}>${one.to}`));
   for (const card of cards.filter((one) => one.kind === "function")) {
     for (const row of card.data.rows) {
       for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
       const bridge = byId.get(`bridge/${row.bridge}`);
-      if (bridge) edges.set(`${bridge.id}>${card.id}`, edge(`${bridge.id}>${card.id}`, "runs", bridge, card));
+      if (bridge && (few || row.open)) edges.set(`${bridge.id}>${card.id}`, edge(`${bridge.id}>${card.id}`, "runs", bridge, card));
     }
   }
   return [...edges.values()];

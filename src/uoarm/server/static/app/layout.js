@@ -1,16 +1,39 @@
-// Places cards: each connected group by dagre, then the groups and the lone cards on shelves. Pure.
+// Places cards: each connected group by dagre, the groups and the lone cards on shelves, frameworks
+// in a column before them. Pure.
 
 import * as dagre from "../vendor/dagre.js";
 
 const GAP = 28;
+const ASIDE = 110; // between frameworks and the rest
 const CROWD = 12; // a group of more cards than this stands closer
 const LABEL = { width: 56, height: 18, labelpos: "c" };
 
 /** Returns { places: Map(id -> {x, y}), paths: Map(edge id -> [points]), width, height }. */
 export function layOut(cards, edges, { aspect = 1.6 } = {}) {
-  const blocks = groups(cards, edges).map((one) => one.cards.length > 1 ? arrange(one) : lone(one));
+  const column = cards.filter((one) => one.kind === "bridge");
+  const plane = cards.filter((one) => one.kind !== "bridge");
+  const found = groups(plane, edges.filter((one) => one.kind !== "runs"));
+  const blocks = found.map((one) => (one.cards.length > 1 ? arrange(one) : lone(one)));
   blocks.sort((a, b) => b.height - a.height || b.width - a.width);
-  return onShelves(blocks, aspect);
+  return before(column, onShelves(blocks, aspect));
+}
+
+/** Puts a column of cards before a layout, spread over its height. */
+function before(column, layout) {
+  if (column.length === 0) return layout;
+  const shift = Math.max(...column.map((one) => one.width)) + ASIDE;
+  const move = ({ x, y }) => ({ x: x + shift, y });
+  const places = new Map([...layout.places].map(([id, place]) => [id, move(place)]));
+  const paths = new Map([...layout.paths].map(([id, points]) => [id, points.map(move)]));
+  const needed = column.reduce((total, one) => total + one.height + GAP, -GAP);
+  const height = Math.max(layout.height, needed);
+  const room = (height - needed) / column.length;
+  let y = room / 2;
+  for (const one of column) {
+    places.set(one.id, { x: 0, y });
+    y += one.height + GAP + room;
+  }
+  return { places, paths, width: layout.width + shift, height };
 }
 
 /** Cards that edges connect, together with those edges. */

@@ -35,7 +35,7 @@ export function Watch({ store, one }) {
       ${running
         ? html`<button type="button" class="button" onClick=${end}><${Icon} name="stop" /> Stop</button>`
         : html`<button type="button" class="button main" disabled=${state.busy} onClick=${begin}>
-            <${Icon} name="play" /> ${state.busy ? "Opening …" : "Watch"}</button>`}
+            <${Icon} name="play" /> ${state.busy ? "One moment …" : "Watch"}</button>`}
       ${one.outputs.length > 1 && html`<label>Output <select value=${output} disabled=${running}
         onChange=${(event) => setOutput(event.target.value)}>${one.outputs.map((other) => html`
           <option value=${other}>${other}</option>`)}</select></label>`}
