@@ -6,10 +6,13 @@ PLUGINS = $(wildcard plugins/*)
 
 NAMESERVICE ?= localhost:2809
 
-.PHONY: demo test test-long lint types docs check bench mutation interop-rtm clean
+.PHONY: demo healthbot test test-long lint types docs check bench mutation interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
+
+healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications
+	$(BIN)/python examples/healthbot/scene.py
 
 test: $(VENV)/.dev  ## every test
 	$(BIN)/python -m pytest -n 2 tests
@@ -49,6 +52,13 @@ $(BIN)/python:
 $(VENV)/.demo: pyproject.toml | $(BIN)/python
 	@echo "Installing uoarm with its vision packages into $(VENV) (about 200 MB, once) ..."
 	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib]'
+	@touch $@
+
+$(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
+	@echo "Installing uoarm, its bridges and the HealthBot's packages into $(VENV) (once) ..."
+	$(BIN)/python -m pip install --progress-bar on \
+	  -e '.[vision,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
+	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]'
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python

@@ -44,6 +44,23 @@ def unhinted(message):  # type: ignore[no-untyped-def] # on purpose  # noqa: ANN
 NOT_CALLABLE = 7
 
 
+class Queue:
+    """A service with something to do between its calls."""
+
+    open_ones = 0
+
+    def __init__(self) -> None:
+        Queue.open_ones += 1
+        self.taken = 0
+
+    def __call__(self, message: Inner) -> Inner:
+        self.taken += message["x"]
+        return {"x": self.taken}
+
+    def close(self) -> None:
+        Queue.open_ones -= 1
+
+
 def describe(name: str, role: Role, **parameters: Any) -> Any:
     endpoint = Endpoint("p", "c", role, (name,), parameters=parameters)
     bridge = PythonBridge("p", {})
@@ -51,6 +68,16 @@ def describe(name: str, role: Role, **parameters: Any) -> Any:
         return bridge.describe(endpoint)
     finally:
         bridge.close()
+
+
+def test_a_service_is_built_once_and_closed_with_the_bridge() -> None:
+    bridge = PythonBridge("p", {})
+    endpoint = Endpoint("p", "queue", Role.SERVICE, (f"{HERE}:Queue",))
+    answers = [bridge.call(endpoint, {"x": 2}, timeout=10.0) for _ in range(3)]
+    assert answers == [{"x": 2}, {"x": 4}, {"x": 6}]
+    assert Queue.open_ones == 1
+    bridge.close()
+    assert Queue.open_ones == 0
 
 
 def test_hints_become_closed_objects_with_required_fields() -> None:

@@ -54,7 +54,8 @@ class PythonBridge(Bridge):
     """Runs plain Python objects as components, in threads of this process.
 
     An endpoint's address is one string, `module:attribute`. All endpoints of one component
-    share one instance, made when the first channel opens and closed with the last.
+    share one instance, made when the first channel opens and closed with the last; that of a
+    service is made at its first call and closed with the bridge.
     """
 
     capabilities = Capabilities(call=True)
@@ -64,6 +65,7 @@ class PythonBridge(Bridge):
         path: Any = options.get("path", ())
         self._path: Sequence[str] = tuple(path)
         self._slots: dict[str, _Slot] = {}
+        self._services: dict[str, Endpoint] = {}
         self._sources: WeakSet[threading.Thread] = WeakSet()
         self._counting = threading.Lock()
 
@@ -104,17 +106,24 @@ class PythonBridge(Bridge):
     def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
         del timeout
         instance = self._enter(endpoint, self._target(endpoint))
+        with self._counting:
+            is_first = endpoint.component not in self._services
+            self._services.setdefault(endpoint.component, endpoint)
         try:
             return instance.answer(endpoint, message)
         finally:
-            self._leave(endpoint)
+            if not is_first:  # the first call's use lasts as long as the bridge
+                self._leave(endpoint)
 
     def _close(self) -> None:
         """Wait a quarter of a second at most for sources that have a message under way.
 
-        Every instance went with its last channel. A thread that is still in foreign code when
-        the interpreter ends may take the whole process down with it.
+        Every instance went with its last channel, those of services go now. A thread that is still
+        in foreign code when the interpreter ends may take the whole process down with it.
         """
+        for endpoint in self._services.values():
+            self._leave(endpoint)
+        self._services.clear()
         deadline = time.monotonic() + _SOURCE_SECONDS
         for thread in list(self._sources):
             thread.join(max(0.0, deadline - time.monotonic()))

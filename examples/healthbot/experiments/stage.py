@@ -1,0 +1,70 @@
+"""What the experiments share: a running scene, the machine's size, and tables in Markdown."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+
+from attrs import frozen
+
+EXAMPLE = Path(__file__).resolve().parents[1]
+ROOT = EXAMPLE.parents[1]
+sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "vision")]
+
+from healthbot_scene.crew import Crew  # noqa: E402 - found once the path is set
+from healthbot_scene.parts import Part, parts_of  # noqa: E402
+from healthbot_scene.places import Places, make_places  # noqa: E402
+
+__all__ = ["EXAMPLE", "Stage", "head", "stage", "table"]
+
+
+@frozen
+class Stage:
+    """A running scene.
+
+    Attributes:
+        crew: its parts.
+        places: where they are.
+        parts: by name, to start one again.
+    """
+
+    crew: Crew
+    places: Places
+    parts: dict[str, Part]
+
+
+@contextmanager
+def stage(robot: str = "robot.yaml") -> Iterator[Stage]:
+    """Start the scene with a robot file of the example; end it at the end.
+
+    Raises:
+        PartError: a part could not be started.
+    """
+    cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
+    with tempfile.TemporaryDirectory(prefix="healthbot-") as run:
+        places = make_places(Path(run), cache)
+        parts = parts_of(places, places.write_robot(EXAMPLE / robot), EXAMPLE / "browser")
+        with Crew(places.run, places.environment()) as crew:
+            crew.start_all(parts, lambda _: None)
+            yield Stage(crew, places, {part.name: part for part in parts})
+
+
+def head(title: str) -> None:
+    """Print what was measured, when and on what."""
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    load = os.getloadavg()[0]
+    machine = f"{os.cpu_count()} cores, load {load:.1f}, {platform.system()} {platform.machine()}"
+    print(f"{title}, {now}, {machine}, CPython {platform.python_version()}\n")
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table in Markdown."""
+    for row in (header, ["---"] * len(header), *rows):
+        print(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |")
+    print(flush=True)

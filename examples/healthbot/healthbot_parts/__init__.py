@@ -1,0 +1,1 @@
+"""Components of the HealthBot in plain Python: the recogniser, and spares of lower priority."""

@@ -1,0 +1,1 @@
+"""The parts of the HealthBot scene, and what starts and watches them."""

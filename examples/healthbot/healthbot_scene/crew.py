@@ -1,0 +1,151 @@
+"""Starts the parts, waits until each is ready, notices deaths, and ends them all."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+from attrs import frozen
+from typing_extensions import Self
+
+from healthbot_scene.parts import Part
+
+__all__ = ["Crew", "PartError", "Running"]
+
+_LOOK_SECONDS = 0.1
+_STOP_SECONDS = 8.0
+_LAST_LINES = 5
+
+
+class PartError(Exception):
+    """A part did not become ready; the text has its last words."""
+
+
+@frozen(eq=False)
+class Running:
+    """A part that was started."""
+
+    part: Part
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """Return the end of its log."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return "\n".join(lines[-_LAST_LINES:])
+
+
+class Crew:
+    """The running parts; a context manager that ends them in reverse order.
+
+    Args:
+        run: the working directory of every part, and where logs are.
+        environment: of every part.
+    """
+
+    def __init__(self, run: Path, environment: Mapping[str, str]) -> None:
+        self._run = run
+        self._environment = dict(environment)
+        self._running: dict[str, Running] = {}
+
+    def __getitem__(self, name: str) -> Running:
+        return self._running[name]
+
+    def start(self, part: Part) -> Running:
+        """Start a part, or start it again, and return once it is ready.
+
+        The part ends with the thread that calls this, at the latest.
+
+        Raises:
+            PartError: it ended, or is not ready in time.
+        """
+        running = self._launch(part)
+        self._wait(running)
+        return running
+
+    def start_all(self, parts: Sequence[Part], tell: Callable[[Running], None]) -> None:
+        """Start the first part, and once it is ready the others side by side.
+
+        Args:
+            parts: the others may need the first, the naming service.
+            tell: called with each part once it is ready.
+
+        Raises:
+            PartError: one did not become ready.
+        """
+        first, *others = parts
+        tell(self.start(first))
+        for running in [self._launch(part) for part in others]:
+            self._wait(running)
+            tell(running)
+
+    def _launch(self, part: Part) -> Running:
+        log = self._run / f"{part.name}.log"
+        launch = (sys.executable, "-m", "healthbot_scene.launch", str(os.getpid()))
+        with log.open("wb") as out:
+            process = subprocess.Popen(
+                (*launch, *part.command),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                cwd=self._run,
+                env=self._environment,
+                start_new_session=True,
+            )
+        running = self._running[part.name] = Running(part, process, log)
+        return running
+
+    def _wait(self, running: Running) -> None:
+        part = running.part
+        deadline = time.monotonic() + part.seconds
+        while not part.ready(running.log):
+            code = running.process.poll()
+            if code is not None:
+                raise PartError(f"{part.name} ended with {code}:\n{running.last_words()}")
+            if time.monotonic() > deadline:
+                text = f"{part.name} is not ready after {part.seconds:g} s"
+                raise PartError(f"{text}:\n{running.last_words()}")
+            time.sleep(_LOOK_SECONDS)
+
+    def dead(self) -> list[Running]:
+        """Return the parts that have ended by themselves since the last look, and forget them."""
+        ended = [each for each in self._running.values() if each.process.poll() is not None]
+        for each in ended:
+            del self._running[each.part.name]
+        return ended
+
+    def kill(self, name: str) -> None:
+        """End a part as a crash would: at once, without a farewell."""
+        running = self._running.pop(name)
+        running.process.kill()
+        running.process.wait()
+
+    def close(self) -> None:
+        """End what still runs, politely first."""
+        for running in reversed(list(self._running.values())):
+            running.process.send_signal(signal.SIGTERM)
+        deadline = time.monotonic() + _STOP_SECONDS
+        for running in reversed(list(self._running.values())):
+            try:
+                running.process.wait(max(0.1, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                running.process.kill()
+                running.process.wait()
+        self._running.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,148 @@
+"""The parts of the scene: which program each is, and how one sees that it is ready."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from attrs import frozen
+from uoarm_rtm._compiler import omniorb_programs
+
+from healthbot_scene.places import Places
+
+__all__ = ["Part", "parts_of"]
+
+_PYTHON = sys.executable
+_DEVICES = ("uoarm-rocos", "simulate")
+_PROBE_SECONDS = 0.5
+
+
+@frozen
+class Part:
+    """One process of the scene.
+
+    Attributes:
+        name: for people and for the name of its log.
+        what: what it stands for, in a few words.
+        framework: whose program it is.
+        command: the program, by its path, and its arguments.
+        ready: whether it is ready, given its log.
+        seconds: within which it must be.
+        vital: whether the scene ends with it; the robot goes on without the others.
+    """
+
+    name: str
+    what: str
+    framework: str
+    command: tuple[str, ...]
+    ready: Callable[[Path], bool]
+    seconds: float = 60.0
+    vital: bool = False
+
+
+def parts_of(places: Places, robot: Path, page: Path) -> list[Part]:
+    """Return the parts in the order in which they are started.
+
+    Args:
+        places: of this run.
+        robot: the robot file, filled in.
+        page: folder of the browser application.
+    """
+    run = places.run
+    records = (*_module("healthbot_records", "--port"), str(places.records))
+    server = (*_tool("uoarm", "serve"), str(robot), "--port", str(places.serve))
+    origin = f"http://127.0.0.1:{places.page}"
+    pages = (*_module("healthbot_scene.pages", str(page)), str(places.page))
+    return [
+        Part("naming", "the naming service", "OpenRTM", _naming(places), _listens(places.names)),
+        Part(
+            "detector",
+            "face detection, an RT-Component",
+            "OpenRTM",
+            _module("healthbot_scene.rtm_detector", places.nameserver),
+            _says("ready"),
+        ),
+        Part(
+            "camera",
+            f"camera, plays {places.movie.name}",
+            "ROS 2",
+            _module("healthbot_scene.ros_camera", str(places.movie)),
+            _says("ready"),
+        ),
+        _oximeter("clip", "finger clip, simulated", "ROCOS profile", run, "contec"),
+        _cuff("cuff", "arm cuff, simulated", "ROCOS profile", run),
+        _oximeter("spare-clip", "second finger clip, simulated", "plain Python", run, "nonin-1"),
+        _cuff("spare-cuff", "second arm cuff, simulated", "plain Python", run),
+        Part(
+            "records",
+            "medical records, FHIR over HTTP",
+            "web service",
+            (*records, "--database", str(run / "records.sqlite")),
+            _says("records at"),
+        ),
+        Part(
+            "robot",
+            f"uoarm serve at {places.robot_url}",
+            "uoarm",
+            (*server, "--origin", origin),
+            _says("serving"),
+            vital=True,
+        ),
+        Part(
+            "page",
+            f"browser application at {places.page_url}",
+            "web page",
+            pages,
+            _listens(places.page),
+        ),
+    ]
+
+
+def _naming(places: Places) -> tuple[str, ...]:
+    """Return omniNames on loopback, which keeps its names should it be started again."""
+    programs = omniorb_programs()
+    program = str(programs / "omniNames") if programs else shutil.which("omniNames")
+    if program is None:
+        raise FileNotFoundError("omniNames is not installed: pip install uoarm-rtm")
+    names = places.run / "names"
+    names.mkdir(exist_ok=True)
+    end = f"giop:tcp:127.0.0.1:{places.names}"
+    kept = ("-start", str(places.names), "-always", "-datadir", str(names))
+    return (program, *kept, "-errlog", str(names / "errors"), "-ORBendPoint", end)
+
+
+def _oximeter(name: str, what: str, framework: str, run: Path, kind: str) -> Part:
+    line = ("--pty", "--link", str(run / name), "--format", kind)
+    return Part(name, what, framework, (*_tool(*_DEVICES, "oximeter"), *line), _says(name))
+
+
+def _cuff(name: str, what: str, framework: str, run: Path) -> Part:
+    line = ("--pty", "--link", str(run / name), "--interval", "4")
+    return Part(name, what, framework, (*_tool(*_DEVICES, "blood-pressure"), *line), _says(name))
+
+
+def _module(name: str, *arguments: str) -> tuple[str, ...]:
+    return (_PYTHON, "-m", name, *arguments)
+
+
+def _tool(name: str, *arguments: str) -> tuple[str, ...]:
+    """Return a command that stands beside this Python."""
+    return (str(Path(_PYTHON).with_name(name)), *arguments)
+
+
+def _says(word: str) -> Callable[[Path], bool]:
+    return lambda log: word in log.read_text(errors="replace")
+
+
+def _listens(port: int) -> Callable[[Path], bool]:
+    def probe(_: Path) -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", port), _PROBE_SECONDS).close()
+        except OSError:
+            return False
+        return True
+
+    return probe

@@ -1,0 +1,132 @@
+"""Where the things of one run are: its folder, its ports on loopback, and its footage."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import random
+import socket
+import string
+from contextlib import ExitStack
+from pathlib import Path
+
+from attrs import frozen
+from uoarm_vision.photos import photos_in
+from vision_demo.footage import prepare
+
+__all__ = ["EXAMPLE", "Places", "make_places"]
+
+EXAMPLE = Path(__file__).resolve().parents[1]
+_RECOGNISERS = ("resnet", "lbph")
+# Domains whose UDP ports lie below Linux's range of short-lived ones.
+_DOMAINS = range(1, 101)
+
+
+@frozen
+class Places:
+    """What differs from one run to the next.
+
+    Attributes:
+        run: folder of this run: lines, logs, queue of measurements, database.
+        footage: folder with `playlist` and the `gallery` of the enrolled.
+        domain: of ROS 2.
+        names: port of the naming service.
+        records: port of the records service.
+        serve: port of `uoarm serve`.
+        page: port of the browser application.
+    """
+
+    run: Path
+    footage: Path
+    domain: int
+    names: int
+    records: int
+    serve: int
+    page: int
+
+    @property
+    def movie(self) -> Path:
+        """What the cameras play: the first of the playlist."""
+        return min((self.footage / "playlist").iterdir())
+
+    @property
+    def nameserver(self) -> str:
+        """Address of the naming service."""
+        return f"corbaloc:iiop:127.0.0.1:{self.names}/NameService"
+
+    @property
+    def robot_url(self) -> str:
+        """Where applications find the robot."""
+        return f"ws://127.0.0.1:{self.serve}/"
+
+    @property
+    def page_url(self) -> str:
+        """Where the browser application is."""
+        return f"http://127.0.0.1:{self.page}/?robot={self.robot_url}"
+
+    @property
+    def records_url(self) -> str:
+        """Where the records service is."""
+        return f"http://127.0.0.1:{self.records}/fhir"
+
+    def environment(self) -> dict[str, str]:
+        """Return the environment variables of every part: loopback only, our own domain."""
+        paths = (EXAMPLE, EXAMPLE / "records", EXAMPLE.parent / "vision")
+        return {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(map(str, paths)),
+            "PYTHONUNBUFFERED": "1",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_DOMAIN_ID": str(self.domain),
+            "ROS_LOG_DIR": str(self.run / "ros"),
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(EXAMPLE / "discovery.xml"),
+        }
+
+    def write_robot(self, template: Path) -> Path:
+        """Fill a robot file in and leave it in the folder of the run."""
+        words = {
+            "here": EXAMPLE,
+            "run": self.run,
+            "gallery": self.footage / "gallery",
+            "movie": self.movie,
+            "domain": self.domain,
+            "names": self.nameserver,
+            "records": self.records_url,
+        }
+        file = self.run / "robot.yaml"
+        file.write_text(string.Template(template.read_text()).substitute(words))
+        return file
+
+
+def make_places(run: Path, cache: Path, ports: tuple[int, int, int, int] | None = None) -> Places:
+    """Fetch the footage, let the recognisers learn it, and choose ports and a ROS 2 domain.
+
+    Args:
+        run: a folder for this run; made if need be.
+        cache: where footage is kept.
+        ports: of naming, records, robot and page; None: four that are free.
+
+    Raises:
+        FootageError: footage cannot be had.
+    """
+    run.mkdir(parents=True, exist_ok=True)
+    footage = prepare(cache)
+    gallery = footage.folder / "gallery"
+    for name in _RECOGNISERS:
+        try:
+            recogniser = importlib.import_module(f"uoarm_vision.{name}")
+        except ImportError:
+            continue  # its component says what to install when it is asked for
+        recogniser.enrol(photos_in(footage.photos), gallery)
+    chosen = ports or _free_ports()
+    domain = random.choice(_DOMAINS)  # noqa: S311 - no secret
+    return Places(run.resolve(), footage.folder.resolve(), domain, *chosen)
+
+
+def _free_ports() -> tuple[int, int, int, int]:
+    with ExitStack() as kept:
+        sockets = [kept.enter_context(socket.socket()) for _ in range(4)]
+        for each in sockets:
+            each.bind(("127.0.0.1", 0))
+        first, second, third, fourth = (each.getsockname()[1] for each in sockets)
+    return first, second, third, fourth

@@ -1,0 +1,94 @@
+"""The whole HealthBot: starts every part, tells what runs where, and ends them all.
+
+Run `python examples/healthbot/scene.py --help`. Exit codes: 0 interrupted, or the visit of --visit
+is over; 1 the robot died, or the visit failed; 2 a part could not be started.
+
+Devices, patients and the robot's body are simulated; none of this is a medical device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from healthbot_scene.crew import Crew, Running
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE), str(HERE.parent / "vision")]
+
+_PORTS = (2809, 9280, 9080, 9281)
+_LOOK_SECONDS = 0.2
+
+
+def main() -> int:
+    """Run the scene and return the exit code."""
+    parser = argparse.ArgumentParser(description="Start the whole HealthBot scene.")
+    parser.add_argument("--robot", type=Path, default=HERE / "robot.yaml", help="another robot")
+    parser.add_argument("--run", type=Path, metavar="FOLDER", help="keep logs and records there")
+    parser.add_argument("--free-ports", action="store_true", help="do not use the usual ports")
+    parser.add_argument("--visit", action="store_true", help="run one visit in the terminal; end")
+    options = parser.parse_args()
+    try:
+        from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - or it is told
+        from healthbot_scene.parts import parts_of  # noqa: PLC0415
+        from healthbot_scene.places import make_places  # noqa: PLC0415
+        from vision_demo.packages import FootageError  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is not installed: see examples/healthbot/README.md")
+        return 2
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
+    with tempfile.TemporaryDirectory(prefix="healthbot-") as temporary:
+        try:
+            print("Footage and faces ...", flush=True)
+            ports = None if options.free_ports else _PORTS
+            places = make_places(options.run or Path(temporary), cache, ports)
+            parts = parts_of(places, places.write_robot(options.robot), HERE / "browser")
+            with Crew(places.run, places.environment()) as crew:
+                crew.start_all(parts, _tell)
+                print("Everything is ready; Ctrl-C ends it.", flush=True)
+                return _visit(places.robot_url) if options.visit else _watch(crew)
+        except (FootageError, PartError, FileNotFoundError) as error:
+            print(error, file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print("Everything is ended.")
+            return 0
+
+
+def _tell(running: Running) -> None:
+    part = running.part
+    where = f"{part.name:<11} {part.framework:<14} pid {running.process.pid:<8}"
+    print(where, part.what, flush=True)
+
+
+def _visit(url: str) -> int:
+    """Run the terminal application once."""
+    node = "node"
+    command = [node, "--experimental-websocket", str(HERE / "terminal" / "main.mjs"), url]
+    return subprocess.run(command, check=False).returncode
+
+
+def _watch(crew: Crew) -> int:
+    """Tell of parts that die; return once the robot itself is gone."""
+    while True:
+        for running in crew.dead():
+            part = running.part
+            code = running.process.returncode
+            print(f"{part.name} ended with {code}: {running.last_words()}", flush=True)
+            if part.vital:
+                return 1
+        time.sleep(_LOOK_SECONDS)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

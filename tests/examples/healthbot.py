@@ -1,0 +1,87 @@
+"""The HealthBot scene as a user starts it: one command, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "healthbot"
+START_SECONDS = 240.0
+STOP_SECONDS = 60.0
+NODE = ("node", "--experimental-websocket", "--no-warnings")
+
+
+class Scene:
+    """A running scene.
+
+    Attributes:
+        run: its folder.
+        told: what it printed until everything was ready.
+        pids: of its parts, by name.
+    """
+
+    def __init__(self, run: Path) -> None:
+        self.run = run
+        self._output = run / "scene.out"
+        run.mkdir(exist_ok=True)
+        command = [sys.executable, str(EXAMPLE / "scene.py"), "--free-ports", "--run", str(run)]
+        with self._output.open("wb") as out:
+            self._process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
+        deadline = time.monotonic() + START_SECONDS
+        while "Everything is ready" not in self.told:
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self._process.kill()
+                raise AssertionError(f"the scene did not start:\n{self.told}")
+            time.sleep(0.1)
+
+    @property
+    def told(self) -> str:
+        return self._output.read_text()
+
+    @property
+    def pids(self) -> Mapping[str, int]:
+        return {
+            name: int(pid)
+            for name, pid in re.findall(r"^(\S+) .* pid (\d+)", self.told, re.MULTILINE)
+        }
+
+    @property
+    def robot(self) -> str:
+        return str(re.findall(r"uoarm serve at (\S+)", self.told)[0])
+
+    @property
+    def page(self) -> str:
+        return str(re.findall(r"browser application at (\S+)", self.told)[0])
+
+    def interrupt(self) -> int:
+        """Press Ctrl-C; returns the exit code."""
+        self._process.send_signal(signal.SIGINT)
+        return self._process.wait(STOP_SECONDS)
+
+    def close(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+def lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def terminal_visit(robot: str) -> subprocess.Popen[str]:
+    """Start the terminal application."""
+    command = [*NODE, str(EXAMPLE / "terminal" / "main.mjs"), robot]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
+    )

@@ -1,0 +1,157 @@
+"""The HealthBot: both applications at once on one robot of three frameworks, and a clean end."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.examples.healthbot import EXAMPLE, Scene, lives, terminal_visit
+from tests.server.browser import Browser, find_chromium
+from websockets.sync.client import connect
+
+for _module in ("rclpy", "omniORB", "uoarm_rocos", "starlette", "dlib", "espeakng_loader"):
+    pytest.importorskip(_module, reason=f"{_module} of the HealthBot's parts is not installed")
+
+pytestmark = pytest.mark.timeout(900)
+CHROMIUM = find_chromium()
+PROMPT = "(document.getElementById('prompt')?.textContent ?? '')"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
+    scene = Scene(tmp_path_factory.mktemp("healthbot"))
+    yield scene
+    scene.close()
+
+
+def asked(robot: str, op: str, name: str = "") -> Any:
+    """The reply to one question to the robot."""
+    with connect(robot, max_size=None) as socket:
+        socket.recv(timeout=60)
+        socket.send(json.dumps({"op": op, "id": "1"} | ({"type": name} if name else {})))
+        answer = json.loads(socket.recv(timeout=60))
+    assert answer["op"] == "Reply", answer
+    return answer["jsonMessage"]
+
+
+def shown(browser: Browser, beginning: str, picture: Path) -> None:
+    """Wait for a prompt however slow the machine is, and keep a picture of it."""
+    deadline = time.monotonic() + 120
+    while not str(browser.js(PROMPT)).startswith(beginning):
+        text = browser.js("document.body.innerText")
+        assert time.monotonic() < deadline, f"never: {beginning}\n{text}\n{browser.complaints}"
+        time.sleep(0.1)
+    browser.picture(picture)
+
+
+def chosen(browser: Browser, label: str) -> None:
+    """Choose with the keyboard alone: Tab from the prompt to the button, then Enter."""
+    browser.until("document.querySelector('#choices button')")
+    for _ in range(4):
+        browser.press("Tab")
+        if browser.js("document.activeElement.textContent") == label:
+            browser.press("Enter")
+            return
+    raise AssertionError(f"Tab never reaches {label!r}")
+
+
+def records(url: str) -> list[str]:
+    with urllib.request.urlopen(f"{url}/Observation?patient=franck", timeout=30) as answer:
+        bundle = json.load(answer)
+    return [json.dumps(entry["resource"]["code"]) for entry in bundle.get("entry", [])]
+
+
+def test_three_frameworks_feed_one_function(scene: Scene) -> None:
+    plan = asked(scene.robot, "Resolve", "faceRecognition")["text"]
+    names = re.findall(r"^ +\d\. \w+: (\w+) \((\w+),", plan, re.MULTILINE)
+    assert names == [
+        ("ros_camera", "ros"),
+        ("rtm_detector", "rtm"),
+        ("network_recogniser", "parts"),
+    ]
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="the terminal application needs node")
+@pytest.mark.skipif(CHROMIUM is None, reason="the browser application needs chromium")
+def test_both_applications_work_at_once(scene: Scene, tmp_path: Path) -> None:
+    assert CHROMIUM is not None
+    terminal = terminal_visit(scene.robot)
+    try:
+        with Browser(CHROMIUM) as browser:
+            browser.show(1280, 800)
+            browser.go(scene.page)
+            shown(browser, "Hello Franck", tmp_path / "1-hello.png")
+            chosen(browser, "Start")
+            shown(browser, "Put your finger", tmp_path / "2-finger.png")
+            chosen(browser, "My finger is in")
+            shown(browser, "Put the cuff", tmp_path / "3-arm.png")
+            chosen(browser, "The cuff is on")
+            shown(browser, "Thank you", tmp_path / "4-results.png")
+            told = browser.js("document.getElementById('values').innerText")
+            assert not browser.complaints
+        said, _ = terminal.communicate(timeout=240)
+    finally:
+        terminal.kill()
+        terminal.wait()
+    assert terminal.returncode == 0, said
+    assert "Hello Franck" in said
+    assert len(re.findall(r"stored$", said, re.MULTILINE)) == 3
+    assert told.count("saved") == 3
+    assert re.search(r"\d\d\d / \d\d", told)
+    status = asked(scene.robot, "Status")
+    assert not status["connections"], "what both have left is closed"
+    codes = records(re.findall(r"records at (\S+)", (scene.run / "records.log").read_text())[0])
+    # pulse, saturation and blood pressure, by their LOINC codes, from each application
+    for code in ("8867-4", "59408-5", "85354-9"):
+        assert sum(code in each for each in codes) == 2, codes
+
+
+def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
+    with connect(scene.robot, max_size=None) as socket:
+        socket.recv(timeout=60)
+        socket.send(json.dumps({"op": "Request", "type": "faceDetection", "id": "1"}))
+        told = json.loads(socket.recv(timeout=120))
+        assert told["jsonMessage"]["components"] == ["ros_camera", "rtm_detector"]
+        for _ in range(3):
+            assert json.loads(socket.recv(timeout=60))["op"] == "Data"
+        os.kill(scene.pids["detector"], signal.SIGKILL)
+        deadline = time.monotonic() + 60
+        while asked(scene.robot, "Status")["connections"][0]["components"][-1] != "plain_detector":
+            assert time.monotonic() < deadline, "the spare never took over"
+            time.sleep(0.2)
+        numbers: list[int] = []
+        while len(numbers) < 3 or numbers[-1] < numbers[0] + 10:
+            told = json.loads(socket.recv(timeout=60))
+            assert told["op"] == "Data", told
+            numbers.append(told["x-number"])
+    deadline = time.monotonic() + 20
+    while "detector ended" not in scene.told:
+        assert time.monotonic() < deadline, "the scene does not tell of the death"
+        time.sleep(0.1)
+
+
+def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:
+    pids = scene.pids
+    assert len(pids) == 10
+    assert lives(pids["robot"])
+    assert scene.interrupt() == 0
+    assert not any(map(lives, pids.values()))
+    assert "Everything is ended" in scene.told
+
+
+def test_the_page_shares_no_code_with_the_terminal() -> None:
+    def names(folder: str) -> set[str]:
+        return {file.name for file in (EXAMPLE / folder).iterdir()}
+
+    for file in (EXAMPLE / "browser").glob("*.js"):
+        assert "terminal" not in file.read_text()
+    assert names("browser") & names("terminal") == set()
