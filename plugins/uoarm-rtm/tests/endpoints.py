@@ -40,10 +40,14 @@ def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-def looked(bridge: Bridge) -> None:
-    """Wait until the bridge has seen who is there, from when on it tells of changes."""
+def looked(bridge: Bridge, path: str = "") -> None:
+    """Wait until the bridge has seen who is there, from when on it tells of changes.
+
+    With a path, until it has seen that component alive: others of its name may have died before.
+    """
     attendance: Any = vars(bridge)["_attendance"]
     until(lambda: attendance._conditions is not None)
+    until(lambda: not path or attendance._conditions.get(path) == "alive")
 
 
 class Inbox:

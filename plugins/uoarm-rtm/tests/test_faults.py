@@ -31,7 +31,7 @@ def test_a_killed_component_is_told_to_its_channels(bridge: Bridge, peer: Start)
     bridge.watch(events)
     from_it = source(bridge, OUT, inbox)
     into_it = sink(bridge, IN)
-    looked(bridge)
+    looked(bridge, "Mortal.rtc")
     component.count(0, 3)
     inbox.wait_for(3)
     component.kill()
@@ -79,7 +79,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
     events = Inbox()
     bridge.watch(events)
     into = sink(bridge, IN)
-    looked(bridge)
+    looked(bridge, "Mortal.rtc")
     component.freeze()
     begun = time.monotonic()
     with pytest.raises(BridgeTimeoutError, match="did not take a message"):
@@ -88,7 +88,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
         bridge.describe(OUT)
     found = {each.name: each.detail for each in bridge.discover()}
     assert found["Mortal.rtc"] == "hung"
-    assert time.monotonic() - begun < 3.0
+    assert time.monotonic() - begun < 15.0  # of 0.3 s each, on a machine that is busy
     events.event(Health.LOST, "it hangs")
     component.thaw()
     assert events.event(Health.OK, "answers again").component == "Mortal.rtc"

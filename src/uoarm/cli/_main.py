@@ -12,6 +12,7 @@ from uoarm.bridge import Registry
 from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
+from uoarm.cli._plugin_commands import PluginGroup
 from uoarm.cli._run import call, request
 from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
@@ -30,7 +31,7 @@ from uoarm.schema._command import schema
 __all__ = ["main"]
 
 
-@click.group()
+@click.group(cls=PluginGroup)
 @click.version_option(uoarm.__version__, prog_name="uoarm")
 def main() -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""

@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
-from uoarm.schema._branch import Atom, Branch, Choice, Literal
+from uoarm.schema._atoms import ATOMS, VIOLATIONS
+from uoarm.schema._branch import Branch, Choice, Literal
 from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._node import Node
 from uoarm.schema._tags import certainly_disjoint
@@ -45,7 +46,7 @@ def _positive(node: Node, kind: str) -> Branch | None:
     whole = Branch()
     if node.values is not None:
         whole.atoms.append(("in", node))
-    whole.atoms.extend(_ATOMS[kind](node))
+    whole.atoms.extend(ATOMS[kind](node))
     whole.literals.extend((one, True) for one in node.all_of)
     if node.reference is not None:
         whole.literals.append((node.target(), True))
@@ -125,7 +126,7 @@ def _violations(node: Node, kind: str) -> list[Branch]:
     ways: list[Branch] = []
     if node.values is not None:
         ways.append(Branch([("notin", node)]))
-    ways.extend(Branch([atom]) for atom in _VIOLATIONS[kind](node))
+    ways.extend(Branch([atom]) for atom in VIOLATIONS[kind](node))
     ways.extend(Branch(literals=[(one, False)]) for one in node.all_of)
     if node.reference is not None:
         ways.append(Branch(literals=[(node.target(), False)]))
@@ -151,123 +152,3 @@ def _violations(node: Node, kind: str) -> list[Branch]:
     elif kind == "array" and node.unevaluated_items is not None:
         ways.extend(items_fail(node, node.unevaluated_items))
     return ways
-
-
-def _number_atoms(node: Node) -> list[Atom]:
-    atoms: list[Atom] = []
-    if node.integer_only:
-        atoms.append(("multiple", 1))
-    if node.minimum is not None:
-        atoms.append(("low", node.minimum, False))
-    if node.above is not None:
-        atoms.append(("low", node.above, True))
-    if node.maximum is not None:
-        atoms.append(("high", node.maximum, False))
-    if node.below is not None:
-        atoms.append(("high", node.below, True))
-    if node.multiple is not None:
-        atoms.append(("multiple", node.multiple))
-    return atoms
-
-
-_OPPOSITE = {"low": "high", "high": "low", "multiple": "notmultiple"}
-
-
-def _number_violations(node: Node) -> list[Atom]:
-    return [
-        (_OPPOSITE[str(tag)], rest[0], not rest[1]) if len(rest) > 1 else ("notmultiple", rest[0])
-        for tag, *rest in _number_atoms(node)
-    ]
-
-
-def _string_atoms(node: Node) -> list[Atom]:
-    atoms = _sizes(node.min_length, node.max_length)
-    return atoms if node.pattern is None else [*atoms, ("match", node.pattern)]
-
-
-def _string_violations(node: Node) -> list[Atom]:
-    atoms = _sizes_violated(node.min_length, node.max_length)
-    return atoms if node.pattern is None else [*atoms, ("nomatch", node.pattern)]
-
-
-def _array_atoms(node: Node) -> list[Atom]:
-    atoms = _sizes(node.min_items, node.max_items)
-    atoms.extend(("at", n, (one, True)) for n, one in enumerate(node.prefix))
-    if node.items is not None:
-        atoms.append(("tail", len(node.prefix), (node.items, True)))
-    if node.contains is not None:
-        atoms.append(("contains", node.contains, node.min_contains, node.max_contains))
-    if node.unique:
-        atoms.append(("unique",))
-    return atoms
-
-
-def _array_violations(node: Node) -> list[Atom]:
-    atoms = _sizes_violated(node.min_items, node.max_items)
-    atoms.extend(("someat", n, (one, False)) for n, one in enumerate(node.prefix))
-    if node.items is not None:
-        atoms.append(("some", len(node.prefix), (node.items, False)))
-    if node.contains is not None:
-        if node.min_contains > 0:
-            atoms.append(("contains", node.contains, 0, node.min_contains - 1))
-        if node.max_contains is not None:
-            atoms.append(("contains", node.contains, node.max_contains + 1, None))
-    if node.unique:
-        atoms.append(("twice",))
-    return atoms
-
-
-def _object_atoms(node: Node) -> list[Atom]:
-    atoms = _sizes(node.min_properties, node.max_properties)
-    atoms.extend(("has", name) for name in node.required)
-    atoms.extend(("member", name, (one, True)) for name, one in node.properties.items())
-    atoms.extend(("pattern", pattern, (one, True)) for pattern, one in node.patterns)
-    if node.additional is not None:
-        atoms.append(("rest", node, (node.additional, True)))
-    if node.names is not None:
-        atoms.append(("names", (node.names, True)))
-    return atoms
-
-
-def _object_violations(node: Node) -> list[Atom]:
-    atoms: list[Atom] = [("lacks", name) for name in node.required]
-    atoms.extend(("somemember", name, (one, False)) for name, one in node.properties.items())
-    atoms.extend(("somepattern", pattern, (one, False)) for pattern, one in node.patterns)
-    if node.additional is not None:
-        atoms.append(("somerest", node, (node.additional, False)))
-    if node.names is not None:
-        atoms.append(("somename", (node.names, False)))
-    return atoms + _sizes_violated(node.min_properties, node.max_properties)
-
-
-def _sizes(least: int, most: int | None) -> list[Atom]:
-    atoms: list[Atom] = [("least", least)] if least else []
-    return atoms if most is None else [*atoms, ("most", most)]
-
-
-def _sizes_violated(least: int, most: int | None) -> list[Atom]:
-    atoms: list[Atom] = [("most", least - 1)] if least else []
-    return atoms if most is None else [*atoms, ("least", most + 1)]
-
-
-def _nothing(node: Node) -> list[Atom]:
-    del node
-    return []
-
-
-_ATOMS = {
-    "null": _nothing,
-    "boolean": _nothing,
-    "number": _number_atoms,
-    "string": _string_atoms,
-    "array": _array_atoms,
-    "object": _object_atoms,
-}
-_VIOLATIONS = {
-    "null": _nothing,
-    "boolean": _nothing,
-    "number": _number_violations,
-    "string": _string_violations,
-    "array": _array_violations,
-    "object": _object_violations,
-}

@@ -1,4 +1,4 @@
-"""`python -m uoarm_rtm nameserver`: a naming service without any other installation."""
+"""`uoarm rtm nameserver`: a naming service without any other installation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["main"]
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m uoarm_rtm", description=__doc__)
+    parser = argparse.ArgumentParser(prog="uoarm rtm", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     nameserver = commands.add_parser("nameserver", help="run omniNames until it is interrupted")
     nameserver.add_argument("--port", type=int, default=2809, help="0 for any that is free")

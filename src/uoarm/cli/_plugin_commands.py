@@ -1,0 +1,57 @@
+"""Commands that plugins bring: `uoarm rtm nameserver` belongs to uoarm-rtm.
+
+An entry point of the group `uoarm.commands` names a function that takes a list of arguments and
+returns an exit code, or a click command.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+
+import click
+
+__all__ = ["PluginGroup"]
+
+_GROUP = "uoarm.commands"
+
+
+class PluginGroup(click.Group):
+    """A group that looks for a command among the plugins when it does not have it itself."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return our own commands, then those of plugins."""
+        plugins = {point.name for point in entry_points(group=_GROUP)}
+        return [*super().list_commands(ctx), *sorted(plugins - set(self.commands))]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command; a plugin's is loaded only when it is run."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None:
+            return own
+        point = next((one for one in entry_points(group=_GROUP) if one.name == cmd_name), None)
+        return None if point is None else _command(point)
+
+
+def _command(point: EntryPoint) -> click.Command:
+    @click.command(
+        point.name,
+        help=f"Commands of the plugin {point.name}.",
+        add_help_option=False,
+        context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+    )
+    @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+    def run(arguments: tuple[str, ...]) -> None:
+        try:
+            loaded: Callable[[list[str]], int] | click.Command = point.load()
+        except Exception as error:
+            raise click.ClickException(
+                f"the plugin {point.name} cannot be used: {type(error).__name__}: {error}"
+            ) from error
+        if isinstance(loaded, click.Command):
+            loaded.main(list(arguments), prog_name=f"uoarm {point.name}")
+        else:
+            sys.exit(loaded(list(arguments)))
+
+    return run
