@@ -14,7 +14,12 @@ from peers import Peer
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    FailureReason,
+    MessageError,
+)
 from uoarm.model import Health, Role
 
 Make = Callable[..., Bridge]
@@ -95,6 +100,16 @@ def test_what_cannot_be_called_says_why(bridge: Bridge, peer: Start) -> None:
         bridge.call(service("/here", BASIC), request(int64_value="1"))
     with pytest.raises(BridgeError, match="an output takes a type package/msg/Name"):
         bridge.describe(endpoint(Role.OUTPUT, "/here", BASIC))
+
+
+def test_a_hasty_call_does_not_say_that_there_is_no_server(bridge: Bridge) -> None:
+    hasty = service("/nowhere", BASIC)
+    with pytest.raises(
+        BridgeTimeoutError, match=r"a server of /nowhere was not seen within 0\.1 s"
+    ):
+        bridge.call(hasty, request(), timeout=0.2)
+    with pytest.raises(BridgeError, match="no server of /nowhere"):
+        bridge.call(hasty, request(), timeout=30.0)
 
 
 def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:

@@ -99,7 +99,7 @@ class Ros2Bridge(Bridge):
             return self._station.has_server(name) or self._station.has_server(hidden)
 
         needed = settings.peer_required or not address.type
-        if needed and not self._graph.settled(there, settings, at_most):
+        if needed and not self._graph.settled(f"a server of {name}", there, settings, at_most):
             text = f"there is no server of {name} on the graph"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         if action is None:
@@ -171,7 +171,7 @@ class Ros2Bridge(Bridge):
         return same
 
     def _discover(self) -> tuple[Discovered, ...]:
-        self._graph.settled(lambda: False, Settings())
+        self._graph.settled("anything", lambda: False, Settings())
         own = self._participant.node_names()
         return discovered(self.name, self._station.node, own)
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Role
 from uoarm_ros2._middleware import Peer, Station
 from uoarm_ros2._settings import Address, Settings
@@ -18,6 +18,7 @@ __all__ = ["Graph", "Topic"]
 _GLANCE_SECONDS = 0.004
 _GRACE_SECONDS = 0.5
 _FRESH_SECONDS = 0.5
+_NEWCOMER_SECONDS = 1.0
 _EVERY_NODE_PUBLISHES = "/parameter_events"
 _MOST_PARTICIPANTS = 10_000
 
@@ -76,10 +77,12 @@ class Graph:
     def greet(self, service: str, seconds: float) -> None:
         """Give servers that are newcomers the time to match us, no longer than `seconds`.
 
-        A server that has not matched the client's reader yet drops the reply.
+        A server that has not matched the client's reader yet drops the reply, for good.
         """
-        end = time.monotonic() + seconds
-        self.settle(self._station.servers(service), 0.0, lambda: time.monotonic() > end)
+        now = time.monotonic()
+        met = self._meet(self._station.servers(service))
+        fresh = max((_NEWCOMER_SECONDS - (now - at) for at in met), default=0.0)
+        self.until(lambda: False, min(seconds, fresh))
 
     def _meet(self, peers: Iterable[Peer]) -> list[float]:
         if len(self._met) > _MOST_PARTICIPANTS:
@@ -131,10 +134,20 @@ class Graph:
         return name, address.type or types[0]
 
     def settled(
-        self, found: Callable[[], bool], settings: Settings, at_most: float = math.inf
+        self, what: str, found: Callable[[], bool], settings: Settings, at_most: float = math.inf
     ) -> bool:
-        """Wait for something that describing needs, only while the graph still forms."""
-        return self.until(found, min(at_most, self._patience(settings)))
+        """Wait for something that describing needs, only while the graph still forms.
+
+        Raises:
+            BridgeTimeoutError: `at_most` seconds were too few to tell that it is not there.
+        """
+        patience = self._patience(settings)
+        if self.until(found, min(at_most, patience)):
+            return True
+        if at_most < patience:
+            text = f"{what} was not seen within {at_most:g} s, too few to tell that there is none"
+            raise BridgeTimeoutError(text)
+        return False
 
     def _patience(self, settings: Settings) -> float:
         if settings.wait is not None:
