@@ -135,7 +135,7 @@ def test_messages_under_way_at_a_death_are_counted(tmp_path: Path) -> None:
     sent = 40
     while not _refused(lambda: sink.send(0)):
         sent += 1
-    under_way = sink.facts()["unconfirmed"]
+    under_way = sink.facts()["under_way"]
     assert isinstance(under_way, int)
     assert sent - 20 <= under_way <= sent
     bridge.close()

@@ -99,7 +99,7 @@ class RemoteSink(RemoteChannel, Sink):
         """Return the host's facts, and what became of the messages sent."""
         outgoing = self.outgoing
         ours = {
-            "unconfirmed": outgoing.unconfirmed,
+            "under_way": outgoing.unconfirmed,
             "failed_in_host": outgoing.failed,
             "last_error_in_host": outgoing.last_error,
         }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 from uoarm.bridge import Bridge, Channel, Sink
@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
 from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
 
-__all__ = ["LiveComponent", "connection_of", "facts_of"]
+__all__ = ["LiveComponent", "connection_of", "facts_of", "lost_with"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -25,6 +25,9 @@ class LiveComponent:
 
     Channels are opened when they are first needed and closed together. `close` never waits
     for a thread that is opening: that thread closes everything when it comes out.
+
+    Attributes:
+        lost: messages that were under way in its channels when these were closed.
     """
 
     def __init__(self, step: Step, bridge: Bridge) -> None:
@@ -40,6 +43,7 @@ class LiveComponent:
         self._senders: dict[str, Callable[[Message], None]] = {}
         self._busy = threading.Lock()
         self._doomed = False
+        self.lost = 0
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -93,11 +97,6 @@ class LiveComponent:
         for channel in (*self._sinks.values(), *self._sources.values()):
             channel.drain(timeout)
 
-    def under_way(self) -> int:
-        """Return how many messages were sent to its inputs and not known to be handled."""
-        counts = (sink.facts().get("unconfirmed", 0) for sink in self._sinks.copy().values())
-        return sum(count for count in counts if isinstance(count, int))
-
     def close(self) -> None:
         """Close every channel, sources first; failures are logged. Bounded in time."""
         self._doomed = True
@@ -145,6 +144,17 @@ class LiveComponent:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
+                under_way = dict(facts_of(channel)).get("under_way", 0)
+                self.lost += under_way if isinstance(under_way, int) else 0
+
+
+def lost_with(dead: Iterable[LiveComponent]) -> int:
+    """Return how many messages were under way in components that died, which are closed."""
+    lost = 0
+    for live in dead:
+        live.close()
+        lost += live.lost
+    return lost
 
 
 def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
