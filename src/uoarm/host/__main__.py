@@ -18,6 +18,7 @@ from uoarm.host import _keys
 from uoarm.host._die_with_parent import die_with_parent
 from uoarm.host._link import Link, Reply
 from uoarm.host._serving import Serving
+from uoarm.host._tally import Tally
 from uoarm.model import BridgeSpec
 
 _REFUSED_SECONDS = 30.0
@@ -45,11 +46,11 @@ def main() -> int:
     except UoarmError as error:
         _refuse(link, error, ended)
         return 1
-    return _serve(bridge, link, ended)
+    return _serve(bridge, link, ended, Tally(Path(orders["tally"]), make=False))
 
 
-def _serve(bridge: Bridge, link: Link, ended: threading.Event) -> int:
-    serving = Serving(bridge, link, ended)
+def _serve(bridge: Bridge, link: Link, ended: threading.Event, tally: Tally) -> int:
+    serving = Serving(bridge, link, ended, tally)
     serving.begin()
     ended.wait()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -19,6 +19,7 @@ from uoarm.host._link import ANSWER_SECONDS, Link
 from uoarm.host._process import HostProcess, host_command
 from uoarm.host._pulse import Pulse
 from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Tally
 from uoarm.model import BridgeSpec
 
 __all__ = ["HostConnection"]
@@ -71,6 +72,7 @@ class HostConnection:
         variables = settings.process_variables(os.environ)
         folder = link_folder()
         try:
+            self.tally = Tally(folder / "tally", make=True)
             place = f"unixsock-stream/{folder}/link"
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
             shared = settings.shared_memory
@@ -84,6 +86,7 @@ class HostConnection:
                     "options": dict(spec.options),
                     "place": place,
                     "folder": str(folder),
+                    "tally": str(folder / "tally"),
                     "parent": os.getpid(),
                     "lease": lease,
                     "shared_memory": shared,
@@ -166,6 +169,7 @@ class HostConnection:
                     pulse.join(_JOIN_SECONDS)
                 if self._link is not None:
                     self._link.close()
+                    self.tally.close()
 
     def _end_with_python(self) -> None:
         """End a host that nobody closed before the interpreter ends."""

@@ -18,6 +18,7 @@ _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
+_LOSSES = frozenset({"under_way", "lost_on_link"})
 
 
 class LiveComponent:
@@ -27,7 +28,7 @@ class LiveComponent:
     for a thread that is opening: that thread closes everything when it comes out.
 
     Attributes:
-        lost: messages that were under way in its channels when these were closed.
+        lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
     def __init__(self, step: Step, bridge: Bridge) -> None:
@@ -144,8 +145,7 @@ class LiveComponent:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
-                under_way = dict(facts_of(channel)).get("under_way", 0)
-                self.lost += under_way if isinstance(under_way, int) else 0
+                self.lost += _lost(channel)
 
 
 def lost_with(dead: Iterable[LiveComponent]) -> int:
@@ -163,6 +163,11 @@ def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
         return tuple(channel.facts().items())
     except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
         return (("failed", f"{type(error).__name__}: {error}"),)
+
+
+def _lost(channel: Channel) -> int:
+    counts = (value for name, value in facts_of(channel) if name in _LOSSES)
+    return sum(count for count in counts if isinstance(count, int))
 
 
 def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
