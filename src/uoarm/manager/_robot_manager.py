@@ -12,7 +12,7 @@ from typing import final
 from uoarm import _bounded
 from uoarm.adapt import check_edge
 from uoarm.bridge import Bridge, HealthEvent, Registry
-from uoarm.config import load
+from uoarm.config import assign, load
 from uoarm.errors import UsageError
 from uoarm.flow import Clock, make_check
 from uoarm.manager._attempt import Attempt
@@ -67,8 +67,8 @@ class RobotManager:
         bridges: Mapping[str, Bridge] | None = None,
         clock: Clock = time.monotonic,
     ) -> None:
-        self.robot = robot
         self.registry = registry or Registry()
+        self.robot = robot = assign(robot, self.registry.types)
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)

@@ -44,13 +44,18 @@ class ConnectionState(Enum):
 
 @frozen
 class BridgeStatus:
-    """One bridge instance."""
+    """One bridge instance.
+
+    Attributes:
+        assigned: options that uoarm chose for it, by name.
+    """
 
     name: str
     plugin: str
     health: Health
     open_channels: int
     cause: str = ""
+    assigned: tuple[tuple[str, object], ...] = ()
 
 
 @frozen
