@@ -42,8 +42,6 @@ def sparkline(values: Sequence[float], width: int = 60) -> str:
         return ""
     width = min(width, len(values))
     edges = [round(n * len(values) / width) for n in range(width + 1)]
-    means = [
-        sum(values[low:high]) / (high - low) for low, high in itertools.pairwise(edges)
-    ]
+    means = [sum(values[low:high]) / (high - low) for low, high in itertools.pairwise(edges)]
     low, span = min(means), (max(means) - min(means)) or 1.0
     return "".join(_BARS[int((mean - low) / span * (len(_BARS) - 1))] for mean in means)

@@ -1,8 +1,8 @@
 """A soak of hosts, failover and failback: `python -m bench.soak --minutes 30`.
 
 A chain of two hosted functions, each with two candidates in hosts of their own, delivers to this
-process while random hosts are killed, stopped, made to hang, slow or refusing. It must go on
-behind its handle; at the end every message must be received or counted, and threads, descriptors
+process while random hosts are killed, stopped, made to hang, slow or refusing, each at least
+once. It must go on behind its handle; at the end every message must be received or counted, and threads, descriptors
 and memory be where they were after the first part. Exit code 0 when all of that held.
 """
 
@@ -100,10 +100,10 @@ def _soak(folder: Path, seconds: float, seed: int) -> bool:
             TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
         ) as progress:
             bar = progress.add_task("soaking", total=seconds)
-            first = iter(FAULTS)
-            while (passed := time.monotonic() - begun) < seconds:
+            first = list(FAULTS)
+            while (passed := time.monotonic() - begun) < seconds or first:
                 progress.update(bar, completed=passed, description=_told(soak, faults))
-                faults.harm(next(first, None))
+                faults.harm(first.pop(0) if first else None)
                 _wait_for_more(soak, connection)
                 soak.samples.append(look())
         (folder / "enough").touch()

@@ -16,6 +16,7 @@ from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._die_with_parent import die_with_parent
+from uoarm.host._limit_memory import limit_memory
 from uoarm.host._link import Link, Reply
 from uoarm.host._serving import Serving
 from uoarm.host._tally import Tally
@@ -31,6 +32,7 @@ def main() -> int:
         orders = json.loads(given.readline())
     if not die_with_parent(orders["parent"]):
         return _ORPHANED
+    limit_memory(orders["memory"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
     ended = threading.Event()

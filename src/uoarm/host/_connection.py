@@ -60,7 +60,7 @@ class HostConnection:
         self._name = spec.name
         self._died = died
         self._doubted = doubted
-        self._silence = settings.silence
+        self._memory = settings.memory
         self._state = threading.Condition()
         self._alive = False
         self._closing = False
@@ -88,6 +88,7 @@ class HostConnection:
                     "folder": str(folder),
                     "tally": str(folder / "tally"),
                     "parent": os.getpid(),
+                    "memory": settings.memory_bytes,
                     "lease": lease,
                     "shared_memory": shared,
                 }
@@ -215,7 +216,7 @@ class HostConnection:
             self._state.notify_all()
 
     def _exited(self, how: str) -> None:
-        self._die(how)
+        self._die(f"{how}; it might have {self._memory} of memory" if self._memory else how)
 
     def _doubt(self, in_doubt: bool) -> None:  # noqa: FBT001 - told, not asked
         self._doubted(in_doubt, "its bridge host does not answer" if in_doubt else "it answers")
