@@ -2,8 +2,9 @@
 
 A chain of two hosted functions, each with two candidates in hosts of their own, delivers to this
 process while random hosts are killed, stopped, made to hang, slow or refusing, each at least
-once. It must go on behind its handle; at the end every message must be received or counted, and threads, descriptors
-and memory be where they were after the first part. Exit code 0 when all of that held.
+once. It must go on behind its handle; at the end every message must be received or counted, and
+threads, descriptors and memory be where they were after the first part. Exit code 0 when all of
+that held.
 """
 
 from __future__ import annotations
