@@ -98,6 +98,9 @@ def kill(robot: RobotManager, name: str) -> None:
     os.kill(bridge.process, signal.SIGKILL)
 
 
+PATIENCE_SECONDS = 60.0  # a generous limit: the machine may be busy
+
+
 def journal(folder: Path, name: str) -> int:
     return sum(path.stat().st_size for path in folder.glob(f"{name}-*.journal"))
 
@@ -107,13 +110,13 @@ def test_what_a_killed_source_had_sent_is_received_or_counted(
 ) -> None:
     got: list[int] = []
     connection = robot.request("camera", on_message=got.append)
-    wait(lambda: len(got) > 2000)
+    wait(lambda: len(got) > 2000, PATIENCE_SECONDS)
     kill(robot, "one")
-    wait(lambda: connection.gaps)
+    wait(lambda: connection.gaps, PATIENCE_SECONDS)
     seen = len(got)
-    wait(lambda: len(got) > seen + 2000)
+    wait(lambda: len(got) > seen + 2000, PATIENCE_SECONDS)
     (tmp_path / "enough").touch()
-    wait(lambda: _accounted(robot, got, journal(tmp_path, "source")))
+    wait(lambda: _accounted(robot, got, journal(tmp_path, "source")), PATIENCE_SECONDS)
     (gap,) = connection.gaps
     assert got[: gap.position] == list(range(gap.position))
     assert gap.lost < 1000
@@ -141,7 +144,10 @@ def test_what_was_sent_into_a_killed_consumer_is_taken_or_counted(
         sent += 1
     assert connection.flush(10)
     connection.course.drain(10)
-    wait(lambda: 0 <= journal(tmp_path, "sink") + losses(robot.status()).total() - sent <= 1)
+    wait(
+        lambda: 0 <= journal(tmp_path, "sink") + losses(robot.status()).total() - sent <= 1,
+        PATIENCE_SECONDS,
+    )
     (gap,) = connection.gaps
     assert gap.lost <= 200  # a window, and what was tried beyond it
     assert dict(gap.dropped)["closed"] > 0
@@ -152,18 +158,18 @@ def test_what_waited_between_a_killed_source_and_a_slow_consumer_is_counted(
 ) -> None:
     got: list[int] = []
     connection = robot.request("face", on_message=got.append)
-    wait(lambda: len(got) > 300)
+    wait(lambda: len(got) > 300, PATIENCE_SECONDS)
     kill(robot, "one")
-    wait(lambda: connection.gaps)
+    wait(lambda: connection.gaps, PATIENCE_SECONDS)
     seen = len(got)
-    wait(lambda: len(got) > seen + 300)
+    wait(lambda: len(got) > seen + 300, PATIENCE_SECONDS)
     (tmp_path / "enough").touch()
 
     def unaccounted() -> int:
         sent, taken = journal(tmp_path, "source"), journal(tmp_path, "sink")
         return sent - taken - losses(robot.status()).total()
 
-    wait(lambda: 0 <= unaccounted() <= 1)
+    wait(lambda: 0 <= unaccounted() <= 1, PATIENCE_SECONDS)
     assert len(got) == journal(tmp_path, "sink")
     (gap,) = connection.gaps
     assert gap.after == ("second", "finder")

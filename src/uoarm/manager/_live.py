@@ -47,6 +47,16 @@ class LiveComponent:
         self.lost = 0
 
     @property
+    def is_closed(self) -> bool:
+        """Whether it was closed, after its last user or its death."""
+        return self._doomed
+
+    @property
+    def unheard(self) -> int:
+        """How many messages it emitted while nobody took them, as it was being let go."""
+        return sum(outlet.unheard for outlet in self.outlets.values())
+
+    @property
     def channels(self) -> tuple[Channel, ...]:
         """The channels open now."""
         return (*self._sources.values(), *self._sinks.values())
@@ -153,7 +163,7 @@ def lost_with(dead: Iterable[LiveComponent]) -> int:
     lost = 0
     for live in dead:
         live.close()
-        lost += live.lost
+        lost += live.lost + live.unheard
     return lost
 
 

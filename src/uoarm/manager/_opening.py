@@ -99,13 +99,23 @@ class OpenPlan:
                 return
             undo()
 
+    def run_out(self, timeout: float) -> None:
+        """Let what is under way pass through what ends with this plan; new messages stay out.
+
+        Waits `timeout` seconds at most for each queue and component.
+        """
+        for joined in self._edges_downstream():
+            if set(joined.users) == {self.user}:
+                joined.finish()
+            if joined.consumer.users == [self.user]:
+                joined.consumer.drain(timeout)
+
     def drain(self, timeout: float) -> None:
         """Wait until what is under way has passed every edge, `timeout` seconds for each."""
-        order = {step.component.name: n for n, step in enumerate(self.plan.steps)}
-        for joined in sorted(self.edges, key=lambda one: order[one.edge.producer]):
+        for joined in self._edges_downstream():
             if joined.route is not None:
                 joined.route.drain(timeout)
-                self._lives[joined.edge.consumer].drain(timeout)
+                joined.consumer.drain(timeout)
 
     def ended_edges(self) -> Iterator[RouteStatus]:
         """Yield the counters of its edges that have ended, for good."""
@@ -133,6 +143,11 @@ class OpenPlan:
                 joined = self._join(edge, live)
                 if joined.route is not None:
                     wanted[edge.producer].add(edge.output)
+
+    def _edges_downstream(self) -> list[LiveEdge]:
+        """Return its edges, those of the first producers first."""
+        order = {step.component.name: n for n, step in enumerate(self.plan.steps)}
+        return sorted(self.edges, key=lambda one: order[one.edge.producer])
 
     def _join(self, edge: Edge, consumer: LiveComponent) -> LiveEdge:
         producer = self._lives[edge.producer]

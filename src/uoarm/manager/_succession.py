@@ -20,6 +20,7 @@ from uoarm.model import Gap, Plan, RouteStatus
 __all__ = ["Succession"]
 
 _TURN_SECONDS = 60.0
+_RUN_OUT_SECONDS = 2.0
 
 
 class Succession:
@@ -109,14 +110,18 @@ class Succession:
             raise ConnectionClosedError(f"connection {self.course.id} has ended: {cause}")
 
     def finish(self, dead: tuple[LiveComponent, ...] = ()) -> None:
-        """Close the plan so far and count what went with it; after `take`, outside the context.
+        """Let the plan so far run out, close it, and count what went with it all the same.
+
+        Called after `take`, outside the context.
 
         Args:
             dead: the components that died; what was under way in them is counted as lost.
         """
         assert self._taken is not None, "only what was taken is finished"
+        self._before.run_out(_RUN_OUT_SECONDS)
         self._before.close()
-        lost = lost_with(dead)
+        let_go = [one for one in self._before.components if one.is_closed and one not in dead]
+        lost = lost_with((*dead, *let_go))
         ended = tuple(self._ended())
         gap = evolve(self._taken, lost=lost, dropped=dropped_by_reason(ended))
         self.course.history.add(gap, ended)
