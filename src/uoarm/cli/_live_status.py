@@ -18,7 +18,7 @@ __all__ = ["show_live_status"]
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "bridges": ("name", "plugin", "health", "assigned", "cause"),
     "components": ("name", "function", "health", "cause"),
-    "connections": ("id", "function", "state", "cause"),
+    "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
 }
 

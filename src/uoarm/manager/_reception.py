@@ -24,6 +24,7 @@ class Reception:
     def __init__(self, queue: QueuePolicy, make: MakeRoute | None) -> None:
         self.inbox = Inbox(queue, self._count_drop)
         self.arrived = 0
+        self.began = 0
         self._make = make
         self._heard: Route | None = None
 
@@ -48,8 +49,13 @@ class Reception:
         return route
 
     def hear(self, route: Route | None) -> None:
-        """Let the messages of this route through from now on, and of no other."""
-        self._heard = route
+        """Let the messages of this route through from now on, and of no other.
+
+        `began` is how many messages had arrived before them.
+        """
+        if route is not self._heard:
+            self._heard = route
+            self.began = self.arrived
 
     def _count_drop(self, reason: str) -> None:
         if self._heard is not None:

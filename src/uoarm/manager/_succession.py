@@ -92,12 +92,14 @@ class Succession:
         now = self._clock()
 
         def swap() -> None:
+            stays = self._opened.ends is self._before.ends
             self._opened.inherit(self._before)
             self.course.opened = self._opened
-            self.course.reception.hear(self._opened.ends.route)
+            reception = self.course.reception
+            reception.hear(self._opened.ends.route)
             self._taken = Gap(
                 time=now,
-                position=self.course.reception.arrived,
+                position=reception.arrived if stays else reception.began,
                 seconds=now - since,
                 lost=0,
                 before=names(self._before.plan),
