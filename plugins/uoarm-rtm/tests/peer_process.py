@@ -90,6 +90,9 @@ class Process:
         self._received: list[Any] = []
         self._calls: list[str] = []
         self._fail = ""
+        self._free = threading.Event()
+        self._free.set()
+        self._held = threading.Event()
         self._configured: dict[str, str] = {}
         callbacks = Callbacks(
             activated=lambda: self._called("activated"),
@@ -118,6 +121,18 @@ class Process:
 
     def fetch(self) -> int:
         return self._in.fetch()
+
+    def hold(self) -> None:
+        """Let whoever writes to the InPort wait, from the next message on."""
+        self._free.clear()
+        self._held.clear()
+
+    def held(self) -> bool:
+        """Wait until a writer waits; returns whether that came."""
+        return self._held.wait(20)
+
+    def let_go(self) -> None:
+        self._free.set()
 
     def calls(self) -> list[str]:
         return self._calls
@@ -195,6 +210,8 @@ class Process:
         self._orb.close()
 
     def _take(self, message: Any) -> None:
+        self._held.set()
+        self._free.wait(20)
         self._received.append(plain(message))
 
     def _called(self, name: str) -> None:

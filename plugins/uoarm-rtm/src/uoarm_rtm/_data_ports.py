@@ -21,7 +21,7 @@ from uoarm_rtm._publisher import Pulled, Pusher, Threaded
 from uoarm_rtm._scalars import Order
 from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
 from uoarm_rtm._types import plain_name
-from uoarm_rtm._wishes import Refusal, Wishes, read_wishes
+from uoarm_rtm._wishes import Refusal, Wishes, read_policies, read_wishes
 
 __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 
@@ -172,11 +172,19 @@ class OutPort(_DataPort):
         super().__init__(orb, name, "DataOutPort", codec, seconds)
         self._outlets: dict[str, _Outlet] = {}
         self._writing = threading.Lock()
+        self._dropped_before = 0
+
+    @property
+    def dropped(self) -> int:
+        """Messages that buffers gave up or did not take, of all connectors there were."""
+        outlets = list(self._outlets.values())
+        return self._dropped_before + sum(each.writer.dropped for each in outlets)
 
     def write(self, message: Message) -> None:
         """Send a message to all connectors.
 
-        Blocks as long as the connectors with `flush` take.
+        Blocks as long as the connectors with `flush` take, and those whose full buffers block.
+        A message that a full buffer does not take is counted in `dropped`.
 
         Raises:
             MessageError: it does not fit the port's type.
@@ -193,7 +201,7 @@ class OutPort(_DataPort):
     def _publish(self, profile: Any) -> None:
         wishes = self._wishes(profile)
         if not wishes.push:
-            buffer = Pulled()
+            buffer = Pulled(read_policies(properties_of(profile.properties))[0])
             reference = self.orb.serve(buffer)
             self._outlets[profile.connector_id] = _Outlet(buffer, wishes.order, reference)
             self._offer(profile, {OUTPORT_IOR: self.orb.text(reference)})
@@ -205,12 +213,16 @@ class OutPort(_DataPort):
         target = self._reach(profile, INPORT_IOR, OpenRTM.InPortCdr)
         connector = profile.connector_id
         pusher = Pusher(target, lambda: self.drop(connector))
-        writer = pusher if wishes.subscription == "flush" else Threaded(pusher, wishes)
+        writer: Pusher | Threaded = pusher
+        if wishes.subscription != "flush":
+            buffer, push = read_policies(properties_of(profile.properties))
+            writer = Threaded(pusher.write, buffer, push, wishes.period)
         self._outlets[connector] = _Outlet(writer, wishes.order)
 
     def _release(self, connector_id: str) -> None:
         outlet = self._outlets.pop(connector_id, None)
         if outlet is not None:
             outlet.writer.close()
+            self._dropped_before += outlet.writer.dropped
             if outlet.reference is not None:
                 self.orb.withdraw(outlet.reference)

@@ -66,8 +66,12 @@ class _OwnSink(Sink):
         self._count += 1
 
     def facts(self) -> Mapping[str, object]:
-        """Return the count of messages and of connectors."""
-        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
+        """Return the counts of messages, of those that buffers dropped, and of connectors."""
+        return {
+            "count": self._count,
+            "dropped": self._port.dropped,
+            "connectors": len(self._port.get_connector_profiles()),
+        }
 
     def _close(self) -> None:
         self._own.remove(self._port)

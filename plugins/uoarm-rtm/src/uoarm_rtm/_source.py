@@ -12,12 +12,13 @@ from omniORB import CORBA
 from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
+from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
-from uoarm_rtm._orb import narrowed
+from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
@@ -110,6 +111,8 @@ class Source(Channel):
         what = f"{place.where}: its OutPortCdr"
         try:
             target = narrowed(place.orb.reference(ior), OpenRTM.OutPortCdr, place.seconds, what)
+            waits = buffer_policy(place.settings.properties, "outport").longest_read
+            limit(target, place.seconds + waits)
         except BridgeError:
             self._connector.disconnect()
             raise
@@ -118,12 +121,14 @@ class Source(Channel):
         ).start()
 
     def _pull(self, target: Any) -> None:
-        """Ask `rate` times a second; a datum that comes again is left out.
+        """Ask `rate` times a second.
 
         Components in C++ give their last datum again for ever, unless told otherwise; those in
-        Python raise BAD_PARAM while they are empty (observed).
+        Python raise BAD_PARAM while they are empty (observed). A datum that comes again is left
+        out, unless the endpoint's options say what an empty buffer shall do.
         """
         before = b""
+        all_of_them = says_what_empty_means(self._place.settings.properties)
         while not self._ended.wait(1.0 / self._place.settings.rate):
             try:
                 with calls:
@@ -134,6 +139,6 @@ class Source(Channel):
                 text = f"{self._place.where} is gone ({corba_text(error)})"
                 self.pulse.tell(Health.LOST, text)
                 return
-            if status == OpenRTM.PORT_OK and data != before:
+            if status == OpenRTM.PORT_OK and (all_of_them or data != before):
                 before = data
                 self.receive(data)
