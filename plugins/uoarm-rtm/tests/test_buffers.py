@@ -173,6 +173,7 @@ def test_an_out_port_pushes_what_the_policy_says(
         "subscription": subscription,
         "rate": 1000,
         "outport_buffer": {"length": 60},
+        **options,
     }
     source(bridge, endpoint(*OUT, **wish), inbox)
     component.count(0, 60)
