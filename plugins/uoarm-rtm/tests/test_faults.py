@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -154,6 +155,29 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
         component.count(3, 5)
         inbox.wait_for(5)
     assert not [each for each in events.messages if each.channel is not None]
+
+
+ASKED: dict[str, Callable[[Bridge], object]] = {
+    "discover": lambda bridge: [each.name for each in bridge.discover()] == ["Mortal.rtc"],
+    "describe": lambda bridge: bridge.describe(OUT).message,
+    "a port of our own": lambda bridge: sink(
+        bridge, endpoint(Role.INPUT, "self", "o", "TimedLong")
+    ),
+}
+
+
+@pytest.mark.parametrize("asked", ASKED)
+def test_the_first_request_after_a_naming_service_came_back_succeeds(
+    make_bridge: Make, peer: Start, asked: str
+) -> None:
+    with NameServer() as first:
+        port = first.port
+        bridge = make_bridge(nameserver=first.address, watch=0)
+        with ThreadPoolExecutor(4) as pool:  # for several connections to it
+            assert set(pool.map(lambda _: bridge.discover(), range(8))) == {()}
+    with NameServer(port) as second:
+        peer("Mortal", at=second.address)
+        assert ASKED[asked](bridge)
 
 
 def test_one_naming_service_of_two_is_enough(make_bridge: Make, peer: Start) -> None:
