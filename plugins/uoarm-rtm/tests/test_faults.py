@@ -124,6 +124,39 @@ def test_the_other_side_ends_the_connection(bridge: Bridge, peer: Start) -> None
     channel.close()
 
 
+def test_an_out_port_is_never_disconnected_while_it_is_asked(bridge: Bridge, peer: Start) -> None:
+    component = peer("Mortal")
+    component.mind_disconnecting()
+    waiting = {"empty_policy": "block", "read_timeout": 1}
+    at = endpoint(Role.OUTPUT, "Mortal.rtc", "out", flow="pull", rate=1000, outport_buffer=waiting)
+    channel = source(bridge, at, Inbox())
+    until(lambda: component.asked() == 1)
+    channel.close()
+    assert component.connectors() == [0, 0]
+    assert component.interrupted() == 0
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
+    bridge: Bridge, peer: Start, subscription: str
+) -> None:
+    component = peer("Mortal")
+    at = endpoint(Role.INPUT, "Mortal.rtc", "in", subscription=subscription, activate=True)
+    into = sink(bridge, at)
+    component.hold()
+    with ThreadPoolExecutor(2) as pool:
+        sending = pool.submit(into.send, stamped(1))
+        assert component.held()
+        closing = pool.submit(into.close)
+        with pytest.raises(TimeoutError):
+            closing.result(0.3)
+        assert component.connectors() == [1, 0]
+        component.let_go()
+        sending.result(20)
+        closing.result(20)
+    assert component.connectors() == [0, 0]
+
+
 def test_silence_is_told_when_asked(bridge: Bridge, peer: Start) -> None:
     peer("Mortal")
     events = Inbox()

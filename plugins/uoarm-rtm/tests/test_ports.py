@@ -73,6 +73,22 @@ def test_an_in_port_gets_everything_in_order(
     assert caught.value.reason is FailureReason.CLOSED
 
 
+def test_big_endian_data_is_not_asked_of_a_component_that_cannot_push_it(
+    bridge: Bridge, peer: Start
+) -> None:
+    component = peer("Talker")
+    component.speak("C++")
+    big = endpoint(Role.OUTPUT, "Talker.rtc", "out", endian="big")
+    with pytest.raises(BridgeError, match="push little-endian data whatever") as caught:
+        bridge.describe(big)
+    assert caught.value.reason is FailureReason.REFUSED
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "Talker.rtc", "out", endian="big", flow="pull"), inbox)
+    component.count(5, 6)
+    inbox.wait_for(1)
+    assert inbox.numbers() == [5]
+
+
 def test_an_in_port_that_pulls(bridge: Bridge, peer: Start) -> None:
     component = peer("Listener")
     at = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True, flow="pull")

@@ -230,6 +230,14 @@ class RtmBridge(Bridge):
                 f"the configuration says {address.type}: correct the endpoint"
             )
             raise BridgeError(text, FailureReason.REFUSED)
+        settings = settings_of(endpoint)
+        pushes_big = settings.endian == "big" and settings.flow == "push"
+        if pushes_big and endpoint.role is Role.OUTPUT and peer.language == "C++":
+            text = (
+                f"port {port.name!r} of component {peer.path!r}: components in C++ push "
+                "little-endian data whatever they are asked for: leave out `endian`"
+            )
+            raise BridgeError(text, FailureReason.REFUSED)
         return peer, port
 
     def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> Channel:

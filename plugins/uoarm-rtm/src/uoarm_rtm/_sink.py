@@ -11,7 +11,7 @@ from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Message
 from uoarm_rtm._buffering import buffer_policy, push_policy
-from uoarm_rtm._calls import calls
+from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -54,6 +54,9 @@ class InPortSink(Sink):
         self._outlet: Any = None
         self._target: Any = None
         self._gone = ""
+        self._putting = Calls()
+        waits = buffer_policy(place.settings.properties, "inport").longest_write
+        self._longest = place.settings.timeout or place.seconds + waits
         properties = asked(place.settings, place.codec.name)
         pulls = place.settings.flow == "pull"
         if pulls:
@@ -134,13 +137,14 @@ class InPortSink(Sink):
 
     def _put(self, data: bytes) -> None:
         try:
-            with calls:
+            with calls, self._putting:
                 status = self._target.put(data)
         except CORBA.TIMEOUT as error:
             text = f"{self._place.where} did not take a message within its time limit"
             self.pulse.tell(Health.DEGRADED, text)
             raise BridgeTimeoutError(text) from error
         except CORBA.Exception as error:
+            self._be_open()
             text = f"{self._place.where} is gone ({corba_text(error)})"
             self.pulse.tell(Health.LOST, text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -156,14 +160,15 @@ class InPortSink(Sink):
         try:
             what = f"{place.where}: its InPortCdr"
             target = narrowed(place.orb.reference(ior), OpenRTM.InPortCdr, place.seconds, what)
-            waits = buffer_policy(place.settings.properties, "inport").longest_write
-            return limit(target, place.settings.timeout or place.seconds + waits)
+            return limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
 
     def _close(self) -> None:
         self._withdraw()
+        # A component in C++ may abort when it is disconnected while it takes a message.
+        self._putting.end(self._longest)
         try:
             self._connector.disconnect()
         finally:

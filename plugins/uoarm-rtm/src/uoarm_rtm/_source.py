@@ -13,7 +13,7 @@ from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
-from uoarm_rtm._calls import calls
+from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
@@ -57,6 +57,8 @@ class Source(Channel):
         self._delivery = Delivery(deliver)
         self._order = BIG if place.settings.endian == "big" else LITTLE
         self._ended = threading.Event()
+        self._asking = Calls()
+        self._longest = place.seconds
         self.pulse = Pulse(self, place, place.settings.stale_after)
         self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
         properties = asked(place.settings, place.codec.name)
@@ -95,6 +97,8 @@ class Source(Channel):
     def _close(self) -> None:
         self._ended.set()
         self._delivery.end()
+        # A component in C++ aborts when it is disconnected while it is asked (observed).
+        self._asking.end(self._longest)
         self._withdraw()
         try:
             self._connector.disconnect()
@@ -111,8 +115,8 @@ class Source(Channel):
         what = f"{place.where}: its OutPortCdr"
         try:
             target = narrowed(place.orb.reference(ior), OpenRTM.OutPortCdr, place.seconds, what)
-            waits = buffer_policy(place.settings.properties, "outport").longest_read
-            limit(target, place.seconds + waits)
+            self._longest += buffer_policy(place.settings.properties, "outport").longest_read
+            limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
@@ -131,11 +135,13 @@ class Source(Channel):
         all_of_them = says_what_empty_means(self._place.settings.properties)
         while not self._ended.wait(1.0 / self._place.settings.rate):
             try:
-                with calls:
+                with calls, self._asking:
                     status, data = target.get()
             except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
                 continue
             except CORBA.Exception as error:
+                if self._ended.is_set():
+                    return
                 text = f"{self._place.where} is gone ({corba_text(error)})"
                 self.pulse.tell(Health.LOST, text)
                 return
