@@ -269,7 +269,8 @@ def test_our_buffer_before_an_in_port_may_wait_for_room(bridge: Bridge, peer: St
     assert into.blocking
     for number in range(20):
         into.send(stamped(number))
-    until(lambda: [each["data"] for each in component.received()] == list(range(20)))
+    assert into.drain(20)
+    assert [each["data"] for each in component.received()] == list(range(20))
     assert into.facts()["dropped"] == 0
 
 
@@ -279,10 +280,12 @@ def test_an_in_port_that_pulls_finds_what_our_policy_leaves(bridge: Bridge, peer
     into = sink(bridge, endpoint(*IN, activate=True, flow="pull", outport_buffer=buffer))
     into.send(stamped(1))
     into.send(stamped(2))
+    assert not into.drain(0)
     with pytest.raises(BridgeError, match="our buffer of 2 for it is full"):
         into.send(stamped(3))
     assert [component.fetch() for _ in range(4)] == [1, 1, 1, 1]
     assert [each["data"] for each in component.received()] == [1, 2, 2, 2]
+    assert into.drain(0)
 
 
 def test_an_in_port_that_pulls_may_wait_for_a_message(bridge: Bridge, peer: Start) -> None:

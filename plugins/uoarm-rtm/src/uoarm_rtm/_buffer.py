@@ -24,6 +24,7 @@ class Buffer:
         self._waiting: deque[bytes] = deque()
         self._last: bytes | None = None
         self._closed = False
+        self._busy = False
         self._changed = threading.Condition()
 
     def write(self, data: bytes) -> bool:
@@ -60,15 +61,26 @@ class Buffer:
             return self._last if self.policy.empty == "readback" else None
 
     def take(self, most: int | None = None) -> list[bytes]:
-        """Wait until something waits, and return all of it or the oldest; [] once closed."""
+        """Wait until something waits, and return all of it or the oldest; [] once closed.
+
+        Whoever takes is done with that when it comes again.
+        """
         with self._changed:
+            self._busy = False
+            self._changed.notify_all()
             self._changed.wait_for(self._is_ready)
             if self._closed:
                 return []
             count = len(self._waiting) if most is None else most
             taken = [self._waiting.popleft() for _ in range(min(count, len(self._waiting)))]
+            self._busy = True
             self._changed.notify_all()
             return taken
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until nothing waits and whoever takes is done; returns whether that came."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not (self._waiting or self._busy), seconds)
 
     def close(self) -> None:
         """Let go of everybody who waits; what waits is not taken any more."""

@@ -79,6 +79,10 @@ class Threaded:
         """Have a message wait to be sent; returns whether the buffer took it."""
         return self._buffer.write(data)
 
+    def drain(self, seconds: float) -> bool:
+        """Wait until nothing waits any more; returns whether that came."""
+        return self._buffer.drain(seconds)
+
     def close(self) -> None:
         """End the thread; what waits is not sent."""
         self._ended.set()
@@ -129,6 +133,10 @@ class Pulled(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, witho
     def write(self, data: bytes) -> bool:
         """Have a message wait; returns whether the buffer took it."""
         return self._buffer.write(data)
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until nothing waits any more; returns whether that came."""
+        return self._buffer.drain(seconds)
 
     def close(self) -> None:
         """End; whoever waits in `get` or `write` is let go."""

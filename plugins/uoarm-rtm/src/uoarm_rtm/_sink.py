@@ -92,6 +92,10 @@ class InPortSink(Sink):
         else:
             self._keep(data)
 
+    def drain(self, timeout: float) -> bool:
+        """Wait until what is in our buffer has been taken, `timeout` seconds at most."""
+        return self._buffer is None or self._buffer.drain(timeout)
+
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
         self.pulse.look(self._connector)
