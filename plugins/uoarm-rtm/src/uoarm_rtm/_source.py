@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,13 +12,13 @@ from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
-from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
+from uoarm_rtm._puller import Puller
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["Source"]
@@ -56,8 +55,7 @@ class Source(Channel):
         self._place = place
         self._delivery = Delivery(deliver)
         self._order = BIG if place.settings.endian == "big" else LITTLE
-        self._ended = threading.Event()
-        self._asking = Calls()
+        self._puller: Puller | None = None
         self._longest = place.seconds
         self.pulse = Pulse(self, place, place.settings.stale_after)
         self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
@@ -95,10 +93,9 @@ class Source(Channel):
         return self.pulse.facts()
 
     def _close(self) -> None:
-        self._ended.set()
         self._delivery.end()
-        # A component in C++ aborts when it is disconnected while it is asked (observed).
-        self._asking.end(self._longest)
+        if self._puller is not None:
+            self._puller.end(self._longest)
         self._withdraw()
         try:
             self._connector.disconnect()
@@ -120,31 +117,13 @@ class Source(Channel):
         except BridgeError:
             self._connector.disconnect()
             raise
-        threading.Thread(
-            target=self._pull, args=(target,), name="uoarm-rtm-pull", daemon=True
-        ).start()
+        self._puller = Puller(
+            target,
+            place.settings.rate,
+            repeats=says_what_empty_means(place.settings.properties),
+            take=self.receive,
+            lost=self._lost,
+        )
 
-    def _pull(self, target: Any) -> None:
-        """Ask `rate` times a second.
-
-        Components in C++ give their last datum again for ever, unless told otherwise; those in
-        Python raise BAD_PARAM while they are empty (observed). A datum that comes again is left
-        out, unless the endpoint's options say what an empty buffer shall do.
-        """
-        before = b""
-        all_of_them = says_what_empty_means(self._place.settings.properties)
-        while not self._ended.wait(1.0 / self._place.settings.rate):
-            try:
-                with calls, self._asking:
-                    status, data = target.get()
-            except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
-                continue
-            except CORBA.Exception as error:
-                if self._ended.is_set():
-                    return
-                text = f"{self._place.where} is gone ({corba_text(error)})"
-                self.pulse.tell(Health.LOST, text)
-                return
-            if status == OpenRTM.PORT_OK and (all_of_them or data != before):
-                before = data
-                self.receive(data)
+    def _lost(self, error: CORBA.Exception) -> None:
+        self.pulse.tell(Health.LOST, f"{self._place.where} is gone ({corba_text(error)})")
