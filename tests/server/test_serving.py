@@ -42,7 +42,7 @@ def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
 def test_health_and_pages(server: Server) -> None:
     assert page(server, "/healthz") == (200, '{"status":"ok","clients":0}')
     assert "uoarm serve" in page(server, "/")[1]
-    assert "export function connect" in page(server, "/uoarm.js")[1]
+    assert "export async function connect" in page(server, "/uoarm.js")[1]
     assert "export function decode" in page(server, "/uoarm-cbor.js")[1]
     assert "export function connect" in page(server, "/uoarm.d.ts")[1]
     for path in ("/nowhere", "/../pyproject.toml", "/%2e%2e/__init__.py", "/static/index.html"):
