@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
-from uoarm.server import Server, Settings, serve_in_thread
+from uoarm.server import Server, Settings, fingerprint_of, serve_in_thread
 
 ROOT = Path(__file__).parents[2]
 Start = Callable[..., tuple[subprocess.Popen[str], int]]
@@ -126,6 +126,17 @@ def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
     assert second.returncode == 5
     assert "cannot listen" in err
     assert "Traceback" not in err
+
+
+def test_tls_auto_tells_the_fingerprint(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    process, _ = start("--tls", "auto")
+    assert process.stdout is not None
+    told = process.stdout.readline()
+    path = tmp_path / "uoarm" / "tls" / "server.pem"
+    assert told == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
 
 
 def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -> None:

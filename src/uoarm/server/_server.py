@@ -118,10 +118,11 @@ class Server:
     async def _listen(
         self, port: int, desk: Desk, metrics: Callable[[], bytes], *, only_rosbridge: bool
     ) -> None:
+        limits = self._limits
         doors = Doors(
             self._admission,
             self._audit,
-            self._limits,
+            limits,
             self._connected,
             health=self._health,
             metrics=metrics,
@@ -137,16 +138,17 @@ class Server:
                 self._settings.host,
                 port,
                 ssl=self._tls,
+                ssl_handshake_timeout=None if self._tls is None else limits.handshake_seconds,
                 process_request=doors.process_request,
                 select_subprotocol=doors.select_subprotocol,
                 create_connection=self._make_connection,  # type: ignore[arg-type] # it is only called
                 compression=None,
                 server_header=None,
-                open_timeout=self._limits.handshake_seconds,
-                ping_interval=self._limits.ping_seconds,
-                ping_timeout=self._limits.stall_seconds,
-                close_timeout=self._limits.stop_seconds,
-                max_size=self._limits.message_bytes,
+                open_timeout=limits.handshake_seconds,
+                ping_interval=limits.ping_seconds,
+                ping_timeout=limits.stall_seconds,
+                close_timeout=limits.stop_seconds,
+                max_size=limits.message_bytes,
             )
         )
         self._doors.append(doors)
