@@ -19,7 +19,7 @@ from pathlib import Path
 
 from circuits import FRAMEWORKS, configuration, message, name_of
 from stage import head, table
-from uoarm_rtm._nameserver import NameServer
+from uoarm_rtm.nameserver import NameServer
 
 from uoarm import RobotManager, UoarmError
 from uoarm.adapt import check_edge, transfer
