@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import random
 import subprocess
 import sys
 import time
@@ -18,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from circuits import FRAMEWORKS, configuration, message, name_of
-from stage import head, table
+from stage import free_domain, head, table
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm import RobotManager, UoarmError
@@ -140,7 +139,7 @@ def main() -> None:
     parser.add_argument("--hosted", action="store_true", help="each bridge in its own process")
     options = parser.parse_args()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    domain = random.randrange(1, 101)  # noqa: S311 - no secret
+    domain = free_domain()
     with NameServer() as names, loop("rtm", names.address), loop("rocos") as device:
         text = configuration(names.address, device, domain, hosted=options.hosted)
         with RobotManager(loads(text)) as robot:

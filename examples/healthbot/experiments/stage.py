@@ -19,9 +19,9 @@ sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "vision")]
 
 from healthbot_scene.crew import Crew  # noqa: E402 - found once the path is set
 from healthbot_scene.parts import Part, parts_of  # noqa: E402
-from healthbot_scene.places import Places, make_places  # noqa: E402
+from healthbot_scene.places import Places, free_domain, make_places  # noqa: E402
 
-__all__ = ["EXAMPLE", "Stage", "head", "stage", "table"]
+__all__ = ["EXAMPLE", "Stage", "free_domain", "head", "stage", "table"]
 
 
 @frozen

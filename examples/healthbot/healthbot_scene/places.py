@@ -14,12 +14,13 @@ from attrs import frozen
 from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
 
-__all__ = ["EXAMPLE", "Places", "make_places"]
+__all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
 
 EXAMPLE = Path(__file__).resolve().parents[1]
 _RECOGNISERS = ("resnet", "lbph")
 # Domains whose UDP ports lie below Linux's range of short-lived ones.
 _DOMAINS = range(1, 101)
+_FIRST_PORT, _PORTS_OF_A_DOMAIN, _UNICAST = 7400, 250, 10
 
 
 @frozen
@@ -119,8 +120,25 @@ def make_places(run: Path, cache: Path, ports: tuple[int, int, int, int] | None 
             continue  # its component says what to install when it is asked for
         recogniser.enrol(photos_in(footage.photos), gallery)
     chosen = ports or _free_ports()
-    domain = random.choice(_DOMAINS)  # noqa: S311 - no secret
-    return Places(run.resolve(), footage.folder.resolve(), domain, *chosen)
+    return Places(run.resolve(), footage.folder.resolve(), free_domain(), *chosen)
+
+
+def free_domain() -> int:
+    """Return a ROS 2 domain in which nobody on this machine seems to be."""
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        first = _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain
+        if _is_free(first) and _is_free(first + _UNICAST):
+            return domain
+    return random.choice(_DOMAINS)  # noqa: S311 - no secret; all are taken, so one is shared
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", port))
+        except OSError:
+            return False
+    return True
 
 
 def _free_ports() -> tuple[int, int, int, int]:
