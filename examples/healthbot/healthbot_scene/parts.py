@@ -104,7 +104,9 @@ def _naming(places: Places) -> tuple[str, ...]:
     """Return omniNames on loopback, which keeps its names should it be started again."""
     names = places.run / "names"
     names.mkdir(exist_ok=True)
-    return nameserver_command(places.names, "127.0.0.1", names, str(names / "errors"))
+    errors = str(names / "errors")
+    command: tuple[str, ...] = nameserver_command(places.names, "127.0.0.1", names, errors)
+    return command
 
 
 def _oximeter(name: str, what: str, framework: str, run: Path, kind: str) -> Part:

@@ -7,12 +7,15 @@ import os
 import random
 import socket
 import string
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
 from attrs import frozen
 from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
+
+from healthbot_scene.separate import HOSTS
 
 __all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
 
@@ -83,9 +86,16 @@ class Places:
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(EXAMPLE / "discovery.xml"),
         }
 
-    def write_robot(self, template: Path) -> Path:
-        """Fill a robot file in and leave it in the folder of the run."""
+    def write_robot(self, template: Path, hosts: Mapping[str, str] | None = None) -> Path:
+        """Fill a robot file in and leave it in the folder of the run.
+
+        Args:
+            template: the robot file, with names behind dollar signs.
+            hosts: of bridges, by those names; None: processes of this Python.
+        """
         words = {
+            **dict.fromkeys(HOSTS, "true"),
+            **(hosts or {}),
             "here": EXAMPLE,
             "run": self.run,
             "gallery": self.footage / "gallery",
@@ -99,19 +109,33 @@ class Places:
         return file
 
 
-def make_places(run: Path, cache: Path, ports: tuple[int, int, int, int] | None = None) -> Places:
+def make_places(
+    run: Path,
+    cache: Path,
+    ports: tuple[int, int, int, int] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Places:
     """Fetch the footage, let the recognisers learn it, and choose ports and a ROS 2 domain.
 
     Args:
         run: a folder for this run; made if need be.
         cache: where footage is kept.
         ports: of naming, records, robot and page; None: four that are free.
+        tell: told of footage that others must stand in for.
 
     Raises:
         FootageError: footage cannot be had.
+        OSError: somebody listens on one of the ports.
     """
+    for port in ports or ():
+        if _listens(port):
+            raise OSError(
+                f"port {port} is in use, perhaps by another scene; --free-ports takes others"
+            )
     run.mkdir(parents=True, exist_ok=True)
     footage = prepare(cache)
+    if footage.remark:
+        tell(footage.remark)
     gallery = footage.folder / "gallery"
     for name in _RECOGNISERS:
         try:
@@ -148,3 +172,8 @@ def _free_ports() -> tuple[int, int, int, int]:
             each.bind(("127.0.0.1", 0))
         first, second, third, fourth = (each.getsockname()[1] for each in sockets)
     return first, second, third, fourth
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
