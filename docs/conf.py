@@ -18,17 +18,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # What is not installed is left blank in the reference; `make docs` installs everything.
 _OPTIONAL = (
-    *(
-        "cbor2",
-        "hypothesis",
-        "msgpack",
-        "omniORB",
-        "orjson",
-        "prometheus_client",
-        "pybase64",
-        "pytest",
-    ),
-    *("rclpy", "serial", "uoarm_rocos", "uoarm_rtm", "websockets", "zenoh"),
+    *("cbor2", "hypothesis", "msgpack", "omniORB", "orjson", "prometheus_client", "pybase64"),
+    *("pytest", "rclpy", "serial", "uoarm_rocos", "uoarm_rtm", "websockets", "zenoh"),
 )
 autodoc_mock_imports = [name for name in _OPTIONAL if find_spec(name) is None]
 napoleon_google_docstring = True
