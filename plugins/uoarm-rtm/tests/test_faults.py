@@ -180,7 +180,7 @@ spec = BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}, "watch": 0.05}})
 bridge = Registry().create(spec)
 out, into = endpoint(Role.OUTPUT, "Mortal.rtc", "out"), endpoint(Role.INPUT, "Mortal.rtc", "in")
 channels = [source(bridge, out, Inbox()), sink(bridge, into)]
-_orb._shared.running.orb.shutdown(False)
+_orb._shared.running.orb.shutdown(True)
 for channel in channels:
     channel.close()
 for _ in range(3):
