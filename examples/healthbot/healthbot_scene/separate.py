@@ -8,7 +8,10 @@ from attrs import frozen
 
 from uoarm import environments
 
-__all__ = ["HOSTS", "Wanted", "prepare_environments"]
+__all__ = ["HOSTS", "Tell", "Wanted", "prepare_environments"]
+
+Tell = Callable[[str], None]
+"""Takes one line of progress."""
 
 _DRAWN = ("Collecting ", "Building ", "Installing ", "Successfully ", "Resolved ", "Installed ")
 
@@ -35,7 +38,7 @@ HOSTS = {
 """What stands for the host of each bridge in robot.yaml."""
 
 
-def prepare_environments(tell: Callable[[str], None]) -> None:
+def prepare_environments(tell: Tell) -> None:
     """Make every environment that is missing, cut short, or made of something else.
 
     Args:
@@ -56,7 +59,7 @@ def prepare_environments(tell: Callable[[str], None]) -> None:
         environments.create(wanted.name, requirements, tell=lambda line: _draw(line, tell))
 
 
-def _draw(line: str, tell: Callable[[str], None]) -> None:
+def _draw(line: str, tell: Tell) -> None:
     text = line.strip()
     if text.startswith(_DRAWN):
         tell(f"  {text[:100]}")
