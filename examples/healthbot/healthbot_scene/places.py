@@ -142,7 +142,10 @@ def make_places(
             recogniser = importlib.import_module(f"uoarm_vision.{name}")
         except ImportError:
             continue  # its component says what to install when it is asked for
-        recogniser.enrol(photos_in(footage.photos), gallery)
+        try:
+            recogniser.enrol(photos_in(footage.photos), gallery)
+        except ValueError as error:
+            tell(f"The {name} recogniser knows nobody: {error}")
     chosen = ports or _free_ports()
     return Places(run.resolve(), footage.folder.resolve(), free_domain(), *chosen)
 
