@@ -13,6 +13,7 @@ __all__ = ["HOSTS", "Tell", "Wanted", "prepare_environments"]
 Tell = Callable[[str], None]
 """Takes one line of progress."""
 
+_BECAUSE, _WIDE = " (", 90
 _DRAWN = ("Collecting ", "Building ", "Installing ", "Successfully ", "Resolved ", "Installed ")
 
 
@@ -62,4 +63,4 @@ def prepare_environments(tell: Tell) -> None:
 def _draw(line: str, tell: Tell) -> None:
     text = line.strip()
     if text.startswith(_DRAWN):
-        tell(f"  {text[:100]}")
+        tell(f"  {text.partition(_BECAUSE)[0][:_WIDE]}")
