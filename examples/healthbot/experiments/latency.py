@@ -20,7 +20,7 @@ from pathlib import Path
 from attrs import asdict, frozen
 from circuits import FRAMEWORKS, configuration, message, name_of
 from floors import FLOORS, measure
-from stage import free_domain, machine, record, table
+from stage import free_domain, load, machine, record, table
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm import RobotManager
@@ -190,7 +190,7 @@ def main() -> None:
     options = parser.parse_args()
     domain = free_domain()
     os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}
-    measured = machine()
+    before = load()
     figures = list(floors(options.count))
     with NameServer() as names, loop("rtm", names.address) as _, loop("rocos") as device:
         for where, hosted in (("hosts", True), ("one process", False)):
@@ -200,6 +200,7 @@ def main() -> None:
                 for name in _CHAINS:
                     figures += functional(robot, name, where, options.count)
     figures.sort(key=lambda one: one.where == "hosts")
+    measured = machine(before)
     print(f"Latency in µs, {measured}\n")
     bare = [one for one in figures if one.kind == "floor"]
     table(("without uoarm", *_QUANTILES), list(shown(bare)))

@@ -16,7 +16,7 @@ from typing import Any
 
 from attrs import asdict, frozen
 from observing import NOTHING, Observed, until, use, using, watch
-from stage import Stage, machine, record, stage, table
+from stage import Stage, load, machine, record, stage, table
 
 from uoarm.client import connect
 from uoarm.errors import UoarmError
@@ -185,6 +185,7 @@ def _other(request: Any) -> Any:
 async def main(file: Path | None) -> None:
     """Kill everything once; write what became of it to a file, for plots, where one is given."""
     pulse = {"patient": "test", "kind": "pulse", "value": 70, "time": "2026-01-01T00:00:00Z"}
+    before = load()
     with stage() as scene:
         deaths = [
             await stream_row(scene, "camera", "faceDetection"),
@@ -197,7 +198,7 @@ async def main(file: Path | None) -> None:
             await call_row(scene, "records", "patientRecord", pulse),
             await robot_row(scene),
         ]
-    measured = machine()
+    measured = machine(before)
     print(f"Dynamic monitoring, {measured}\n")
     table(_HEAD, [death.row() for death in deaths])
     if file is not None:

@@ -23,7 +23,18 @@ from healthbot_scene.crew import Crew  # noqa: E402 - found once the path is set
 from healthbot_scene.parts import Part, parts_of  # noqa: E402
 from healthbot_scene.places import Places, free_domain, make_places  # noqa: E402
 
-__all__ = ["EXAMPLE", "ROOT", "Stage", "free_domain", "head", "machine", "record", "stage", "table"]
+__all__ = [
+    "EXAMPLE",
+    "ROOT",
+    "Stage",
+    "free_domain",
+    "head",
+    "load",
+    "machine",
+    "record",
+    "stage",
+    "table",
+]
 
 
 @frozen
@@ -57,10 +68,20 @@ def stage(robot: str = "robot.yaml") -> Iterator[Stage]:
             yield Stage(crew, places, {part.name: part for part in parts})
 
 
-def machine() -> str:
-    """Return when this is, on what, and how busy it is, in words."""
+def load() -> float:
+    """Return how many programs wanted to run in the last minute, on average."""
+    return os.getloadavg()[0]
+
+
+def machine(before: float | None = None) -> str:
+    """Return when this is, on what, and how busy it is, in words.
+
+    Args:
+        before: the load when the measurement began.
+    """
+    busy = f"load {load():.1f}" if before is None else f"load {before:.1f} to {load():.1f}"
     now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    size = f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}"
+    size = f"{os.cpu_count()} cores, {busy}"
     system = f"{platform.system()} {platform.machine()}"
     return f"{now}, {size}, {system}, CPython {platform.python_version()}"
 
