@@ -3,8 +3,9 @@
 Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
 """
 
+from uoarm.host._die_with_parent import die_with_parent
 from uoarm.host._remote import RemoteBridge
 from uoarm.host._settings import HostSettings
 from uoarm.host._xmlrpc import XmlRpcFace
 
-__all__ = ["HostSettings", "RemoteBridge", "XmlRpcFace"]
+__all__ = ["HostSettings", "RemoteBridge", "XmlRpcFace", "die_with_parent"]

@@ -74,7 +74,7 @@ class RobotManager:
         self._ledger = Ledger(self._board)
         self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
         self._structures = StructureCache(self._bridges.get)
-        self._resolver = Resolver(robot, self._structures, check_edge)
+        self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
         self._pool = Pool(self._bridges.get, clock)
         self._failover = Failover(
             robot.failover,
