@@ -16,9 +16,9 @@ from uoarm.model import to_json
 __all__ = ["show_live_status"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "bridges": ("name", "plugin", "health", "cause"),
+    "bridges": ("name", "plugin", "health", "assigned", "cause"),
     "components": ("name", "function", "health", "cause"),
-    "connections": ("id", "function", "state", "cause"),
+    "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["ALIVE", "ASK", "FOLDER", "LINK_VERSION", "PING", "TOLD", "flow", "service"]
 
-LINK_VERSION = 1
+LINK_VERSION = 2
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"
