@@ -26,6 +26,8 @@ class HostSettings:
     """Settings of one bridge host.
 
     Attributes:
+        machine: name of another machine, where the host was started and joins by itself; of the
+            others, only `silence` and `start` go with it.
         environment: name of an environment made with `uoarm env create`.
         python: path of an interpreter; where neither is given, the application's own.
         variables: environment variables to set, or with None to take away.
@@ -35,6 +37,7 @@ class HostSettings:
         shared_memory: whether large messages cross in shared memory.
     """
 
+    machine: str | None = None
     environment: str | None = None
     python: str | None = None
     variables: Mapping[str, str | None] = field(factory=dict, hash=False)
