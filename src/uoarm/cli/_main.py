@@ -9,6 +9,7 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._certificates import certificates
 from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
@@ -134,6 +135,7 @@ def doctor(*, as_json: bool) -> None:
             click.echo(f"  {key:<14} {finding}")
 
 
+main.add_command(certificates)
 main.add_command(env)
 main.add_command(host)
 main.add_command(request)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 
-from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._link import Link
 from uoarm.host._offset import ClockOffset
@@ -85,6 +86,18 @@ class MachineDesk:
         """Return a link to what lies behind a prefix of the keys of machines."""
         return self._link.part(prefix)
 
+    def meet(self, machine: str, host: str, timeout: float) -> None:
+        """Ask a host for its time, which one that hangs does not tell.
+
+        Raises:
+            BridgeError: UNAVAILABLE when the host has gone.
+            BridgeTimeoutError: no answer in time.
+        """
+        asked = time.time_ns()
+        theirs = self._link.ask(_keys.clock(machine, host), None, timeout=timeout)
+        if isinstance(theirs, int):
+            self._offsets[machine].add(asked, theirs, time.time_ns())
+
     def attach(self, machine: str, host: str, orders: object, timeout: float) -> None:
         """Have a host make a bridge.
 
@@ -134,13 +147,5 @@ class MachineDesk:
             with self._news:
                 present = {name: one[-1][1] for name, one in self._hosts.items() if one}
             for machine, host in present.items():
-                self._ask_for_time(machine, host)
-
-    def _ask_for_time(self, machine: str, host: str) -> None:
-        asked = time.time_ns()
-        try:
-            theirs = self._link.ask(_keys.clock(machine, host), None, timeout=_ANSWER_SECONDS)
-        except UoarmError:
-            return  # whoever uses the machine notices that it is silent
-        if isinstance(theirs, int):
-            self._offsets[machine].add(asked, theirs, time.time_ns())
+                with suppress(UoarmError):  # whoever uses the machine notices that it is silent
+                    self.meet(machine, host, _ANSWER_SECONDS)

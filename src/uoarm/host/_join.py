@@ -7,6 +7,7 @@ import threading
 import time
 import uuid
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -61,7 +62,7 @@ class JoinedHost:
         self._machine = machine
         self._more = {} if identity is None else identity.settings(listen=False)
         self._bridges = tuple(bridges) or (_keys.ANY_BRIDGE,)
-        self._modules = modules
+        self._modules = str(Path(modules).resolve())
         self._registry = registry or Registry()
         self._name = uuid.uuid4().hex[:12]
         self._workers = Workers("uoarm-attach")

@@ -87,8 +87,8 @@ class Link:
         Closing it ends what was declared through it; the session stays.
         """
         part = copy.copy(self)
-        part._prefix = f"{self._prefix}{prefix}/"
-        part._kept = []
+        part._prefix = f"{self._prefix}{prefix}/"  # noqa: SLF001 - one of this kind
+        part._kept = []  # noqa: SLF001 - likewise
         return part
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
@@ -133,7 +133,9 @@ class Link:
                 reply(error)
 
         with _wrapped(f"answering at {key}"):
-            return self._keep(self._session.declare_queryable(self._prefix + key, _directly(handle)))
+            return self._keep(
+                self._session.declare_queryable(self._prefix + key, _directly(handle))
+            )
 
     def publish(
         self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False

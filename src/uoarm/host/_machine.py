@@ -69,6 +69,7 @@ class MachineConnection:
         if host is None:
             text = f"{self._place} has not joined with bridge {spec.name!r}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
+        desk.meet(machine, host, min(settings.silence, settings.start))
         deadline = time.monotonic() + settings.start
         prefix = _keys.talk(machine, spec.name, uuid.uuid4().hex[:12])
         self.link: Link = desk.part(prefix)

@@ -78,6 +78,7 @@ def visible_status(status: StatusMap, role: Role) -> dict[str, Any]:
         components=tuple(components),
         connections=tuple(connections),
         routes=tuple(routes),
+        machines=tuple(one for one in status.machines if bridges.intersection(one.bridges)),
     )
     data: dict[str, Any] = to_json(shown)
     return data
