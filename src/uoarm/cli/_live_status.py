@@ -102,7 +102,7 @@ def _shown(value: object, column: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{1000 * value:+.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
+        return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
     if isinstance(value, list):
         return ", ".join(f"{reason} {count}" for reason, count in value)
     return "" if value is None else str(value)

@@ -52,6 +52,7 @@ class MachineDesk:
         self._changed = changed
         self._news = threading.Condition()
         self._hosts: dict[str, list[tuple[str, str]]] = {name: [] for name in names}
+        self._came: dict[str, set[str]] = {name: set() for name in names}
         self._offsets = {name: ClockOffset() for name in names}
         self._since = time.monotonic()
         self._stopped = threading.Event()
@@ -66,13 +67,16 @@ class MachineDesk:
     def find(self, machine: str, bridge: str, patience: float) -> str | None:
         """Return the name of the host that serves a bridge, None when none comes in time.
 
-        Waits until the desk has been open for `patience` seconds: who has not joined by then
-        is not there, and is not waited for again.
+        Waits for the first one until the desk has been open for `patience` seconds. Who has
+        not joined by then, or has left again, is not waited for.
         """
         deadline = self._since + patience
         with self._news:
             self._news.wait_for(
-                lambda: self._stopped.is_set() or self._serving(machine, bridge) is not None,
+                lambda: (
+                    self._stopped.is_set()
+                    or not self._came[machine].isdisjoint({bridge, _keys.ANY_BRIDGE})
+                ),
                 max(0.0, deadline - time.monotonic()),
             )
             return self._serving(machine, bridge)
@@ -137,6 +141,7 @@ class MachineDesk:
                 hosts.remove((bridge, host))
             if present and len(hosts) < _MOST_HOSTS:
                 hosts.append((bridge, host))
+                self._came[machine].add(bridge)
             if not hosts:
                 self._offsets[machine].clear()
             self._news.notify_all()

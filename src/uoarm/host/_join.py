@@ -119,7 +119,12 @@ class JoinedHost:
             except BridgeError as error:
                 if str(error) != told:
                     told = str(error)
-                    _log.warning("waiting for the manager at %s: %s", self._place, told)
+                    _log.warning(
+                        "waiting for the manager at %s: it is not there, or the two do not "
+                        "believe each other's certificates (%s)",
+                        self._place,
+                        told,
+                    )
                 self._closed.wait(_AGAIN_SECONDS)
         return None
 

@@ -67,9 +67,13 @@ class MachineConnection:
         self.dead = ""
         host = desk.find(machine, spec.name, settings.start)
         if host is None:
-            text = f"{self._place} has not joined with bridge {spec.name!r}"
+            text = f"no host of {self._place} is there for bridge {spec.name!r}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        desk.meet(machine, host, min(settings.silence, settings.start))
+        try:
+            desk.meet(machine, host, min(settings.silence, settings.start))
+        except BridgeError as error:
+            text = f"the host of {self._place} does not answer"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         deadline = time.monotonic() + settings.start
         prefix = _keys.talk(machine, spec.name, uuid.uuid4().hex[:12])
         self.link: Link = desk.part(prefix)
