@@ -12,15 +12,16 @@ from pathlib import Path
 from types import TracebackType
 
 from tests.host import hosted
+from typing_extensions import Self
 
 from uoarm.certificates import Authority
 
 ROBOT = """
 version: 1
-hosts: {{listen: "tls/{address}:{port}", certificates: certificates}}
+hosts: {{listen: "tls/{address}:{port}", certificates: certificates, silence: {silence}}}
 failover: {failover}
 bridges:
-  far: {{plugin: python, host: {{machine: arm}}}}
+  far: {{plugin: python, host: {{machine: arm, silence: {silence}}}}}
   near: {{plugin: python}}
 functions:
   ticks:
@@ -38,7 +39,6 @@ functions:
   where:
     components:
       - {{name: asker, bridge: far, service: {{endpoint: ["hosted_parts:process_id"]}}}}
-  hang: {{components: [{{name: hanger, bridge: far, service: {{endpoint: ["hosted_parts:hang"]}}}}]}}
 """
 SPARE = """
       - {name: spare, bridge: near, priority: 1, output: {endpoint: ["hosted_parts:forever"]}}
@@ -59,6 +59,7 @@ def robot(
     address: str = "127.0.0.1",
     spare: bool = False,
     failover: str = "{}",
+    silence: float = 3.0,
 ) -> Path:
     """Write a robot with bridges on machine `arm`, its components, and certificates."""
     (folder / "hosted_parts.py").write_text(hosted.COMPONENTS)
@@ -67,7 +68,11 @@ def robot(
     authority.certify_machine("arm", 1)
     authority.certify_machine("leg", 1)
     text = ROBOT.format(
-        port=port, address=address, failover=failover, others=SPARE if spare else ""
+        port=port,
+        address=address,
+        failover=failover,
+        silence=silence,
+        others=SPARE if spare else "",
     )
     file = folder / "robot.yaml"
     file.write_text(text)
@@ -120,7 +125,7 @@ class Joined:
             self._process.wait(20)
             raise
 
-    def __enter__(self) -> Joined:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

@@ -18,7 +18,6 @@ from uoarm.host import Identity, MachineDesk, _keys
 from uoarm.host._link import Link
 from uoarm.model import Listening
 
-
 _numbers = itertools.count(1)
 
 

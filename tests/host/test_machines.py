@@ -71,7 +71,7 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
 
 def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
-    file.write_text(file.read_text().replace("machine: arm}", "machine: arm, start: 0.1}"))
+    file.write_text(file.read_text().replace("machine: arm", "machine: arm, start: 0.1"))
     with RobotManager.from_file(file) as manager:
         for _ in range(2):
             with pytest.raises(
@@ -112,14 +112,15 @@ def test_a_machine_that_comes_back_goes_on_behind_the_handle(tmp_path: Path, por
 
 
 def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: int) -> None:
-    file = robot(tmp_path, port)
-    file.write_text(file.read_text().replace("machine: arm}", "machine: arm, silence: 1.0}"))
+    file = robot(tmp_path, port, silence=1.0)
     with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
         manager.call("where", 0)
         host.signal(signal.SIGSTOP)
         with pytest.raises(BridgeError, match="machine 'arm' has not answered for"):
             manager.call("where", 0)
-        with pytest.raises(Exception, match="host of machine 'arm' (does not answer|is there for)"):
+        with pytest.raises(
+            Exception, match=r"host of machine 'arm' (does not answer|is there for)"
+        ):
             manager.call("where", 0)
         assert host.runs
         host.signal(signal.SIGCONT)
@@ -158,8 +159,11 @@ def test_two_hosts_share_the_bridges_of_a_machine(tmp_path: Path, port: int) -> 
     text = file.read_text().replace(
         "  near: {plugin: python}", "  near: {plugin: python, host: {machine: arm}}"
     )
-    there = '  there: {components: [{name: there, bridge: near, service: {endpoint: ["hosted_parts:process_id"]}}]}'
-    file.write_text(f"{text}{there}\n")
+    there = """  there:
+    components:
+      - {name: there, bridge: near, service: {endpoint: ["hosted_parts:process_id"]}}
+"""
+    file.write_text(text + there)
     with (
         Joined(tmp_path, _place(port), "far"),
         Joined(tmp_path, _place(port), "near"),

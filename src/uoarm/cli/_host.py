@@ -35,6 +35,13 @@ __all__ = ["host"]
     show_default=True,
     help="With --join: folder of the components of python bridges.",
 )
+@click.option(
+    "--silence",
+    type=click.FloatRange(min=0.5),
+    default=3.0,
+    show_default=True,
+    help="With --join: seconds after which a silent link counts as cut.",
+)
 def host(
     bridges: tuple[str, ...],
     port: int | None,
@@ -43,6 +50,7 @@ def host(
     machine: str | None,
     certificates: str,
     modules: str,
+    silence: float,
 ) -> None:
     """Run BRIDGES of a configuration, until interrupted.
 
@@ -52,7 +60,7 @@ def host(
     """
     with reporting():
         if place is not None and machine is not None and port is None:
-            _join(place, machine, bridges, certificates, modules)
+            _join(place, machine, bridges, certificates, modules, silence)
         elif port is not None and place is None and len(bridges) == 1:
             _answer(bridges[0], port, file)
         else:
@@ -61,7 +69,12 @@ def host(
 
 
 def _join(
-    place: str, machine: str, bridges: tuple[str, ...], certificates: str, modules: str
+    place: str,
+    machine: str,
+    bridges: tuple[str, ...],
+    certificates: str,
+    modules: str,
+    silence: float,
 ) -> None:
     try:
         from uoarm.host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
@@ -73,7 +86,9 @@ def _join(
     secured = place.startswith("tls/")
     identity = Identity.find(certificates, machine) if secured else None
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    joined = JoinedHost(place, machine, identity=identity, bridges=bridges, modules=modules)
+    joined = JoinedHost(
+        place, machine, identity=identity, bridges=bridges, modules=modules, silence=silence
+    )
     signal.signal(signal.SIGTERM, lambda *_: joined.close())
     signal.signal(signal.SIGINT, lambda *_: joined.close())
     joined.run()

@@ -40,10 +40,11 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
 
 
 def _listening(value: Mapping[str, Any], origin: str) -> Listening:
-    folder = value.get("certificates")
-    if folder is not None and origin:
-        folder = str(FilePath(origin).resolve().parent / FilePath(folder).expanduser())
-    return Listening(value["listen"], folder)
+    settings = {key: one for key, one in value.items() if key != "listen"}
+    if "certificates" in settings and origin:
+        folder = FilePath(settings["certificates"]).expanduser()
+        settings["certificates"] = str(FilePath(origin).resolve().parent / folder)
+    return Listening(value["listen"], **settings)
 
 
 def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:

@@ -14,10 +14,7 @@ from uoarm.host._offset import ClockOffset
 from uoarm.host._security import MANAGER, Identity, access_list
 from uoarm.model import Listening
 
-__all__ = ["LEASE_SECONDS", "MachineDesk"]
-
-LEASE_SECONDS = 3.0
-"""A link to another machine that is silent for this long is cut, at both ends."""
+__all__ = ["MachineDesk"]
 
 _CLOCK_SECONDS = 1.0
 _ANSWER_SECONDS = 0.5
@@ -56,7 +53,7 @@ class MachineDesk:
         self._offsets = {name: ClockOffset() for name in names}
         self._since = time.monotonic()
         self._stopped = threading.Event()
-        self._whole = Link(listening.place, listen=True, lease=LEASE_SECONDS, more=more)
+        self._whole = Link(listening.place, listen=True, lease=listening.silence, more=more)
         self._link = self._whole.part(_keys.MACHINES)
         self._link.watch_tokens(_keys.here("*", "*", "*"), self._seen)
         self._asking = threading.Thread(

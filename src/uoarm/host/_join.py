@@ -15,7 +15,6 @@ from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.host import _keys
-from uoarm.host._desk import LEASE_SECONDS
 from uoarm.host._link import Link, Reply
 from uoarm.host._security import Identity
 from uoarm.host._serving import Serving
@@ -45,6 +44,7 @@ class JoinedHost:
         identity: its certificate; None without TLS.
         bridges: names of the bridges to serve; empty: every one of this machine.
         modules: folder of the components of `python` bridges that name no other.
+        silence: seconds without a sign of life after which the link counts as cut.
         registry: the plugins.
     """
 
@@ -56,6 +56,7 @@ class JoinedHost:
         identity: Identity | None,
         bridges: Collection[str] = (),
         modules: str = ".",
+        silence: float = 3.0,
         registry: Registry | None = None,
     ) -> None:
         self._place = place
@@ -63,6 +64,7 @@ class JoinedHost:
         self._more = {} if identity is None else identity.settings(listen=False)
         self._bridges = tuple(bridges) or (_keys.ANY_BRIDGE,)
         self._modules = str(Path(modules).resolve())
+        self._silence = silence
         self._registry = registry or Registry()
         self._name = uuid.uuid4().hex[:12]
         self._workers = Workers("uoarm-attach")
@@ -113,7 +115,7 @@ class JoinedHost:
                     self._place,
                     listen=False,
                     timeout=_TRY_SECONDS,
-                    lease=LEASE_SECONDS,
+                    lease=self._silence,
                     more=self._more,
                 )
             except BridgeError as error:

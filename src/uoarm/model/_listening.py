@@ -20,10 +20,12 @@ class Listening:
     Attributes:
         place: `tls/ADDRESS:PORT`; `tcp/...` on loopback only.
         certificates: the folder of its certificate; None where there is no TLS.
+        silence: seconds without a sign of life after which a link to a machine counts as cut.
     """
 
     place: str
     certificates: str | None = None
+    silence: float = 3.0
 
 
 def place_problem(place: str) -> str:
