@@ -16,8 +16,6 @@ from tests.host.joined import Joined, free_port, robot
 from uoarm import RobotManager
 from uoarm.model import ConnectionState, Health, QueuePolicy, StatusEvent
 
-_HERE, _THERE = "10.213.77.1", "10.213.77.2"
-
 
 def _ip(*words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["ip", *words], capture_output=True, text=True, timeout=20, check=check)
@@ -27,14 +25,16 @@ class Cable:
     """A cable between this machine and a network namespace; both are this test's own."""
 
     def __init__(self) -> None:
-        self.there = f"uoarm-{os.getpid()}"
+        network = f"10.213.{os.getpid() % 250}"
+        self.here, self._address = f"{network}.1", f"{network}.2"
+        self.namespace = f"uoarm-{os.getpid()}"
         self._near, self._far = f"ua{os.getpid()}a"[-15:], f"ua{os.getpid()}b"[-15:]
 
     def lay(self) -> str:
         """Make it; return what is in the way, "" when it stands."""
         if shutil.which("ip") is None:
             return "the command ip is not installed"
-        made = _ip("netns", "add", self.there, check=False)
+        made = _ip("netns", "add", self.namespace, check=False)
         if made.returncode != 0:
             return f"no network namespace can be made: {made.stderr.strip()}"
         made = _ip(
@@ -42,23 +42,23 @@ class Cable:
         )
         if made.returncode != 0:
             return f"no pair of interfaces can be made: {made.stderr.strip()}"
-        _ip("link", "set", self._far, "netns", self.there)
-        _ip("addr", "add", f"{_HERE}/30", "dev", self._near)
+        _ip("link", "set", self._far, "netns", self.namespace)
+        _ip("addr", "add", f"{self.here}/30", "dev", self._near)
         _ip("link", "set", self._near, "up")
-        _ip("-n", self.there, "addr", "add", f"{_THERE}/30", "dev", self._far)
+        _ip("-n", self.namespace, "addr", "add", f"{self._address}/30", "dev", self._far)
         self.mend()
         return ""
 
     def cut(self) -> None:
         """Have no packet pass, and nobody told."""
-        _ip("-n", self.there, "link", "set", self._far, "down")
+        _ip("-n", self.namespace, "link", "set", self._far, "down")
 
     def mend(self) -> None:
-        _ip("-n", self.there, "link", "set", self._far, "up")
+        _ip("-n", self.namespace, "link", "set", self._far, "up")
 
     def remove(self) -> None:
         _ip("link", "del", self._near, check=False)
-        _ip("netns", "del", self.there, check=False)
+        _ip("netns", "del", self.namespace, check=False)
 
 
 @pytest.fixture
@@ -93,14 +93,16 @@ class Tale:
 
 
 def _host(cable: Cable, folder: Path, port: int, *more: str) -> Joined:
-    return Joined(folder, f"tls/{_HERE}:{port}", *more, within=["ip", "netns", "exec", cable.there])
+    return Joined(
+        folder, f"tls/{cable.here}:{port}", *more, within=["ip", "netns", "exec", cable.namespace]
+    )
 
 
 def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
     tmp_path: Path, cable: Cable
 ) -> None:
     port = free_port()
-    file = robot(tmp_path, port, address=_HERE, spare=True, failover="{return_after: 0.2}")
+    file = robot(tmp_path, port, address=cable.here, spare=True, failover="{return_after: 0.2}")
     with RobotManager.from_file(file) as manager, _host(cable, tmp_path, port) as host:
         tale = Tale(manager)
         connection = manager.request("ticks")
@@ -129,7 +131,7 @@ def test_a_connection_without_another_candidate_waits_for_the_link_to_heal(
     tmp_path: Path, cable: Cable
 ) -> None:
     port = free_port()
-    file = robot(tmp_path, port, address=_HERE, failover="{wait: 100}")
+    file = robot(tmp_path, port, address=cable.here, failover="{wait: 100}")
     with RobotManager.from_file(file) as manager, _host(cable, tmp_path, port):
         tale = Tale(manager)
         connection = manager.request("ticks")
@@ -138,7 +140,6 @@ def test_a_connection_without_another_candidate_waits_for_the_link_to_heal(
         cable.cut()
         wait(lambda: tale.told("bridge far", Health.LOST.value, after=cut), 30)
         assert connection.state is ConnectionState.RUNNING
-        mended = time.monotonic()
         cable.mend()
         wait(lambda: connection.gaps, 60)
         (gap,) = connection.gaps
@@ -152,7 +153,7 @@ def test_what_a_short_cut_loses_is_counted_and_nothing_else_happens(
     tmp_path: Path, cable: Cable
 ) -> None:
     port = free_port()
-    file = robot(tmp_path, port, address=_HERE, silence=30.0)
+    file = robot(tmp_path, port, address=cable.here, silence=30.0)
     with (
         RobotManager.from_file(file) as manager,
         _host(cable, tmp_path, port, "--silence", "30") as host,

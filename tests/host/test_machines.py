@@ -118,9 +118,7 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
         host.signal(signal.SIGSTOP)
         with pytest.raises(BridgeError, match="machine 'arm' has not answered for"):
             manager.call("where", 0)
-        with pytest.raises(
-            Exception, match=r"host of machine 'arm' (does not answer|is there for)"
-        ):
+        with pytest.raises(Exception, match=r"host of machine 'arm' (does not|is there)"):
             manager.call("where", 0)
         assert host.runs
         host.signal(signal.SIGCONT)

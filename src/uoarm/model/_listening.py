@@ -9,7 +9,7 @@ from attrs import frozen
 
 __all__ = ["Listening", "place_problem"]
 
-_PLACE = re.compile(r"(tls|tcp)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):(\d{1,5})")
+_PLACE = re.compile(r"(tls|tcp)/(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
 
 
