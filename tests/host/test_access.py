@@ -14,7 +14,7 @@ from tests.host.joined import Joined, free_port
 
 from uoarm.certificates import Authority
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.host import Identity, MachineDesk, _keys
+from uoarm.host import Identity, JoinedHost, MachineDesk, _keys
 from uoarm.host._link import Link
 from uoarm.model import Listening
 
@@ -129,6 +129,24 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     assert b"from the thief" not in got
     arm.close()
     leg.close()
+
+
+def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so(
+    desk: MachineDesk,
+    folder: Path,
+    place: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("uoarm.host._join._UNASKED_SECONDS", 0.2)
+    host = JoinedHost(place, "arm", identity=Identity.find(folder, "leg"))
+    running = threading.Thread(target=host.run)
+    running.start()
+    wait(lambda: "does not ask" in caplog.text, 20)
+    assert desk.find("arm", "far", 0.0) is None
+    host.close()
+    running.join(20)
+    assert not running.is_alive()
 
 
 def test_a_machine_cannot_stand_in_for_the_manager(folder: Path, place: str) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -150,6 +152,17 @@ def test_a_host_outlives_its_managers_and_serves_the_next(tmp_path: Path, port: 
         assert len(found) == 1
         wait(lambda: host.log.count("bridge far is let go") == 2)
         assert host.end() == 0
+
+
+def test_a_host_closes_its_bridges_when_the_manager_is_killed(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)) as host:
+        command = [sys.executable, "-m", "uoarm", "request", "ticks", "-f", str(file)]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as manager:
+            wait(lambda: "bridge far is taken up" in host.log, 20)
+            manager.kill()
+        wait(lambda: "bridge far is let go" in host.log, 20)
+        assert host.runs
 
 
 def test_two_hosts_share_the_bridges_of_a_machine(tmp_path: Path, port: int) -> None:
