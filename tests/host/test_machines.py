@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -9,10 +10,13 @@ import threading
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port, robot
 
-from uoarm import BridgeError, RobotManager
+from uoarm import BridgeError, ResolutionError, RobotManager
+from uoarm.cli import main
+from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
 from uoarm.testing import Census
 
@@ -111,6 +115,38 @@ def test_a_machine_that_comes_back_goes_on_behind_the_handle(tmp_path: Path, por
             wait(lambda: connection.gaps, 20)
             assert connection.gaps[0].after == ("ticker",)
             assert connection.get(10) is not None
+
+
+def test_structures_are_asked_for_anew_when_a_machine_comes_back(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with RobotManager.from_file(file) as manager:
+        with Joined(tmp_path, _place(port)):
+            manager.request("doubled").kill()
+        wait(lambda: not _machine(manager).present)
+        parts = tmp_path / "hosted_parts.py"
+        parts.write_text(parts.read_text().replace("double(value: int)", "double(value: str)"))
+        with Joined(tmp_path, _place(port)):
+            wait(lambda: _machine(manager).present, 20)
+            with pytest.raises(ResolutionError, match="string"):
+                manager.request("doubled")
+
+
+def test_a_bridge_that_cannot_be_made_there_says_so_here(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    file.write_text(file.read_text().replace("far: {plugin: python", "far: {plugin: nothing"))
+    with Joined(tmp_path, _place(port)):
+        robot_there = loads(file.read_text(), origin=str(file))
+        with RobotManager(robot_there) as manager:
+            for _ in range(2):  # and the host goes on
+                with pytest.raises(ResolutionError, match="nothing"):
+                    manager.resolve("where")
+
+
+def test_the_command_line_shows_machines(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, spare=True)
+    with Joined(tmp_path, _place(port)):
+        shown = CliRunner().invoke(main, ["status", "-f", str(file)]).output
+    assert re.search(r"machine arm  present, its clock is [+-]\d+\.\d{3} ms from ours", shown)
 
 
 def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: int) -> None:

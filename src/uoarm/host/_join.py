@@ -78,11 +78,10 @@ class JoinedHost:
         whole = self._connect()
         if whole is None:
             return
-        link = whole.part(_keys.MACHINES)
+        link = self._link = whole.part(_keys.MACHINES)
         try:
             link.answer(_keys.attach(self._machine, self._name), self._take)
             link.answer(_keys.clock(self._machine, self._name), self._tell_time)
-            self._link = link
             for bridge in self._bridges:
                 link.show_alive(_keys.here(self._machine, bridge, self._name))
             if not self._asked.wait(_UNASKED_SECONDS) and not self._closed.is_set():
@@ -154,7 +153,10 @@ class JoinedHost:
             self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
         )
         with self._lock:
+            late = self._served.get(name)
             self._served[name] = served
+        if late is not None:
+            late.end()
         if self._closed.is_set():
             served.end()
 
@@ -177,10 +179,14 @@ class _Served:
         self._name = spec.name
         self._link = link
         self._ended = Event()
-        self._bridge = registry.create(spec)
+        link.watch_alive(_keys.MANAGED, self._managed)
+        try:
+            self._bridge = registry.create(spec)
+        except BaseException:
+            link.close()
+            raise
         self._serving = Serving(self._bridge, link, self._ended)
         self._serving.begin()
-        link.watch_alive(_keys.MANAGED, self._managed)
         self._thread = threading.Thread(target=self._wait, name=f"uoarm-served-{spec.name}")
         self._thread.start()
         _log.info("bridge %s is taken up", spec.name)
