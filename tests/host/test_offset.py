@@ -34,12 +34,12 @@ def test_a_clock_that_is_set_anew_is_learned() -> None:
 
 def test_nothing_is_known_at_first_and_after_a_machine_has_left() -> None:
     offset = ClockOffset()
-    assert not offset.known
-    assert offset.nanoseconds == 0
+    known = [offset.known]
     offset.add(0, 50, 10)
-    assert offset.known
+    known.append(offset.known)
     offset.clear()
-    assert not offset.known
+    assert [*known, offset.known] == [False, True, False]
+    assert offset.nanoseconds == 0
 
 
 def test_our_clock_that_was_set_back_meanwhile_does_no_harm() -> None:

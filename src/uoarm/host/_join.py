@@ -69,7 +69,7 @@ class JoinedHost:
         self._name = uuid.uuid4().hex[:12]
         self._workers = Workers("uoarm-attach")
         self._lock = threading.Lock()
-        self._served: dict[str, _Served] = {}
+        self._served: list[_Served] = []
         self._asked = Event()
         self._closed = Event()
 
@@ -94,7 +94,7 @@ class JoinedHost:
             self._closed.wait()
         finally:
             with self._lock:
-                served = list(self._served.values())
+                served = list(self._served)
             for one in served:
                 one.end()
             self._workers.close()
@@ -137,7 +137,7 @@ class JoinedHost:
         self._workers.answer(reply, lambda: self._attach(orders))
 
     def _attach(self, orders: Orders) -> None:
-        """Make a bridge, in the place of an older one of this name."""
+        """Make a bridge, after older ones of this name that are on their way out."""
         _require_same_version(orders)
         name: str = orders["name"]
         if not {name, _keys.ANY_BRIDGE} & set(self._bridges):
@@ -146,17 +146,15 @@ class JoinedHost:
         if orders["plugin"] == "python":
             options.setdefault("path", [self._modules])
         with self._lock:
-            before = self._served.pop(name, None)
-        if before is not None:
-            before.end()
+            leaving = [one for one in self._served if one.name == name and one.is_leaving]
+        for one in leaving:
+            one.end()
         served = _Served(
             self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
         )
         with self._lock:
-            late = self._served.get(name)
-            self._served[name] = served
-        if late is not None:
-            late.end()
+            self._served = [one for one in self._served if not one.has_left]
+            self._served.append(served)
         if self._closed.is_set():
             served.end()
 
@@ -176,7 +174,7 @@ class _Served:
     """
 
     def __init__(self, registry: Registry, spec: BridgeSpec, link: Link) -> None:
-        self._name = spec.name
+        self.name = spec.name
         self._link = link
         self._ended = Event()
         link.watch_alive(_keys.MANAGED, self._managed)
@@ -189,7 +187,17 @@ class _Served:
         self._serving.begin()
         self._thread = threading.Thread(target=self._wait, name=f"uoarm-served-{spec.name}")
         self._thread.start()
-        _log.info("bridge %s is taken up", spec.name)
+        _log.info("bridge %s is taken up", self.name)
+
+    @property
+    def is_leaving(self) -> bool:
+        """Whether its manager has gone, or let it go."""
+        return self._ended.is_set()
+
+    @property
+    def has_left(self) -> bool:
+        """Whether it is closed."""
+        return not self._thread.is_alive()
 
     def end(self) -> None:
         """Close the bridge and wait until that is done, five seconds at most."""
@@ -208,7 +216,7 @@ class _Served:
             _log.warning("%s", error)
         self._serving.end()
         self._link.close()
-        _log.info("bridge %s is let go", self._name)
+        _log.info("bridge %s is let go", self.name)
 
 
 def _require_same_version(orders: Orders) -> None:
