@@ -110,6 +110,13 @@ class Joined:
     def runs(self) -> bool:
         return self._process.poll() is None
 
+    def holdings(self) -> tuple[int, int]:
+        """Return how many threads of Python's it has, and how many descriptors. Linux."""
+        home = Path(f"/proc/{self._process.pid}")
+        names = [(one / "comm").read_text() for one in (home / "task").iterdir()]
+        main = (home / "comm").read_text()
+        return names.count(main), sum(1 for _ in (home / "fd").iterdir())
+
     def signal(self, number: signal.Signals) -> None:
         os.kill(self._process.pid, number)
 

@@ -176,17 +176,20 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
             bridge.process  # type: ignore[attr-defined] # noqa: B018 - a RemoteBridge has it
 
 
-def test_a_host_outlives_its_managers_and_serves_the_next(tmp_path: Path, port: int) -> None:
+def test_a_host_outlives_its_managers_and_keeps_nothing_of_them(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     with Joined(tmp_path, _place(port)) as host:
-        found = set()
-        for _ in range(2):
+        found: set[int] = set()
+        held: list[tuple[int, int]] = []
+        for number in range(3):
             with RobotManager.from_file(file) as manager:
                 connection = manager.request("ticks")
                 assert connection.get(10) == 0  # the component begins anew with each manager
                 found.add(manager.call("where", 0))
+            wait(lambda told=number + 1: host.log.count("bridge far is let go") == told)
+            wait(lambda: not held or host.holdings() <= held[0])
+            held.append(host.holdings())
         assert len(found) == 1
-        wait(lambda: host.log.count("bridge far is let go") == 2)
         assert host.end() == 0
 
 
