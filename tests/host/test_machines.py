@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -73,6 +74,18 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
             assert answers
             assert _machine(manager).present
             wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
+
+
+def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with socket.create_server(("127.0.0.1", port)):
+        manager = RobotManager.from_file(file)
+        assert "cannot join: opening the link" in _machine(manager).cause
+        with pytest.raises(ResolutionError, match="opening the link"):
+            manager.resolve("where")
+    with Joined(tmp_path, _place(port)), manager:
+        assert manager.call("where", 0) > 0
+        assert _machine(manager).cause == ""
 
 
 def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: int) -> None:

@@ -6,6 +6,7 @@ keys that begin with it.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -54,7 +55,7 @@ class Identity:
             if not file.is_file():
                 text = f"there is no {file}; make it: uoarm certificates --help"
                 raise BridgeError(text, FailureReason.NOT_FOUND)
-        if found.key.stat().st_mode & _OTHERS:
+        if os.name == "posix" and found.key.stat().st_mode & _OTHERS:
             text = f"others may read the private key {found.key}: chmod 600 it"
             raise BridgeError(text, FailureReason.REFUSED)
         return found

@@ -52,17 +52,18 @@ class Machines:
         self._desk: MachineDesk | None = None
         self._closed = False
         self._told: dict[str, bool] = {}
+        self._problem = ""
 
     def begin(self) -> None:
         """Listen, where there is a machine to wait for; what is in the way is logged."""
         if not self._bridges:
             return
-        for machine in self._bridges:
-            self._changed(machine, None)
         try:
             self.desk()
         except (BridgeError, PluginError) as error:
             _log.warning("no other machine can join: %s", error)
+            for machine in self._bridges:
+                self._changed(machine, None)
 
     def desk(self) -> MachineDesk:
         """Return where machines join.
@@ -82,7 +83,12 @@ class Machines:
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
             if self._desk is not None:
                 return self._desk
-            desk = self._desk = MachineDesk(self._listening, self._bridges, self._changed)
+            try:
+                desk = self._desk = MachineDesk(self._listening, self._bridges, self._changed)
+            except BridgeError as error:
+                self._problem = f", which cannot join: {error}"
+                raise
+            self._problem = ""
         for machine in self._bridges:  # who came while there was no desk yet
             self._changed(machine, None)
         return desk
@@ -111,7 +117,7 @@ class Machines:
             bridges=bridges,
             clock_offset=offset.nanoseconds / 1e9 if offset is not None and known else None,
             clock_error=offset.round_trip / 2e9 if offset is not None and known else None,
-            cause=_waiting(machine, missing) if missing else "",
+            cause=self._waiting(machine, missing) if missing else "",
         )
 
     def _changed(self, machine: str, bridge: str | None) -> None:
@@ -130,8 +136,7 @@ class Machines:
         if present and state in {None, Health.LOST}:
             self._heard(HealthEvent(bridge, Health.OK, f"machine {machine!r} has joined"))
         elif not present and state is None:
-            self._heard(HealthEvent(bridge, Health.DEGRADED, _waiting(machine, [bridge])))
+            self._heard(HealthEvent(bridge, Health.DEGRADED, self._waiting(machine, [bridge])))
 
-
-def _waiting(machine: str, bridges: list[str]) -> str:
-    return f"waiting for machine {machine!r}: {', '.join(bridges)}"
+    def _waiting(self, machine: str, bridges: list[str]) -> str:
+        return f"waiting for machine {machine!r}: {', '.join(bridges)}{self._problem}"
