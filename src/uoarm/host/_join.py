@@ -78,6 +78,7 @@ class JoinedHost:
         whole = self._connect()
         if whole is None:
             return
+        _log.info("the manager at %s is reached", self._place)
         link = self._link = whole.part(_keys.MACHINES)
         try:
             link.answer(_keys.attach(self._machine, self._name), self._take)
