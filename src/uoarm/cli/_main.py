@@ -9,6 +9,7 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._certificates import certificates
 from uoarm.cli._configured import assigned_options, optional_configuration
 from uoarm.cli._env import env
 from uoarm.cli._host import host
@@ -143,6 +144,7 @@ def doctor(*, file: str | None, as_json: bool) -> None:
             click.echo(f"  {key:<14} {finding}")
 
 
+main.add_command(certificates)
 main.add_command(env)
 main.add_command(host)
 main.add_command(request)

@@ -242,7 +242,7 @@ class Incoming:
         number, skipped, sent_at, ending = msgpack.unpackb(header)
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
-        self.latency = max(0.0, (time.time_ns() - sent_at) / 1e9)
+        self.latency = max(0.0, (time.time_ns() + self._link.ahead() - sent_at) / 1e9)
         if ending is not None:
             self._ended(Ending(*ending))
         else:

@@ -71,6 +71,12 @@ class Serving:
         self._link.answer(_keys.PING, self._beat)
         self._link.show_alive(_keys.ALIVE)
 
+    def end(self) -> None:
+        """Take no more requests; those under way end alone."""
+        self._workers.close()
+        self._teller.shutdown(wait=False, cancel_futures=True)
+        self._looker.shutdown(wait=False, cancel_futures=True)
+
     def _beat(self, _: Any, reply: Reply) -> None:
         """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
         reply(self._flows.pulse())

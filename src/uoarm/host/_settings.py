@@ -27,6 +27,8 @@ class HostSettings:
     """Settings of one bridge host.
 
     Attributes:
+        machine: name of another machine, where the host was started and joins by itself; of the
+            others, only `silence` and `start` go with it.
         environment: name of an environment made with `uoarm env create`.
         python: path of an interpreter; where neither is given, the application's own.
         variables: environment variables to set, or with None to take away.
@@ -37,6 +39,7 @@ class HostSettings:
         memory: how much memory it may have, `512 MiB` or `2 GiB`; None: all there is. Linux.
     """
 
+    machine: str | None = None
     environment: str | None = None
     python: str | None = None
     variables: Mapping[str, str | None] = field(factory=dict, hash=False)

@@ -72,9 +72,11 @@ class RobotManager:
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
-        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
+        self._bridges = BridgeSet(
+            robot.bridges, self.registry, self._noticed, bridges or {}, clock, robot.hosts
+        )
         self._structures = StructureCache(self._bridges.get)
-        self._resolver = Resolver(robot, self._structures, check_edge)
+        self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
         self._pool = Pool(self._bridges.get, clock)
         self._failover = Failover(
             robot.failover,
@@ -99,6 +101,7 @@ class RobotManager:
         self._staleness = StalenessWatch(self._pool.components, self._noticed, clock)
         if any(one.expect for each in robot.components() for one in each.outputs):
             self._staleness.start()
+        self._bridges.machines.begin()
 
     @classmethod
     def from_file(
@@ -218,6 +221,7 @@ class RobotManager:
             components=tuple(live.status() for live in self._pool.components()),
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
+            machines=self._bridges.machines.statuses(),
         )
 
     def survey(self) -> tuple[FunctionStatus, ...]:

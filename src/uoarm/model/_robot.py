@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from attrs import field, frozen
 
 from uoarm.model._component import Component, Function
+from uoarm.model._listening import Listening
 from uoarm.model._values import Options
 
 __all__ = ["BridgeSpec", "FailoverPolicy", "Robot"]
@@ -59,6 +60,7 @@ class Robot:
         applications: the functions that each application is said to ask for; for readers and
             checks, nobody else is kept from asking.
         failover: what happens to connections when a component dies.
+        hosts: where hosts on other machines join; None where there are none.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -67,6 +69,7 @@ class Robot:
     origin: str = ""
     applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
     failover: FailoverPolicy = FailoverPolicy()
+    hosts: Listening | None = None
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

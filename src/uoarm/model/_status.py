@@ -13,6 +13,7 @@ __all__ = [
     "ConnectionState",
     "ConnectionStatus",
     "Health",
+    "MachineStatus",
     "RouteStatus",
     "StatusEvent",
     "StatusMap",
@@ -56,6 +57,26 @@ class BridgeStatus:
     open_channels: int
     cause: str = ""
     assigned: tuple[tuple[str, object], ...] = ()
+
+
+@frozen
+class MachineStatus:
+    """Another machine, whose hosts join by themselves.
+
+    Attributes:
+        present: whether a host there is joined for every bridge of the machine.
+        bridges: the bridges of the machine.
+        clock_offset: seconds by which its clock is ahead of the manager's, None while unknown.
+        clock_error: seconds by which the offset may be wrong: half of the quickest round trip.
+        cause: why it is not present.
+    """
+
+    name: str
+    present: bool
+    bridges: tuple[str, ...]
+    clock_offset: float | None = None
+    clock_error: float | None = None
+    cause: str = ""
 
 
 @frozen
@@ -171,6 +192,7 @@ class StatusMap:
     components: tuple[ComponentStatus, ...] = ()
     connections: tuple[ConnectionStatus, ...] = ()
     routes: tuple[RouteStatus, ...] = ()
+    machines: tuple[MachineStatus, ...] = ()
 
 
 @frozen
