@@ -131,7 +131,7 @@ class Course:
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of the routes that belong to this connection alone."""
-        return self.opened.ends.routes()
+        return self.opened.routes()
 
     def _changed(self) -> None:
         if self._tell is not None:

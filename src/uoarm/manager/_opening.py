@@ -117,6 +117,14 @@ class OpenPlan:
                 joined.route.drain(timeout)
                 joined.consumer.drain(timeout)
 
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of the routes at its ends; none before it is being opened."""
+        return () if self._ends is None else self._ends.routes()
+
+    def flush(self, timeout: float) -> bool:
+        """Wait until what the application sent was taken; False when time ran out."""
+        return self._ends is None or self._ends.flush(timeout)
+
     def ended_edges(self) -> Iterator[RouteStatus]:
         """Yield the counters of its edges that have ended, for good."""
         for joined in self.edges:
