@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from weakref import WeakSet
 
 from attrs import evolve
 
+from uoarm.manager._live import LiveComponent
+from uoarm.manager._live_edge import LiveEdge
+from uoarm.manager._opening import OpenPlan
 from uoarm.model import Gap, RouteStatus
 
 __all__ = ["History", "dropped_by_reason"]
@@ -26,11 +30,29 @@ class History:
         self.changes = 0
         self.lost = 0
         self._ended: dict[tuple[str, str], RouteStatus] = {}
+        self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
     @property
     def ended(self) -> tuple[RouteStatus, ...]:
         """The routes that ended, those between the same ends as one."""
         return tuple(self._ended.values())
+
+    def lost_with(self, lives: Iterable[LiveComponent]) -> int:
+        """Close components that died or were let go; return what was lost with them, once each."""
+        lost = 0
+        for live in lives:
+            live.close()
+            if live not in self._counted:
+                self._counted.add(live)
+                lost += live.lost + live.unheard
+        return lost
+
+    def ended_edges(self, plan: OpenPlan) -> Iterator[RouteStatus]:
+        """Yield the counters of the edges of a plan that have ended, once each."""
+        for joined in plan.edges:
+            if joined.route is not None and joined.route.closed and joined not in self._counted:
+                self._counted.add(joined)
+                yield joined.route.status()
 
     def add(self, gap: Gap, routes: Iterable[RouteStatus]) -> None:
         """Take in one change of plan and what the routes that ended with it had counted."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from attrs import define, field
 
@@ -83,9 +83,13 @@ class OpenPlan:
         if self._owns_ends:
             ends.feed(connection_of(self.user), self.validate, self.clock)
 
+    def shares_ends(self, other: OpenPlan) -> bool:
+        """Say whether the application touches both plans at the same provider."""
+        return self._ends is not None and self._ends is other._ends
+
     def inherit(self, before: OpenPlan) -> None:
         """Take over the ends that the plan so far has in common with this one."""
-        if before._ends is self._ends:
+        if self.shares_ends(before):
             before._owns_ends, self._owns_ends = False, True
 
     def close(self) -> None:
@@ -124,12 +128,6 @@ class OpenPlan:
     def flush(self, timeout: float) -> bool:
         """Wait until what the application sent was taken; False when time ran out."""
         return self._ends is None or self._ends.flush(timeout)
-
-    def ended_edges(self) -> Iterator[RouteStatus]:
-        """Yield the counters of its edges that have ended, for good."""
-        for joined in self.edges:
-            if joined.route is not None and joined.route.closed:
-                yield joined.route.status()
 
     def uses(self, live: LiveComponent) -> bool:
         """Say whether the connection depends on this open component."""
