@@ -132,7 +132,7 @@ class Course:
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of the routes that belong to this connection alone."""
-        return self.opened.routes()
+        return tuple(route.status() for route in self.opened.routes())
 
     def _changed(self) -> None:
         if self._tell is not None:

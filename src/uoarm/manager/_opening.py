@@ -11,7 +11,8 @@ from uoarm.manager._ends import Ends
 from uoarm.manager._live import LiveComponent, connection_of
 from uoarm.manager._live_edge import LiveEdge
 from uoarm.manager._pool import Pool
-from uoarm.model import Edge, Plan, RouteStatus, ValidationMode
+from uoarm.manager._sender import Sender
+from uoarm.model import Edge, Plan, ValidationMode
 
 __all__ = ["OpenPlan"]
 
@@ -121,8 +122,8 @@ class OpenPlan:
                 joined.route.drain(timeout)
                 joined.consumer.drain(timeout)
 
-    def routes(self) -> tuple[RouteStatus, ...]:
-        """Return the counters of the routes at its ends; none before it is being opened."""
+    def routes(self) -> tuple[Route | Sender, ...]:
+        """Return the routes at its ends; none before it is being opened."""
         return () if self._ends is None else self._ends.routes()
 
     def flush(self, timeout: float) -> bool:

@@ -11,10 +11,10 @@ from uoarm.errors import BridgeTimeoutError, ConnectionClosedError
 from uoarm.flow import Clock
 from uoarm.manager._course import Course
 from uoarm.manager._heirs import names
-from uoarm.manager._history import dropped_by_reason
+from uoarm.manager._history import Counting, dropped_by_reason
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._opening import OpenPlan
-from uoarm.model import Gap, Plan, RouteStatus
+from uoarm.model import Gap, Plan
 
 __all__ = ["Succession"]
 
@@ -123,7 +123,8 @@ class Succession:
         self._before.close()
         lost = self.course.history.lost_with((*dead, *_closed(self._before)))
         ended = self._ended_with(self._before)
-        gap = evolve(self._taken, lost=lost, dropped=dropped_by_reason(ended))
+        dropped = dropped_by_reason(route.status() for route in ended)
+        gap = evolve(self._taken, lost=lost, dropped=dropped)
         self.course.history.add(gap, ended)
 
     def _abandon(self) -> None:
@@ -133,8 +134,8 @@ class Succession:
         lost = history.lost_with(_closed(self._opened))
         history.settle(lost, self._ended_with(self._opened))
 
-    def _ended_with(self, plan: OpenPlan) -> tuple[RouteStatus, ...]:
-        """Return the counters of the routes that ended with one of the two plans."""
+    def _ended_with(self, plan: OpenPlan) -> tuple[Counting, ...]:
+        """Return the routes that ended with one of the two plans."""
         ends = () if self._opened.shares_ends(self._before) else plan.routes()
         return (*ends, *self.course.history.ended_edges(plan))
 
