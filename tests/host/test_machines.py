@@ -199,7 +199,8 @@ def test_a_host_outlives_its_managers_and_keeps_nothing_of_them(tmp_path: Path, 
                 connection = manager.request("ticks")
                 assert connection.get(10) == 0  # the component begins anew with each manager
                 found.add(manager.call("where", 0))
-            wait(lambda told=number + 1: host.log.count("bridge far is let go") == told)
+            expected = number + 1
+            wait(lambda: host.log.count("bridge far is let go") == expected)  # noqa: B023 - at once
             wait(lambda: not held or host.holdings() <= held[0])
             held.append(host.holdings())
         assert len(found) == 1

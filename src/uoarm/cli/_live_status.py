@@ -17,9 +17,9 @@ __all__ = ["show_live_status"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
-    "bridges": ("name", "plugin", "health", "cause"),
+    "bridges": ("name", "plugin", "health", "assigned", "cause"),
     "components": ("name", "function", "health", "cause"),
-    "connections": ("id", "function", "state", "cause"),
+    "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
 }
 

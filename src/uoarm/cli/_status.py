@@ -48,6 +48,9 @@ def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
     if as_json:
         print_json(functions)
         return functions
+    for bridge in robot.robot.bridges.values():
+        for option, value in bridge.assigned.items():
+            click.echo(f"{bridge.name}  {option} {value}, chosen by uoarm")
     for function in functions:
         colour = "red" if function.provider is None else "green"
         state = "cannot be had" if function.provider is None else f"from {function.provider}"

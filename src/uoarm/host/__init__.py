@@ -4,6 +4,7 @@ Needs the extra `uoarm[hosts]`, in the application and in the environment of eve
 """
 
 from uoarm.host._desk import MachineDesk
+from uoarm.host._die_with_parent import die_with_parent
 from uoarm.host._join import JoinedHost
 from uoarm.host._remote import RemoteBridge
 from uoarm.host._security import Identity
@@ -17,4 +18,5 @@ __all__ = [
     "MachineDesk",
     "RemoteBridge",
     "XmlRpcFace",
+    "die_with_parent",
 ]

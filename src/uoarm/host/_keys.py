@@ -20,7 +20,7 @@ __all__ = [
     "talk",
 ]
 
-LINK_VERSION = 1
+LINK_VERSION = 2
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"

@@ -15,6 +15,7 @@ from uoarm.host._desk import MachineDesk
 from uoarm.host._link import ANSWER_SECONDS, Link
 from uoarm.host._pulse import Pulse
 from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Tally
 from uoarm.model import BridgeSpec
 
 __all__ = ["MachineConnection"]
@@ -65,6 +66,7 @@ class MachineConnection:
         self._closing = False
         self._pulse: Pulse | None = None
         self.dead = ""
+        self.tally: Tally | None = None  # no memory is shared with another machine
         host = desk.find(machine, spec.name, settings.start)
         if host is None:
             text = f"no host of {self._place} is there for bridge {spec.name!r}"

@@ -28,6 +28,7 @@ from uoarm.host._flow import Ending, Handled, Incoming, Outgoing
 from uoarm.host._link import Reply
 from uoarm.host._machine import MachineConnection
 from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Counter
 from uoarm.host._workers import Workers
 from uoarm.model import (
     BridgeSpec,
@@ -107,7 +108,12 @@ class RemoteBridge(Bridge):
         def ended(ending: Ending) -> None:
             self.report(Health(ending.health), ending.cause, channel=channel)
 
-        channel.delivery = Delivery(deliver)
+        def give(message: Message) -> None:
+            channel.given += 1
+            deliver(message)
+
+        channel.counter = self._counter()
+        channel.delivery = Delivery(give)
         channel.incoming = Incoming(
             self._host.link,
             _keys.flow(number),
@@ -117,9 +123,7 @@ class RemoteBridge(Bridge):
         )
         self._channels[number] = channel
         try:
-            self._ask(
-                "source", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
-            )
+            self._ask("source", **_opening(number, channel.counter, endpoint, structure))
         except BaseException:
             channel.incoming.close()
             self._drop(number)
@@ -129,9 +133,13 @@ class RemoteBridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         number = next(self._numbers)
         channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
-        channel.blocking = self._ask(
-            "sink", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
-        )
+        channel.counter = self._counter()
+        try:
+            opening = _opening(number, channel.counter, endpoint, structure)
+            channel.blocking = self._ask("sink", **opening)
+        except BaseException:
+            self._take_back(channel.counter)
+            raise
         patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
         self._channels[number] = channel
@@ -186,7 +194,17 @@ class RemoteBridge(Bridge):
         return None
 
     def _drop(self, number: int) -> None:
-        self._channels.pop(number, None)
+        channel = self._channels.pop(number, None)
+        if isinstance(channel, RemoteSource | RemoteSink) and not self._host.dead:
+            self._take_back(channel.counter)
+
+    def _counter(self) -> Counter | None:
+        tally = self._host.tally
+        return None if tally is None else tally.counter()
+
+    def _take_back(self, counter: Counter | None) -> None:
+        if self._host.tally is not None:
+            self._host.tally.take_back(counter)
 
     def _heard(self, answer: list[Any]) -> None:
         for number, handled, facts in answer:
@@ -218,3 +236,14 @@ class RemoteBridge(Bridge):
             component=told["component"],
         )
         reply(None)
+
+
+def _opening(
+    number: int, counter: Counter | None, endpoint: Endpoint, structure: MessageStructure
+) -> dict[str, Any]:
+    return {
+        "flow": number,
+        "slot": None if counter is None else counter.slot,
+        "endpoint": to_json(endpoint),
+        "structure": to_json(structure),
+    }

@@ -109,6 +109,7 @@ class BridgeSet:
                 health=health.get(name, _FINE)[0],
                 open_channels=0 if bridge is None else bridge.open_channels,
                 cause=health.get(name, _FINE)[1],
+                assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
             )
             for name, bridge in known.items()
         )

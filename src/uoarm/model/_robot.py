@@ -22,12 +22,14 @@ class BridgeSpec:
         plugin: name of the plugin that makes it.
         options: settings handed to the plugin.
         host: settings of the process it runs in; None: the application's own.
+        assigned: the options among these that uoarm chose, since the configuration left them out.
     """
 
     name: str
     plugin: str
     options: Options = field(factory=dict, hash=False)
     host: Options | None = field(default=None, hash=False)
+    assigned: Options = field(factory=dict, hash=False)
 
 
 @frozen

@@ -45,13 +45,18 @@ class ConnectionState(Enum):
 
 @frozen
 class BridgeStatus:
-    """One bridge instance."""
+    """One bridge instance.
+
+    Attributes:
+        assigned: options that uoarm chose for it, by name.
+    """
 
     name: str
     plugin: str
     health: Health
     open_channels: int
     cause: str = ""
+    assigned: tuple[tuple[str, object], ...] = ()
 
 
 @frozen
@@ -139,11 +144,14 @@ class Gap:
         time: seconds of the manager's clock, when the new plan was open.
         position: how many messages the application had been given before it.
         seconds: how long nothing could arrive.
-        lost: messages that were under way into what died and are not known to have arrived;
-            what its framework had not handed over yet, nobody can count.
+        lost: messages that were under way into or out of what died and did not arrive; what
+            its framework had not handed over yet, nobody can count.
         before: the components of the plan that ended.
         after: the components of the plan that goes on.
         cause: why it was replaced.
+        dropped: what the routes that ended with it had dropped since they were opened, by
+            reason: `closed` waited in a queue, `replaced` came too late, `in-hand` was with a
+            consumer that did not return.
     """
 
     time: float
@@ -153,17 +161,27 @@ class Gap:
     before: tuple[str, ...]
     after: tuple[str, ...]
     cause: str
+    dropped: tuple[tuple[str, int], ...] = ()
 
 
 @frozen
 class ConnectionStatus:
-    """One request that an application made."""
+    """One request that an application made.
+
+    Attributes:
+        lost: messages that were under way into or out of components that died, over all changes
+            of plan.
+        ended: the routes of plans that were replaced, those between the same ends as one. With
+            these, `lost`, and the routes that are open, every message is accounted for.
+    """
 
     id: str
     function: str
     state: ConnectionState
     components: tuple[str, ...]
     cause: str = ""
+    lost: int = 0
+    ended: tuple[RouteStatus, ...] = ()
 
 
 @frozen
