@@ -22,6 +22,7 @@ from tests.server.test_serving import page
 
 from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
 from uoarm.client import Client, connect
+from uoarm.model import Message
 from uoarm.server import Limits, Server, hash_token
 from uoarm.server._answers import Answers
 
@@ -231,6 +232,27 @@ def test_a_session_ends_when_its_time_is_over(
     run(proxy, work)
 
 
+def test_sessions_without_a_connection_are_limited(
+    serve: Serve, between: Between, robot: RobotManager
+) -> None:
+    server = serve(Limits(kept_sessions=1))
+    first, second = between(server), between(server)
+
+    async def work(one: Client) -> None:
+        async with connect(f"ws://127.0.0.1:{second.port}/") as other:
+            streams = await one.request("numbers"), await other.request("echo")
+            first.cut(admit=False)
+            await until(lambda: clients(server) == 1)
+            second.cut()
+            with pytest.raises(ConnectionClosedError, match="begin anew"):
+                await streams[1].get()
+            async with resumed(one):
+                first.admit()
+            assert [stream.function for stream in robot.status().connections] == ["numbers"]
+
+    run(first, work)
+
+
 @pytest.mark.parametrize("keeping", ["neither", "client", "server"])
 def test_where_one_side_does_not_want_it_a_drop_is_the_end(
     serve: Serve, between: Between, robot: RobotManager, keeping: str
@@ -317,7 +339,8 @@ def test_whatever_is_cut_nothing_comes_twice_or_without_being_counted(
 
     async def work(client: Client) -> None:
         stream = await client.request("numbers")
-        calls, last = [], 0
+        calls: list[asyncio.Future[Message]] = []
+        last = 0
         for step in steps:
             if step == "call":
                 calls.append(asyncio.ensure_future(client.call("add", {"a": len(calls), "b": 0})))
