@@ -5,8 +5,10 @@ BIN = $(VENV)/bin
 PLUGINS = $(wildcard plugins/*)
 
 NAMESERVICE ?= localhost:2809
+FIGURES ?= build/healthbot
 
-.PHONY: demo live healthbot test test-long lint types docs check bench mutation interop-rtm clean
+.DELETE_ON_ERROR:
+.PHONY: demo live healthbot healthbot-tables plots test test-long lint types docs check bench mutation interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
@@ -16,6 +18,13 @@ live: $(VENV)/.live  ## the same chain without an end, with pictures at http://1
 
 healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications
 	$(BIN)/python examples/healthbot/scene.py
+
+healthbot-tables: $(VENV)/.healthbot  ## the paper's evaluation as tables; takes about eight minutes
+	$(BIN)/python examples/healthbot/experiments/every.py --record $(FIGURES)
+
+plots: $(VENV)/.healthbot  ## plots of the figures that healthbot-tables recorded
+	$(BIN)/python -m pip install --quiet -e '.[plots]'
+	$(BIN)/python examples/healthbot/experiments/plots.py $(FIGURES)
 
 test: $(VENV)/.dev  ## every test
 	$(BIN)/python -m pytest -n 2 tests
@@ -49,6 +58,7 @@ mutation: $(VENV)/.dev  ## mutation tests of the schema checker, sampled
 	$(BIN)/python bench/mutation.py --sample 300
 
 $(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "$(PYTHON) is too old: choose Python 3.10 or later, make PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Generated schemas and messages are big, and many are filtered out: slow examples are no fault.
@@ -14,3 +15,11 @@ settings.register_profile(
 )
 settings.register_profile("long", max_examples=2000, deadline=None, suppress_health_check=_RELAXED)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "short"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """With several workers, the tests of one `xdist_group` share one of them."""
+    workers = getattr(config.option, "numprocesses", None)
+    if workers and config.option.dist in {"no", "load"}:
+        config.option.dist = "loadgroup"

@@ -35,34 +35,62 @@ def main() -> int:
     parser.add_argument("--robot", type=Path, default=HERE / "robot.yaml", help="another robot")
     parser.add_argument("--run", type=Path, metavar="FOLDER", help="keep logs and records there")
     parser.add_argument("--free-ports", action="store_true", help="do not use the usual ports")
+    parser.add_argument(
+        "--environments",
+        action="store_true",
+        help="run the bridges to ROS 2 and OpenRTM in environments of their own, made if need be",
+    )
     parser.add_argument("--visit", action="store_true", help="run one visit in the terminal; end")
     options = parser.parse_args()
-    try:
-        from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - or it is told
-        from healthbot_scene.parts import parts_of  # noqa: PLC0415
-        from healthbot_scene.places import make_places  # noqa: PLC0415
-        from vision_demo.packages import FootageError  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed: see examples/healthbot/README.md")
-        return 2
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        print("Everything is ended.")
+        return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    try:
+        from healthbot_scene.needs import missing, node  # noqa: PLC0415 - or it is told
+    except ModuleNotFoundError as error:
+        print(f"{error.name} is not installed: see examples/healthbot/README.md", file=sys.stderr)
+        return 2
+    lacking = missing()
+    for need in lacking:
+        print(need, file=sys.stderr)
+    if any(need.vital for need in lacking) or (options.visit and node() is None):
+        return 2
+    from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - now they are there
+    from healthbot_scene.parts import parts_of  # noqa: PLC0415
+    from healthbot_scene.places import make_places  # noqa: PLC0415
+    from healthbot_scene.separate import HOSTS, prepare_environments  # noqa: PLC0415
+    from vision_demo.packages import FootageError  # noqa: PLC0415
+
+    from uoarm import UoarmError  # noqa: PLC0415
+
     cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
-    with tempfile.TemporaryDirectory(prefix="healthbot-") as temporary:
-        try:
-            print("Footage and faces ...", flush=True)
+    try:
+        hosts = None
+        if options.environments:
+            prepare_environments(_say)
+            hosts = {key: f"{{environment: {one.name}}}" for key, one in HOSTS.items()}
+        with tempfile.TemporaryDirectory(prefix="healthbot-") as temporary:
+            _say("Footage and faces ...")
             ports = None if options.free_ports else _PORTS
-            places = make_places(options.run or Path(temporary), cache, ports)
-            parts = parts_of(places, places.write_robot(options.robot), HERE / "browser")
+            places = make_places(options.run or Path(temporary), cache, ports, _say)
+            parts = parts_of(places, places.write_robot(options.robot, hosts), HERE / "browser")
             with Crew(places.run, places.environment()) as crew:
                 crew.start_all(parts, _tell)
-                print("Everything is ready; Ctrl-C ends it.", flush=True)
+                _say("Everything is ready; Ctrl-C ends it.")
                 return _visit(places.robot_url) if options.visit else _watch(crew)
-        except (FootageError, PartError, FileNotFoundError) as error:
-            print(error, file=sys.stderr)
-            return 2
-        except KeyboardInterrupt:
-            print("Everything is ended.")
-            return 0
+    except (FootageError, PartError, UoarmError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _tell(running: Running) -> None:
@@ -73,8 +101,7 @@ def _tell(running: Running) -> None:
 
 def _visit(url: str) -> int:
     """Run the terminal application once."""
-    node = "node"
-    command = [node, "--experimental-websocket", str(HERE / "terminal" / "main.mjs"), url]
+    command = ["node", "--experimental-websocket", str(HERE / "terminal" / "main.mjs"), url]
     return subprocess.run(command, check=False).returncode
 
 

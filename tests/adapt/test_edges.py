@@ -67,6 +67,12 @@ entries = st.one_of(
         numbers,
         numbers,
     ),
+    st.builds(
+        lambda path, low, more: {"from": path, "clamp": [low, low + more]},
+        st.sampled_from(["pose.x", "data", "pose.y"]),
+        st.integers(-150, 150),
+        st.integers(0, 50),
+    ),
     st.just({"from": "state", "enum": {"IDLE": 0, "RUN": 1}}),
     st.just({"from": "pose.y", "default": 7}),
     st.just({"each": "boxes", "map": {"x": "left", "kind": {"const": "box"}}}),
@@ -164,3 +170,57 @@ def test_a_message_that_lacks_a_field_is_named() -> None:
     make = adapt(parse({"a": "range"}), SOURCE, ANY).make
     with pytest.raises(MessageError, match="'a'"):
         make({})
+
+
+WIDE = structure(width={"type": "integer", "minimum": 0, "maximum": 2**32 - 1})
+NARROW = structure(width={"type": "integer", "minimum": 0, "maximum": 2**16 - 1})
+
+
+@pytest.mark.parametrize("mapping", [None, {}, {"width": "width"}])
+def test_no_permission_narrows_a_range(mapping: dict[str, Any] | None) -> None:
+    refused = check_edge(WIDE, NARROW, mapping, ("width",))
+    assert not refused.compatible
+    assert refused.reasons[0].path == "width"
+
+
+def test_a_clamp_narrows_a_range_because_it_is_named() -> None:
+    mapping = {"width": {"from": "width", "clamp": [0, 65535]}}
+    verdict = check_edge(WIDE, NARROW, mapping)
+    assert verdict.compatible, verdict.reasons
+    assert not verdict.losses
+    make = adapt(parse(mapping), WIDE.schema, NARROW.schema).make
+    assert [make({"width": one})["width"] for one in (0, 65535, 65536, 2**32 - 1)] == [
+        0,
+        65535,
+        65535,
+        65535,
+    ]
+    wider = {"width": {"from": "width", "clamp": [0, 65536]}}
+    assert not check_edge(WIDE, NARROW, wider).compatible
+
+
+def test_a_clamp_works_on_arrays_of_every_kind_and_leaves_nan() -> None:
+    octets = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}
+    make = adapt(parse({"a": {"from": "a", "clamp": [-5, 100]}}), structure(a=octets).schema, ANY)
+    assert make.make({"a": bytes([0, 100, 255])}) == {"a": [0, 100, 100]}
+    array = np.array([0, 100, 255], dtype=np.uint8)
+    assert make.make({"a": array})["a"].tolist() == [0, 100, 100]
+    maybe = {"type": "number", "x-nonfinite": True}
+    made = adapt(parse({"a": {"from": "a", "clamp": [0, 1]}}), structure(a=maybe).schema, ANY)
+    assert made.schema["properties"]["a"]["x-nonfinite"]
+    assert np.isnan(made.make({"a": float("nan")})["a"])
+    assert made.make({"a": float("-inf")}) == {"a": 0}
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        ({"from": "range", "clamp": [2, 1]}, "the lower one first"),
+        ({"from": "range", "clamp": [True, 1]}, "two numbers"),
+        ({"from": "pose.x", "clamp": [0.5, 1]}, "needs integers here"),
+        ({"from": "state", "clamp": [0, 1]}, "needs a number"),
+    ],
+)
+def test_a_clamp_that_cannot_be_is_refused(rule: dict[str, Any], told: str) -> None:
+    verdict = check_edge(MessageStructure(SOURCE), MessageStructure(ANY), {"a": rule})
+    assert told in verdict.reasons[0].sentence

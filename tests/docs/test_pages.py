@@ -80,9 +80,10 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
 
 
 def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
-    components, robot, commands, printed, program = (
+    install, components, robot, commands, printed, program = (
         one.text for one in blocks(ROOT / "docs" / "first-steps.md")
     )
+    assert "pip install ." in install
     (tmp_path / "kitchen.py").write_text(components)
     (tmp_path / "robot.yaml").write_text(robot)
     (tmp_path / "program.py").write_text(program)

@@ -107,6 +107,13 @@ def test_what_is_sent_twice_is_stored_once(service: Service, record: PatientReco
     assert [one["id"] for one in service.stored()] == [identity(PULSE)]
 
 
+def test_two_visits_in_the_same_moment_stay_two(service: Service, record: PatientRecord) -> None:
+    for visit in ("one", "two"):
+        record({**PULSE, "visit": visit})
+    found = {one["encounter"]["identifier"]["value"] for one in service.stored()}
+    assert found == {"one", "two"}
+
+
 def test_nothing_is_lost_while_the_service_is_down(
     service: Service, record: PatientRecord, tmp_path: Path
 ) -> None:

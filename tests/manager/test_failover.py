@@ -12,7 +12,7 @@ from attrs import evolve
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Robot, StatusEvent
-from uoarm.testing import Census, Emitter, Loop, MemoryBridge
+from uoarm.testing import Census, Emitter, Loop, ManualClock, MemoryBridge
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 1000}
 WIDER = {"type": "integer", "minimum": 0, "maximum": 2000}
@@ -249,3 +249,17 @@ def test_a_kill_while_it_is_replaced_closes_everything(make: Make) -> None:
     connection.kill()
     wait(lambda: stage.one.open_channels == stage.two.open_channels == 0)
     assert connection.state is ConnectionState.CLOSED
+
+
+def test_what_appears_after_the_first_request_serves_the_next() -> None:
+    clock = ManualClock()
+    one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
+    two.emitter("next", NUMBER)
+    with RobotManager(loads(ROBOT), bridges={"one": one, "two": two}, clock=clock) as robot:
+        first = robot.request("camera")
+        assert first.plan.provider.component.name == "next"
+        one.emitter("best", NUMBER)  # and no bridge says so
+        clock.advance(60)
+        second = robot.request("camera")
+        assert second.plan.provider.component.name == "best"
+        assert first.plan.provider.component.name == "next"

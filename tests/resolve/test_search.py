@@ -24,6 +24,7 @@ from uoarm.model import (
     Role,
 )
 from uoarm.resolve import NoPlanError, Resolver, Structures, Unavailable, tell_plan
+from uoarm.testing import ManualClock
 
 
 @frozen
@@ -217,3 +218,53 @@ def test_a_plan_is_kept_until_it_is_invalidated() -> None:
     assert resolver.resolve("f") is plan
     resolver.invalidate("f0")
     assert resolver.resolve("f") is not plan
+
+
+def two_candidates() -> Robot:
+    return Robot({}, {"f": Function("f", (component("f", 0, ()), component("f", 1, ())))})
+
+
+class Slow(World):
+    """Every question about what is missing takes time."""
+
+    def __init__(self, clock: ManualClock, seconds: float) -> None:
+        super().__init__(frozenset({"f0"}), frozenset())
+        self.clock, self.seconds = clock, seconds
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        found = super().structures(component)
+        if isinstance(found, Unavailable):
+            self.clock.advance(self.seconds)
+        return found
+
+
+@pytest.mark.parametrize(("seconds", "patience"), [(0.0, 1.0), (0.5, 5.0), (20.0, 30.0)])
+def test_what_was_not_there_is_looked_for_again(seconds: float, patience: float) -> None:
+    clock = ManualClock()
+    world = Slow(clock, seconds)
+    resolver = Resolver(two_candidates(), world, world.check, clock=clock)
+    spare = resolver.resolve("f")
+    assert spare.provider.component.name == "f1"
+    world.missing = frozenset()
+    clock.advance(patience - 0.01)
+    assert resolver.resolve("f") is spare
+    clock.advance(0.02)
+    assert resolver.known("f") is None
+    better = resolver.resolve("f")
+    assert better.provider.component.name == "f0"
+    clock.advance(1e9)
+    assert resolver.resolve("f") is better
+
+
+def test_what_does_not_fit_is_not_tried_again_until_something_changes() -> None:
+    clock = ManualClock()
+    functions = {
+        "f": Function("f", (component("f", 0, ("g",)), component("f", 1, ("g",)))),
+        "g": Function("g", (component("g", 0, ()),)),
+    }
+    world = World(frozenset(), frozenset({(1, 1)}))
+    resolver = Resolver(Robot({}, functions), world, world.check, clock=clock)
+    plan = resolver.resolve("f")
+    assert len(plan.rejected) == 1
+    clock.advance(1e9)
+    assert resolver.resolve("f") is plan

@@ -1,7 +1,7 @@
 // The visit, one screen after the other, and again for the next person.
 
 import { connect } from "./uoarm.js";
-import { pressure, record, someone, steady, whoIsIt } from "./measuring.js";
+import { newVisit, pressure, record, someone, steady, whoIsIt } from "./measuring.js";
 import { choose, draw, progress, show, values } from "./screen.js";
 import { say } from "./voice.js";
 
@@ -49,7 +49,7 @@ async function station(robot, { step, prompt, more, ready, measure, missing }) {
   }
 }
 
-function finger(robot, patient) {
+function finger(robot, who) {
   return station(robot, {
     step: 1,
     prompt: "Put your finger into the clip",
@@ -60,8 +60,8 @@ function finger(robot, patient) {
       const tell = (quality) => progress(CLIP[quality] ?? "Please keep your hand still.");
       const pulse = await steady(robot, "pulseRate", "pulse", tell);
       const oxygen = await steady(robot, "bloodOxygen", "spo2", tell);
-      const savedPulse = await record(robot, patient, { kind: "pulse", value: pulse });
-      const savedOxygen = await record(robot, patient, { kind: "spo2", value: oxygen });
+      const savedPulse = await record(robot, who, { kind: "pulse", value: pulse });
+      const savedOxygen = await record(robot, who, { kind: "spo2", value: oxygen });
       return [
         { title: "Pulse", value: `${pulse}`, note: `beats a minute, ${savedPulse}` },
         { title: "Oxygen", value: `${oxygen} %`, note: `in your blood, ${savedOxygen}` },
@@ -70,7 +70,7 @@ function finger(robot, patient) {
   });
 }
 
-function arm(robot, patient) {
+function arm(robot, who) {
   return station(robot, {
     step: 2,
     prompt: "Put the cuff around your arm",
@@ -80,7 +80,7 @@ function arm(robot, patient) {
     async measure() {
       progress("Measuring. Please do not talk or move.");
       const { systolic, diastolic } = await pressure(robot);
-      const saved = await record(robot, patient, { kind: "pressure", systolic, diastolic });
+      const saved = await record(robot, who, { kind: "pressure", systolic, diastolic });
       return [{ title: "Blood pressure", value: `${systolic} / ${diastolic}`, note: `mmHg, ${saved}` }];
     },
   });
@@ -89,8 +89,8 @@ function arm(robot, patient) {
 async function visit(robot) {
   const name = await welcome(robot);
   if (name === undefined) return;
-  const patient = name.toLowerCase();
-  const rows = [...(await finger(robot, patient)), ...(await arm(robot, patient))];
+  const who = { patient: name.toLowerCase(), visit: newVisit() };
+  const rows = [...(await finger(robot, who)), ...(await arm(robot, who))];
   show({ step: 3, prompt: "Thank you, these are your values", more: "Please ask a nurse what they mean." });
   values(rows);
   say(robot, `Thank you. ${spoken(rows)} Please ask a nurse what these values mean. Goodbye.`);

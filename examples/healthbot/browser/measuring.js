@@ -60,11 +60,17 @@ export function pressure(robot) {
   return robot.call("bloodPressure", {}, { timeout: PATIENCE / 1000 });
 }
 
-/** Puts a measurement into the record; resolves to a note for the results. */
-export async function record(robot, patient, measurement) {
+/** Returns a name of a visit that no other visit has. */
+export function newVisit() {
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+/** Puts a measurement of `{ patient, visit }` into the record; resolves to a note for the results. */
+export async function record(robot, who, measurement) {
   const time = new Date().toISOString();
   try {
-    const { stored } = await robot.call("patientRecord", { patient, time, ...measurement });
+    const { stored } = await robot.call("patientRecord", { ...who, time, ...measurement });
     return stored ? "saved" : "will be saved later";
   } catch (error) {
     console.warn(`not saved: ${error.message}`);

@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import argparse
 import os
-import random
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
+from attrs import asdict, frozen
 from circuits import FRAMEWORKS, configuration, message, name_of
-from stage import head, table
-from uoarm_rtm._nameserver import NameServer
+from floors import FLOORS, measure
+from stage import free_domain, load, machine, record, table
+from uoarm_rtm.nameserver import NameServer
 
-from uoarm import RobotManager, UoarmError
+from uoarm import RobotManager
 from uoarm.adapt import check_edge, transfer
 from uoarm.config import loads
 from uoarm.model import Component, Plan
@@ -30,7 +32,14 @@ from uoarm.resolve import Resolver, Structures
 _LOOPS = Path(__file__).with_name("loops.py")
 _LIMIT = 30.0
 _PAPER = 0.001
-_HEAD = ("", "p50", "p95", "p99", "below 1 ms")
+_QUANTILES = ("p50", "p95", "p99", "below 1 ms")
+_SHARES = (0.5, 0.95, 0.99)
+_CHAINS = {
+    "python": "plain Python",
+    "rtm_python": "OpenRTM to plain Python",
+    "rocos_rtm": "ROCOS profile to OpenRTM",
+    "rtm_rocos": "OpenRTM to ROCOS profile",
+}
 
 
 @contextmanager
@@ -46,12 +55,35 @@ def loop(*arguments: str) -> Iterator[str]:
             process.communicate(timeout=_LIMIT)
 
 
-def row(title: str, seconds: list[float]) -> tuple[str, ...]:
-    """Return quantiles in microseconds, and how many of the samples keep to the paper's figure."""
+@frozen
+class Figure:
+    """How long one thing took.
+
+    Attributes:
+        title: what it is.
+        kind: `floor`, `step`, `alone` or `pair`.
+        where: `bare`, `one process` or `hosts`.
+        p50: seconds that half of the samples kept to.
+        p95: and 95 %.
+        p99: and 99 %.
+        below: share of the samples that keep to the paper's figure.
+    """
+
+    title: str
+    kind: str
+    where: str
+    p50: float
+    p95: float
+    p99: float
+    below: float
+
+
+def figure(title: str, kind: str, where: str, seconds: list[float]) -> Figure:
+    """Return the quantiles of some samples."""
     ordered = sorted(seconds)
-    quantiles = [ordered[min(len(ordered) - 1, int(len(ordered) * q))] for q in (0.5, 0.95, 0.99)]
+    p50, p95, p99 = (ordered[min(len(ordered) - 1, int(len(ordered) * q))] for q in _SHARES)
     below = sum(each < _PAPER for each in ordered) / len(ordered)
-    return title, *(f"{each * 1e6:,.1f} µs" for each in quantiles), f"{below:.0%}"
+    return Figure(title, kind, where, p50, p95, p99, below)
 
 
 def timed(action: Callable[[], object], count: int) -> list[float]:
@@ -99,7 +131,7 @@ class Known:
         return self._known[component.name]
 
 
-def functional(robot: RobotManager, name: str, count: int) -> Iterator[tuple[str, ...]]:
+def functional(robot: RobotManager, name: str, where: str, count: int) -> Iterator[Figure]:
     """Measure resolving, requesting and converting for one function."""
     plan = robot.resolve(name)
     known = Known(plan)
@@ -107,45 +139,76 @@ def functional(robot: RobotManager, name: str, count: int) -> Iterator[tuple[str
     def search() -> None:
         Resolver(robot.robot, known, check_edge).resolve(name)
 
-    yield row(f"{name}: resolve, every dependency checked", timed(search, count))
-    yield row(f"{name}: resolve again", timed(lambda: robot.resolve(name), count))
-    yield row(f"{name}: request, until it is open", requests(robot, name, max(20, count // 20)))
+    def took(title: str, seconds: list[float]) -> Figure:
+        return figure(f"{_CHAINS[name]}: {title}", "step", where, seconds)
+
+    yield took("resolve, every dependency checked", timed(search, count))
+    yield took("resolve again", timed(lambda: robot.resolve(name), count))
+    yield took("request, until it is open", requests(robot, name, max(20, count // 20)))
     for edge in plan.edges:
         make = transfer(edge)
         if make is not None:
             sent = message(edge.producer.partition("_")[0], 1)
-            yield row(f"{name}: convert a message", timed(lambda m=make, s=sent: m(s), count))  # type: ignore[misc]  # mypy cannot infer a lambda's default
+            yield took("convert a message", timed(partial(make, sent), count))
 
 
-def measure(robot: RobotManager, count: int) -> None:
-    """Print the tables of one robot."""
-    names = ("python", "rtm_python", "rocos_rtm", "rtm_rocos")
-    table(_HEAD, [line for name in names for line in functional(robot, name, count)])
-    ways = [(first, "") for first in FRAMEWORKS]
-    ways += [(one, two) for one in FRAMEWORKS for two in FRAMEWORKS if one != two]
-    trips = []
-    for one, two in ways:
-        title = f"{FRAMEWORKS[one]} to {FRAMEWORKS[two]}" if two else f"{FRAMEWORKS[one]} alone"
-        try:
-            trips.append(row(title, round_trips(robot, one, two, count)))
-        except UoarmError as error:
-            trips.append((title, str(error).splitlines()[0], "", "", ""))
-    table(_HEAD, trips)
+def hops(robot: RobotManager, where: str, count: int) -> Iterator[Figure]:
+    """Measure messages through every framework, and from each to every other."""
+    for one, title in FRAMEWORKS.items():
+        yield figure(f"{title} alone", "alone", where, round_trips(robot, one, "", count))
+    for one, first in FRAMEWORKS.items():
+        for two, second in FRAMEWORKS.items():
+            if one != two:
+                seconds = round_trips(robot, one, two, count)
+                yield figure(f"{first} to {second}", "pair", where, seconds)
+
+
+def floors(count: int) -> Iterator[Figure]:
+    """Measure the frameworks without uoarm."""
+    for name, title in FLOORS.items():
+        yield figure(title, "floor", "bare", measure(name, count))
+
+
+def shown(figures: Sequence[Figure]) -> Iterator[tuple[str, ...]]:
+    """Return rows of a table: what was measured in several places stands in one row."""
+    places = list(dict.fromkeys(one.where for one in figures))
+    for title in dict.fromkeys(one.title for one in figures):
+        cells = [title]
+        for where in places:
+            found = [one for one in figures if (one.title, one.where) == (title, where)]
+            for one in found:
+                cells += [f"{each * 1e6:,.1f}" for each in (one.p50, one.p95, one.p99)]
+                cells.append(f"{one.below:.0%}")
+        yield tuple(cells)
 
 
 def main() -> None:
-    """Measure with the bridges in one process, or each in its own."""
+    """Measure the floors, then uoarm with its bridges in one process and each in its own."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=500, help="messages on each way")
-    parser.add_argument("--hosted", action="store_true", help="each bridge in its own process")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    domain = random.randrange(1, 101)  # noqa: S311 - no secret
-    with NameServer() as names, loop("rtm", names.address), loop("rocos") as device:
-        text = configuration(names.address, device, domain, hosted=options.hosted)
-        with RobotManager(loads(text)) as robot:
-            head("Latency, each bridge in its own process" if options.hosted else "Latency")
-            measure(robot, options.count)
+    domain = free_domain()
+    os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(domain)}
+    before = load()
+    figures = list(floors(options.count))
+    with NameServer() as names, loop("rtm", names.address) as _, loop("rocos") as device:
+        for where, hosted in (("hosts", True), ("one process", False)):
+            text = configuration(names.address, device, domain, hosted=hosted)
+            with RobotManager(loads(text)) as robot:
+                figures += hops(robot, where, options.count)
+                for name in _CHAINS:
+                    figures += functional(robot, name, where, options.count)
+    figures.sort(key=lambda one: one.where == "hosts")
+    measured = machine(before)
+    print(f"Latency in µs, {measured}\n")
+    bare = [one for one in figures if one.kind == "floor"]
+    table(("without uoarm", *_QUANTILES), list(shown(bare)))
+    for kinds, title in ((("step",), "functional process"), (("alone", "pair"), "one message")):
+        some = [one for one in figures if one.kind in kinds]
+        table((title, *_QUANTILES, *(f"hosts {one}" for one in _QUANTILES)), list(shown(some)))
+    if options.record:
+        record(options.record, measured, [asdict(one) for one in figures])
 
 
 if __name__ == "__main__":

@@ -62,10 +62,13 @@ class Loop:
 
 def rtm(nameserver: str) -> None:
     """Be the RT-Component Loop0, with ports `in` and `out`."""
-    from uoarm_rtm._naming import NamingService  # noqa: PLC0415 - imports the middleware
-    from uoarm_rtm._orb import Orb  # noqa: PLC0415
-    from uoarm_rtm._types import Types  # noqa: PLC0415
-    from uoarm_rtm.component import RtComponent, Sheet  # noqa: PLC0415
+    from uoarm_rtm.component import (  # noqa: PLC0415 - imports the middleware
+        NamingService,
+        Orb,
+        RtComponent,
+        Sheet,
+        Types,
+    )
 
     orb, types = Orb("127.0.0.1", _SECONDS), Types()
     waiting: queue.SimpleQueue[Any] = queue.SimpleQueue()

@@ -6,17 +6,17 @@ one only watches. Then the part is started again.
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import os
 import signal
 import time
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from attrs import define, field
-from stage import Stage, head, stage, table
+from attrs import asdict, frozen
+from observing import NOTHING, Observed, until, use, using, watch
+from stage import Stage, load, machine, record, stage, table
 
 from uoarm.client import connect
 from uoarm.errors import UoarmError
@@ -25,69 +25,43 @@ _SETTLED = 3.0
 _WINDOW = 14.0
 _RETURN = 60.0
 _FIRST = 60.0
-_NOTHING = "nothing"
+_HEAD = ("killed", "seen through", "noticed after", "told", "lost", "went on with", "back after")
+_SAME = "the same components"
 
 
-@define
-class Observed:
-    """What a user and a watcher of one function saw; times of the monotonic clock."""
+@frozen
+class Death:
+    """What became of a death.
 
-    arrivals: list[float] = field(factory=list)
-    changes: list[tuple[float, str]] = field(factory=list)
-    ended: str = ""
+    Attributes:
+        killed: the part.
+        function: through which it was seen.
+        noticed: seconds until somebody was told; None: nobody ever.
+        told: who, and what.
+        silence: seconds without a message; None where nothing flows, or none came again.
+        lost: what the user missed.
+        went_on: what it went on with.
+        back: seconds from the part's start until the user had it again; None: it had not.
+        answer: what a caller was told once the part was back.
+    """
 
-    def told(self, since: float) -> tuple[str, str]:
-        """Return how long until the first change was told, and all that were."""
-        later = [(moment, text) for moment, text in self.changes if moment >= since]
-        noticed = f"{later[0][0] - since:.2f} s" if later else "never"
-        words = dict.fromkeys(text for _, text in later)
-        if self.ended:
-            words[f"the user: {self.ended.splitlines()[0][:60]}"] = None
-        return noticed, "; ".join(words) or "nobody"
+    killed: str
+    function: str
+    noticed: float | None
+    told: str
+    lost: str
+    went_on: str
+    silence: float | None = None
+    back: float | None = None
+    answer: str = ""
 
-    def gap(self, since: float) -> float | None:
-        """Return how long the user went without a message, None while none came again."""
-        after = [moment for moment in self.arrivals if moment > since]
-        pairs = zip([since, *after], after, strict=False)
-        return max((later - earlier for earlier, later in pairs), default=None)
-
-
-async def use(url: str, name: str, seen: Observed) -> None:
-    """Be the application that uses a stream."""
-    async with connect(url) as robot:
-        try:
-            async for _ in await robot.request(name):
-                seen.arrivals.append(time.monotonic())
-        except UoarmError as error:
-            seen.ended = str(error)
-
-
-async def watch(url: str, seen: Observed) -> None:
-    """Be the application that watches."""
-    async with connect(url) as robot:
-        with suppress(UoarmError):
-            async for event in robot.watch():
-                text = f"{event.subject} {event.change}"
-                seen.changes.append((time.monotonic(), text))
-
-
-async def using(url: str, name: str) -> str:
-    """Return the components behind the only connection."""
-    async with connect(url) as robot:
-        for connection in (await robot.status())["connections"]:
-            if connection["function"] == name:
-                return ", ".join(connection["components"])
-    return _NOTHING
-
-
-async def until(what: Callable[[], Awaitable[bool]], seconds: float) -> float | None:
-    """Return how long it took until something was so, None when it never was."""
-    begun = time.monotonic()
-    while time.monotonic() - begun < seconds:
-        if await what():
-            return time.monotonic() - begun
-        await asyncio.sleep(0.1)
-    return None
+    def row(self) -> tuple[str, ...]:
+        """Return a row of the table."""
+        noticed = "never" if self.noticed is None else f"{self.noticed:.2f} s"
+        back = self.answer or ("no" if self.back is None else f"{self.back:.1f} s")
+        if self.went_on == _SAME:
+            back = ""
+        return self.killed, self.function, noticed, self.told, self.lost, self.went_on, back
 
 
 def host_of(scene: Stage, library: str) -> int:
@@ -104,8 +78,8 @@ def host_of(scene: Stage, library: str) -> int:
     raise LookupError(f"no process of the robot has loaded {library}")
 
 
-async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> list[str]:
-    """Kill a part behind a stream, or the host of a bridge; return a row of the table."""
+async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> Death:
+    """Kill a part behind a stream, or the host of a bridge; return what became of it."""
     url, seen = scene.places.robot_url, Observed()
     tasks = [asyncio.create_task(use(url, name, seen)), asyncio.create_task(watch(url, seen))]
     try:
@@ -114,7 +88,7 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> l
             return len(seen.arrivals) > 1
 
         if await until(flows, _FIRST) is None:
-            return [part, name, f"no message before: {seen.ended}", "", "", "", ""]
+            return Death(part, name, None, f"no message before: {seen.ended}", "", "")
         await asyncio.sleep(_SETTLED)
         before = await using(url, name)
         rate = len(seen.arrivals) / (time.monotonic() - seen.arrivals[0])
@@ -136,17 +110,15 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> l
 
         back = await until(returned, _RETURN)
         title = part if library else f"{part} ({scene.parts[part].framework})"
-        same = "the same components"
-        returning = f"{back:.1f} s" if back is not None else "no"
-        went_on = after if after != before else same
-        return [title, name, noticed, told, lost, went_on, "" if went_on == same else returning]
+        went_on = after if after != before else _SAME
+        return Death(title, name, noticed, told, lost, went_on, gap, back)
     finally:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def robot_row(scene: Stage) -> list[str]:
+async def robot_row(scene: Stage) -> Death:
     """Kill the robot manager's own process; its users must come again."""
     url, seen = scene.places.robot_url, Observed()
     user = asyncio.create_task(use(url, "pulseRate", seen))
@@ -165,12 +137,12 @@ async def robot_row(scene: Stage) -> list[str]:
     again = Observed()
     user = asyncio.create_task(use(url, "pulseRate", again))
     await until(lambda: _some(again), _FIRST)
-    back = f"{again.arrivals[0] - begun:.1f} s" if again.arrivals else "no"
+    back = again.arrivals[0] - begun if again.arrivals else None
     user.cancel()
     await asyncio.gather(user, return_exceptions=True)
     told = f"the user: {seen.ended.splitlines()[0][:60]}" if seen.ended else "nobody"
-    soon = f"{noticed:.2f} s" if noticed is not None else "never"
-    return ["robot (uoarm)", "pulseRate", soon, told, "all until it asks again", "nothing", back]
+    lost = "all until it asks again"
+    return Death("robot (uoarm)", "pulseRate", noticed, told, lost, NOTHING, None, back)
 
 
 async def _some(seen: Observed) -> bool:
@@ -192,17 +164,17 @@ async def called(url: str, name: str, request: Any) -> tuple[str, float]:
 _KEPT = ("systolic", "diastolic", "stored", "waiting", "played")
 
 
-async def call_row(scene: Stage, part: str, name: str, request: Any) -> list[str]:
-    """Kill a part behind a service; return a row of the table."""
+async def call_row(scene: Stage, part: str, name: str, request: Any) -> Death:
+    """Kill a part behind a service; return what became of it."""
     url = scene.places.robot_url
     await called(url, name, request)
     scene.crew.kill(part)
     without, seconds = await called(url, name, {**request, **_other(request)})
     await asyncio.to_thread(scene.crew.start, scene.parts[part])
     again, _ = await called(url, name, {**request, **_other(request)})
-    framework = scene.parts[part].framework
+    title = f"{part} ({scene.parts[part].framework})"
     told = "whoever calls, in the reply"
-    return [f"{part} ({framework})", name, f"{seconds:.2f} s", told, "nothing", without, again]
+    return Death(title, name, seconds, told, NOTHING, without, answer=again)
 
 
 def _other(request: Any) -> Any:
@@ -210,11 +182,12 @@ def _other(request: Any) -> Any:
     return {"value": time.monotonic() % 40 + 50} if "value" in request else {}
 
 
-async def main() -> None:
-    """Kill everything once."""
+async def main(file: Path | None) -> None:
+    """Kill everything once; write what became of it to a file, for plots, where one is given."""
     pulse = {"patient": "test", "kind": "pulse", "value": 70, "time": "2026-01-01T00:00:00Z"}
+    before = load()
     with stage() as scene:
-        rows = [
+        deaths = [
             await stream_row(scene, "camera", "faceDetection"),
             await stream_row(scene, "detector", "faceDetection"),
             await stream_row(scene, "naming", "faceDetection"),
@@ -225,12 +198,14 @@ async def main() -> None:
             await call_row(scene, "records", "patientRecord", pulse),
             await robot_row(scene),
         ]
-    head("Dynamic monitoring")
-    table(
-        ("killed", "seen through", "noticed after", "told", "lost", "went on with", "back after"),
-        rows,
-    )
+    measured = machine(before)
+    print(f"Dynamic monitoring, {measured}\n")
+    table(_HEAD, [death.row() for death in deaths])
+    if file is not None:
+        record(file, measured, [asdict(death) for death in deaths])
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--record", type=Path, metavar="FILE", help="write the figures as JSON")
+    asyncio.run(main(parser.parse_args().record))

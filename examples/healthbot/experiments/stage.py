@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 from attrs import frozen
 
@@ -19,9 +21,20 @@ sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "vision")]
 
 from healthbot_scene.crew import Crew  # noqa: E402 - found once the path is set
 from healthbot_scene.parts import Part, parts_of  # noqa: E402
-from healthbot_scene.places import Places, make_places  # noqa: E402
+from healthbot_scene.places import Places, free_domain, make_places  # noqa: E402
 
-__all__ = ["EXAMPLE", "Stage", "head", "stage", "table"]
+__all__ = [
+    "EXAMPLE",
+    "ROOT",
+    "Stage",
+    "free_domain",
+    "head",
+    "load",
+    "machine",
+    "record",
+    "stage",
+    "table",
+]
 
 
 @frozen
@@ -55,12 +68,39 @@ def stage(robot: str = "robot.yaml") -> Iterator[Stage]:
             yield Stage(crew, places, {part.name: part for part in parts})
 
 
+def load() -> float:
+    """Return how many programs wanted to run in the last minute, on average."""
+    return os.getloadavg()[0]
+
+
+def machine(before: float | None = None) -> str:
+    """Return when this is, on what, and how busy it is, in words.
+
+    Args:
+        before: the load when the measurement began.
+    """
+    busy = f"load {load():.1f}" if before is None else f"load {before:.1f} to {load():.1f}"
+    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    size = f"{os.cpu_count()} cores, {busy}"
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{now}, {size}, {system}, CPython {platform.python_version()}"
+
+
 def head(title: str) -> None:
     """Print what was measured, when and on what."""
-    now = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    load = os.getloadavg()[0]
-    machine = f"{os.cpu_count()} cores, load {load:.1f}, {platform.system()} {platform.machine()}"
-    print(f"{title}, {now}, {machine}, CPython {platform.python_version()}\n")
+    print(f"{title}, {machine()}\n")
+
+
+def record(file: Path, measured: str, figures: Sequence[Mapping[str, Any]]) -> None:
+    """Write figures as JSON, for plots.
+
+    Args:
+        file: written anew.
+        measured: when and on what.
+        figures: each a mapping of plain values.
+    """
+    told = {"measured": measured, "figures": figures}
+    file.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

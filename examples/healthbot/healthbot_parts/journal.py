@@ -21,6 +21,7 @@ class Measurement(TypedDict):
     patient: str
     kind: Literal["pulse", "spo2", "pressure"]
     time: str
+    visit: NotRequired[str]
     value: NotRequired[float]
     systolic: NotRequired[float]
     diastolic: NotRequired[float]

@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal, TypedDict, cast
 
 import serial
 from typing_extensions import NotRequired
-from uoarm_rocos.devices._nonin import Nonin1Decoder
-from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Ua767Decoder
+from uoarm_rocos.devices import UA767_ACCEPTED, UA767_REFUSED, Nonin1Decoder, Ua767Decoder
 
 from healthbot_parts.messages import Pressure
 from uoarm.local import Range
@@ -94,9 +93,9 @@ class Cuff:
             while time.monotonic() < end:
                 for found in decoder.feed(line.read(_PIECE)):
                     if isinstance(found, dict):
-                        line.write(ACCEPTED)
+                        line.write(UA767_ACCEPTED)
                         return _pressure(found)
-                    line.write(REFUSED)
+                    line.write(UA767_REFUSED)
         raise OSError(f"no measurement came from {self._url} within {_LIMIT:g} s")
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from attrs import frozen
-from uoarm_rtm._compiler import omniorb_programs
+from uoarm_rtm.nameserver import nameserver_command
 
 from healthbot_scene.places import Places
 
@@ -103,15 +102,11 @@ def parts_of(places: Places, robot: Path, page: Path) -> list[Part]:
 
 def _naming(places: Places) -> tuple[str, ...]:
     """Return omniNames on loopback, which keeps its names should it be started again."""
-    programs = omniorb_programs()
-    program = str(programs / "omniNames") if programs else shutil.which("omniNames")
-    if program is None:
-        raise FileNotFoundError("omniNames is not installed: pip install uoarm-rtm")
     names = places.run / "names"
     names.mkdir(exist_ok=True)
-    end = f"giop:tcp:127.0.0.1:{places.names}"
-    kept = ("-start", str(places.names), "-always", "-datadir", str(names))
-    return (program, *kept, "-errlog", str(names / "errors"), "-ORBendPoint", end)
+    errors = str(names / "errors")
+    command: tuple[str, ...] = nameserver_command(places.names, "127.0.0.1", names, errors)
+    return command
 
 
 def _oximeter(name: str, what: str, framework: str, run: Path, kind: str) -> Part:

@@ -7,6 +7,7 @@ import os
 import random
 import socket
 import string
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -14,12 +15,15 @@ from attrs import frozen
 from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
 
-__all__ = ["EXAMPLE", "Places", "make_places"]
+from healthbot_scene.separate import HOSTS
+
+__all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
 
 EXAMPLE = Path(__file__).resolve().parents[1]
 _RECOGNISERS = ("resnet", "lbph")
 # Domains whose UDP ports lie below Linux's range of short-lived ones.
 _DOMAINS = range(1, 101)
+_FIRST_PORT, _PORTS_OF_A_DOMAIN, _UNICAST = 7400, 250, 10
 
 
 @frozen
@@ -82,9 +86,16 @@ class Places:
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(EXAMPLE / "discovery.xml"),
         }
 
-    def write_robot(self, template: Path) -> Path:
-        """Fill a robot file in and leave it in the folder of the run."""
+    def write_robot(self, template: Path, hosts: Mapping[str, str] | None = None) -> Path:
+        """Fill a robot file in and leave it in the folder of the run.
+
+        Args:
+            template: the robot file, with names behind dollar signs.
+            hosts: of bridges, by those names; None: processes of this Python.
+        """
         words = {
+            **dict.fromkeys(HOSTS, "true"),
+            **(hosts or {}),
             "here": EXAMPLE,
             "run": self.run,
             "gallery": self.footage / "gallery",
@@ -98,29 +109,63 @@ class Places:
         return file
 
 
-def make_places(run: Path, cache: Path, ports: tuple[int, int, int, int] | None = None) -> Places:
+def make_places(
+    run: Path,
+    cache: Path,
+    ports: tuple[int, int, int, int] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Places:
     """Fetch the footage, let the recognisers learn it, and choose ports and a ROS 2 domain.
 
     Args:
         run: a folder for this run; made if need be.
         cache: where footage is kept.
         ports: of naming, records, robot and page; None: four that are free.
+        tell: told of footage that others must stand in for.
 
     Raises:
         FootageError: footage cannot be had.
+        OSError: somebody listens on one of the ports.
     """
+    for port in ports or ():
+        if _listens(port):
+            raise OSError(
+                f"port {port} is in use, perhaps by another scene; --free-ports takes others"
+            )
     run.mkdir(parents=True, exist_ok=True)
     footage = prepare(cache)
+    if footage.remark:
+        tell(footage.remark)
     gallery = footage.folder / "gallery"
     for name in _RECOGNISERS:
         try:
             recogniser = importlib.import_module(f"uoarm_vision.{name}")
         except ImportError:
             continue  # its component says what to install when it is asked for
-        recogniser.enrol(photos_in(footage.photos), gallery)
+        try:
+            recogniser.enrol(photos_in(footage.photos), gallery)
+        except ValueError as error:
+            tell(f"The {name} recogniser knows nobody: {error}")
     chosen = ports or _free_ports()
-    domain = random.choice(_DOMAINS)  # noqa: S311 - no secret
-    return Places(run.resolve(), footage.folder.resolve(), domain, *chosen)
+    return Places(run.resolve(), footage.folder.resolve(), free_domain(), *chosen)
+
+
+def free_domain() -> int:
+    """Return a ROS 2 domain in which nobody on this machine seems to be."""
+    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
+        first = _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain
+        if _is_free(first) and _is_free(first + _UNICAST):
+            return domain
+    return random.choice(_DOMAINS)  # noqa: S311 - no secret; all are taken, so one is shared
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", port))
+        except OSError:
+            return False
+    return True
 
 
 def _free_ports() -> tuple[int, int, int, int]:
@@ -130,3 +175,8 @@ def _free_ports() -> tuple[int, int, int, int]:
             each.bind(("127.0.0.1", 0))
         first, second, third, fourth = (each.getsockname()[1] for each in sockets)
     return first, second, third, fourth
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -14,10 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from healthbot_parts.finding import FaceFinder, picture_of
-from uoarm_rtm._naming import NamingService
-from uoarm_rtm._orb import Orb
-from uoarm_rtm._types import Types
-from uoarm_rtm.component import RtComponent, Sheet
+from uoarm_rtm.component import NamingService, Orb, RtComponent, Sheet, Types
 
 _NAME = "FaceDetector0"
 _IDL = Path(__file__).parents[1] / "faces.idl"

@@ -10,6 +10,7 @@ import { reading, recognise, waitForFace } from "./measure.mjs";
 import { line, table } from "./screen.mjs";
 
 const ROBOT = process.argv[2] ?? "ws://127.0.0.1:9080/";
+const VISIT = crypto.randomUUID();
 const HINTS = { searching: "The clip is looking for your pulse.", "finger-out": "Put your finger into the clip." };
 const SPOKEN_SECONDS = 20;
 const PRESSURE_SECONDS = 60;
@@ -24,7 +25,7 @@ async function say(robot, text) {
 }
 
 async function keep(robot, patient, measured) {
-  const request = { patient, time: new Date().toISOString(), ...measured };
+  const request = { patient, visit: VISIT, time: new Date().toISOString(), ...measured };
   try {
     const { stored, waiting } = await robot.call("patientRecord", request);
     return stored ? "stored" : `kept, ${waiting} waiting to be sent`;

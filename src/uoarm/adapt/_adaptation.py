@@ -8,7 +8,7 @@ from typing import Any
 from attrs import frozen
 
 from uoarm.adapt._compile import Maker, build_object, constant, each_item, mapped, reader
-from uoarm.adapt._mapping import Each, Entry, Mapped, Path, Scale, write_path
+from uoarm.adapt._mapping import Clamp, Each, Entry, Mapped, Path, Scale, write_path
 from uoarm.adapt._walk import Field, Structure, UnfitError
 
 __all__ = ["Adaptation", "adapt"]
@@ -103,10 +103,13 @@ def _value(value: Mapped | Each, source: Structure) -> tuple[Field, Maker]:
         schema, table = _enumerated(value.enum, source.plain(schema, where), where)
     if value.scale is not None:
         schema = _scaled(value.scale, source, schema, where)
+    clamp = value.clamp
+    if clamp is not None:
+        schema, clamp = _clamped(clamp, source, schema, where)
     always = field.always
     if value.has_default and not always:
         schema, always = {"anyOf": [schema, {"const": value.default}]}, True
-    return Field(schema, always), mapped(value, table)
+    return Field(schema, always), mapped(value, table, clamp)
 
 
 def _each(value: Each, source: Structure) -> tuple[Field, Maker]:
@@ -160,6 +163,27 @@ def _scaled(scale: Scale, source: Structure, schema: Any, where: str) -> Any:
         low, high = high, low
     bounds = {key: one for key, one in (("minimum", low), ("maximum", high)) if one is not None}
     return {"type": "integer" if stays_whole else "number", **bounds}
+
+
+def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[Any, Clamp]:
+    """Return the schema of what a clamp lets through, and the clamp within the known bounds.
+
+    Those keep its ends within what an array of the producer's own number type can hold.
+    """
+    plain = source.plain(schema, where)
+    if plain.get("type") == "array" and "items" in plain and "prefixItems" not in plain:
+        items, within = _clamped(clamp, source, plain["items"], where)
+        return {**plain, "items": items}, within
+    kind = plain.get("type")
+    if kind not in {"integer", "number"}:
+        raise UnfitError(where, "clamp needs a number or an array of numbers")
+    if kind == "integer" and not all(isinstance(one, int) for one in (clamp.low, clamp.high)):
+        raise UnfitError(where, "clamp needs integers here, since the field is an integer")
+    least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
+    low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
+    high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
+    kept = {key: plain[key] for key in ("x-nonfinite",) if key in plain}
+    return {"type": kind, "minimum": low, "maximum": high, **kept}, Clamp(low, high)
 
 
 def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from uoarm.adapt._mapping import Mapped, Path, Scale, write_path
+from uoarm.adapt._mapping import Clamp, Mapped, Path, Scale, write_path
 from uoarm.errors import MessageError
 
 __all__ = ["MISSING", "Maker", "build_object", "constant", "each_item", "mapped", "reader"]
@@ -43,13 +43,14 @@ def constant(value: Any) -> Maker:
     return lambda _: value
 
 
-def mapped(entry: Mapped, table: Mapping[Any, Any] | None) -> Maker:
-    """Return the function of one entry: read, look up, scale, default."""
+def mapped(entry: Mapped, table: Mapping[Any, Any] | None, clamp: Clamp | None) -> Maker:
+    """Return the function of one entry: read, look up, scale, clamp, default."""
     assert entry.source is not None, "constants are made by `constant`"
     read = reader(entry.source)
-    if table is None and entry.scale is None and not entry.has_default:
+    changes = [] if entry.scale is None else [_scaler(entry.scale)]
+    changes += [] if clamp is None else [_clamper(clamp)]
+    if table is None and not changes and not entry.has_default:
         return read
-    scale = None if entry.scale is None else _scaler(entry.scale)
     where = write_path(entry.source)
 
     def make(message: Any) -> Any:
@@ -60,7 +61,9 @@ def mapped(entry: Mapped, table: Mapping[Any, Any] | None) -> Maker:
             if value not in table:
                 raise MessageError(f"{where}: the enum map says nothing of {value!r}")
             value = table[value]
-        return value if scale is None else scale(value)
+        for change in changes:
+            value = change(value)
+        return value
 
     return make
 
@@ -108,5 +111,19 @@ def _scaler(scale: Scale) -> Maker:
         if isinstance(value, int | float) or hasattr(value, "dtype"):
             return value * factor + offset
         return [item * factor + offset for item in value]
+
+    return apply
+
+
+def _clamper(clamp: Clamp) -> Maker:
+    low, high = clamp.low, clamp.high
+
+    def one(value: Any) -> Any:
+        return low if value < low else min(value, high)
+
+    def apply(value: Any) -> Any:
+        if hasattr(value, "dtype"):
+            return value.clip(low, high)
+        return one(value) if isinstance(value, int | float) else [one(item) for item in value]
 
     return apply

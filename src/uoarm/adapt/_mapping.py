@@ -9,12 +9,22 @@ from attrs import field, frozen
 
 from uoarm.errors import ConfigurationError
 
-__all__ = ["Each", "Entry", "Mapped", "MappingError", "Path", "Scale", "parse", "write_path"]
+__all__ = [
+    "Clamp",
+    "Each",
+    "Entry",
+    "Mapped",
+    "MappingError",
+    "Path",
+    "Scale",
+    "parse",
+    "write_path",
+]
 
 Path: TypeAlias = "tuple[str, ...]"
 
 _MAX_DEPTH = 16
-_KEYS = {"from", "const", "scale", "offset", "enum", "each", "map", "default"}
+_KEYS = {"from", "const", "scale", "offset", "enum", "each", "map", "default", "clamp"}
 
 
 class MappingError(ConfigurationError):
@@ -30,12 +40,21 @@ class Scale:
 
 
 @frozen
+class Clamp:
+    """What is below `low` becomes `low`, what is above `high` becomes `high`."""
+
+    low: float | int
+    high: float | int
+
+
+@frozen
 class Mapped:
     """One entry: a source path, or a constant, and what is done to the value."""
 
     source: Path | None = None
     const: Any = field(default=None, hash=False)
     scale: Scale | None = None
+    clamp: Clamp | None = None
     enum: tuple[tuple[str, Any], ...] | None = field(default=None, hash=False)
     default: Any = field(default=None, hash=False)
     has_default: bool = False
@@ -153,11 +172,25 @@ def _from(rule: Mapping[str, Any], where: str, mistakes: list[str]) -> Mapped | 
     if "enum" in rule and not isinstance(rule["enum"], Mapping):
         mistakes.append(f"{where}: enum must say for each value what it becomes")
         return None
+    clamp = rule.get("clamp")
+    if "clamp" in rule and not _is_range(clamp):
+        mistakes.append(f"{where}: clamp must be two numbers, the lower one first, got {clamp!r}")
+        return None
     scaled = "scale" in rule or "offset" in rule
     return Mapped(
         source=_path(source, where, mistakes),
         scale=Scale(rule.get("scale", 1), rule.get("offset", 0)) if scaled else None,
+        clamp=Clamp(*clamp) if clamp is not None else None,
         enum=tuple(rule["enum"].items()) if "enum" in rule else None,
         default=rule.get("default"),
         has_default="default" in rule,
+    )
+
+
+def _is_range(value: Any) -> bool:
+    return (
+        isinstance(value, list | tuple)
+        and len(value) == 2  # noqa: PLR2004 - both ends
+        and all(isinstance(one, int | float) and not isinstance(one, bool) for one in value)
+        and value[0] <= value[1]
     )

@@ -106,7 +106,7 @@ class Input:
     Attributes:
         source: the output that feeds it; None when the application does, with `send`.
         mapping: the adapter as written in the configuration (`map`), None to pass unchanged.
-        allow_loss: fields that may be dropped or narrowed on the way, by path.
+        allow_loss: fields of the source that may be dropped on the way, by path.
         queue: what to do when the component is slower than its source; None: the default.
     """
 

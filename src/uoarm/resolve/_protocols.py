@@ -47,7 +47,7 @@ class Judgement(Protocol):
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What is dropped or narrowed on the way, all of it allowed by name."""
+        """Fields that are dropped on the way, all of them allowed by name."""
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import math
 import threading
+import time
+from collections.abc import Callable
+
+from attrs import frozen
 
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan, Rejection, Robot
@@ -15,6 +20,9 @@ from uoarm.resolve._search import Search
 __all__ = ["NoPlanError", "Resolver"]
 
 _BUDGET = 1_000_000
+# A candidate that was not there is looked for again after ten times as long as asking for it took.
+_PATIENCE = 10.0
+_LEAST_SECONDS, _MOST_SECONDS = 1.0, 30.0
 
 
 class NoPlanError(ResolutionError):
@@ -31,6 +39,14 @@ class NoPlanError(ResolutionError):
         self.rejections = rejections
 
 
+@frozen
+class _Kept:
+    """A plan, and the time from which on it must be sought anew."""
+
+    plan: Plan
+    until: float
+
+
 class Resolver:
     """Resolves functions of one robot. Thread safe; deterministic.
 
@@ -39,6 +55,7 @@ class Resolver:
         catalogue: knows the structures of components.
         check_edge: judges edges.
         budget: candidates tried at most in one search.
+        clock: seconds that only grow.
     """
 
     def __init__(
@@ -48,16 +65,25 @@ class Resolver:
         check_edge: EdgeCheck,
         *,
         budget: int = _BUDGET,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._functions = robot.functions
         self._fit = Fit(catalogue, check_edge)
         self._budget = budget
-        self._plans: dict[str, Plan] = {}
+        self._clock = clock
+        self._plans: dict[str, _Kept] = {}
         self._lock = threading.Lock()
 
     def known(self, name: str) -> Plan | None:
-        """Return the plan that was found before and still holds, None when it must be sought."""
-        return self._plans.get(name)
+        """Return the plan that was found before and still holds, None when it must be sought.
+
+        One that passed over a candidate because it was not there holds for a second, or for ten
+        times as long as asking for that candidate took, half a minute at most.
+        """
+        kept = self._plans.get(name)
+        if kept is None or (kept.until < math.inf and kept.until <= self._clock()):
+            return None
+        return kept.plan
 
     def resolve(self, name: str, *, excluded: frozenset[str] = frozenset()) -> Plan:
         """Return the plan of highest priority.
@@ -70,19 +96,20 @@ class Resolver:
             NoPlanError: nothing fits, or there is no such function.
             ResolutionError: the search was given up.
         """
-        plan = self._plans.get(name)
+        plan = self.known(name)
         if plan is not None and not excluded:
             return plan
         if name not in self._functions:
             close = difflib.get_close_matches(name, self._functions, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise ResolutionError(f"there is no function {name!r} in the configuration{hint}")
-        found = Search(self._functions, self._fit, excluded, self._budget).run(name)
+        search = Search(self._functions, self._fit, excluded, self._budget, self._clock)
+        found = search.run(name)
         if not isinstance(found, Plan):
             raise NoPlanError(name, found)
         if not excluded:
             with self._lock:
-                self._plans[name] = found
+                self._plans[name] = _Kept(found, self._until(search.asked_in_vain))
         return found
 
     def invalidate(self, component: str | None = None) -> None:
@@ -92,9 +119,15 @@ class Resolver:
         """
         with self._lock:
             self._plans = {
-                name: plan
-                for name, plan in self._plans.items()
+                name: kept
+                for name, kept in self._plans.items()
                 if component is not None
-                and not plan.rejected
-                and all(step.component.name != component for step in plan.steps)
+                and not kept.plan.rejected
+                and all(step.component.name != component for step in kept.plan.steps)
             }
+
+    def _until(self, asked_in_vain: float | None) -> float:
+        if asked_in_vain is None:
+            return math.inf
+        seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * asked_in_vain))
+        return self._clock() + seconds

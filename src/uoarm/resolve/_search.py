@@ -10,7 +10,7 @@ explicit, so that a chain of any length resolves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from attrs import define, field
 
@@ -64,19 +64,32 @@ class Search:
         fit: judges components and edges, memoised.
         excluded: names of components that may not be used.
         budget: candidates tried at most.
+        clock: seconds that only grow.
     """
 
     def __init__(
-        self, functions: Mapping[str, Function], fit: Fit, excluded: frozenset[str], budget: int
+        self,
+        functions: Mapping[str, Function],
+        fit: Fit,
+        excluded: frozenset[str],
+        budget: int,
+        clock: Callable[[], float],
     ) -> None:
         self._functions = functions
         self._fit = fit
         self._excluded = excluded
         self._budget = budget
+        self._clock = clock
+        self._asked_in_vain: float | None = None
         self._frames: list[_Frame] = []
         self._assigned: dict[str, _Frame] = {}
         self._demands: dict[str, list[tuple[int, Component, Input]]] = {}
         self._impossible: dict[str, tuple[Rejection, ...]] = {}
+
+    @property
+    def asked_in_vain(self) -> float | None:
+        """Seconds spent on components that were not available; None: all that were tried were."""
+        return self._asked_in_vain
 
     def run(self, name: str) -> Plan | tuple[Rejection, ...]:
         """Return the plan, or the rejected candidates of the function asked for.
@@ -120,8 +133,10 @@ class Search:
     def _try(self, frame: _Frame, candidate: Component) -> _Refusal | None:
         if candidate.name in self._excluded:
             return _Refusal((Reason("it is excluded: it died or was ruled out"),))
+        begun = self._clock()
         structures = self._fit.structures(candidate)
         if not isinstance(structures, Structures):
+            self._asked_in_vain = (self._asked_in_vain or 0.0) + self._clock() - begun
             return _Refusal((Reason(structures.sentence),))
         frame.structures, frame.edges, frame.warnings = structures, [], list(structures.warnings)
         for depth, consumer, port in self._demands.get(frame.function.name, ()):

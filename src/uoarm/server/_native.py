@@ -162,7 +162,8 @@ class NativeSession:
             self._desk.watch(self._changed)
         elif asked.type == "unwatch":
             self._desk.unwatch(self._changed)
-        status = visible_status(self._desk.robot.status(), self._client.role)
+        robot = self._desk.robot
+        status = visible_status(robot.robot, robot.status(), self._client.role)
         told = {**status, "own": self._holdings.counters()}
         if asked.type == "watch":
             told["past"] = [

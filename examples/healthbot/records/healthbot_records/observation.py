@@ -24,15 +24,21 @@ _NAMES = {
     "8462-4": "Diastolic blood pressure",
 }
 _UNITS = {"pulse": ("/min", "/min"), "spo2": ("%", "%")}
+_IDENTIFYING = ("patient", "visit", "kind", "time", "value", "systolic")
 _NAMESPACE = uuid.UUID("6f3c0f5e-6f0c-5b0a-9a54-0c1b7d1f2a10")
 
 
 class Measurement(TypedDict):
-    """What the robot measured: `value` for pulse and spo2, two values for pressure (mmHg)."""
+    """What the robot measured: `value` for pulse and spo2, two values for pressure (mmHg).
+
+    `visit` names the encounter. Two applications that read the same device in the same millisecond
+    measure the same value at the same time; only their visits tell the two measurements apart.
+    """
 
     patient: str
     kind: Literal["pulse", "spo2", "pressure"]
     time: str
+    visit: NotRequired[str]
     value: NotRequired[float]
     systolic: NotRequired[float]
     diastolic: NotRequired[float]
@@ -40,7 +46,7 @@ class Measurement(TypedDict):
 
 def identity(measured: Measurement) -> str:
     """Return the id of a measurement: the same one for the same measurement, however often sent."""
-    parts = (measured.get(key, "") for key in ("patient", "kind", "time", "value", "systolic"))
+    parts = (measured.get(key, "") for key in _IDENTIFYING)
     return str(uuid.uuid5(_NAMESPACE, "|".join(map(str, parts))))
 
 
@@ -62,6 +68,8 @@ def observation(measured: Measurement) -> dict[str, Any]:
         "subject": {"reference": f"Patient/{measured['patient']}"},
         "effectiveDateTime": measured["time"],
     }
+    if visit := measured.get("visit"):
+        resource["encounter"] = {"identifier": {"value": visit}}
     if kind == "pressure":
         pairs = (("8480-6", "systolic"), ("8462-4", "diastolic"))
         resource["component"] = [

@@ -16,10 +16,27 @@ from typing_extensions import Self
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._compiler import omniorb_programs
 
-__all__ = ["NameServer"]
+__all__ = ["NameServer", "nameserver_command"]
 
 _START_SECONDS = 10.0
 _STOP_SECONDS = 3.0
+
+
+def nameserver_command(
+    port: int, address: str, folder: Path, log: str = "/dev/null"
+) -> tuple[str, ...]:
+    """Return the command line of omniNames, for whoever looks after its process.
+
+    Args:
+        port: TCP port.
+        address: interface to listen on.
+        folder: existing folder where it keeps its names between runs.
+        log: file that takes its errors.
+    """
+    programs = omniorb_programs()
+    program = str(programs / "omniNames") if programs is not None else "omniNames"
+    kept = ("-start", str(port), "-always", "-datadir", str(folder), "-errlog", log)
+    return (program, *kept, "-ORBendPoint", f"giop:tcp:{address}:{port}")
 
 
 class NameServer:
@@ -40,23 +57,9 @@ class NameServer:
     ) -> None:
         self.port = port or _free_port(address)
         self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
-        self._own = None if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
-        folder = folder or self._own
-        programs = omniorb_programs()
-        program = str(programs / "omniNames") if programs is not None else "omniNames"
-        command = [
-            *(
-                program,
-                "-start",
-                str(self.port),
-                "-always",
-                "-datadir",
-                str(folder),
-                "-errlog",
-                "/dev/null",
-            ),
-            *("-ORBendPoint", f"giop:tcp:{address}:{self.port}"),
-        ]
+        kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
+        self._own = None if folder is not None else kept
+        command = nameserver_command(self.port, address, kept)
         try:
             self.process = subprocess.Popen(  # noqa: S603 - a program of our dependency
                 command,

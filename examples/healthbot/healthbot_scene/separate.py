@@ -1,0 +1,66 @@
+"""Environments of their own for the bridges to ROS 2 and OpenRTM, made where they are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from attrs import frozen
+
+from uoarm import environments
+
+__all__ = ["HOSTS", "Tell", "Wanted", "prepare_environments"]
+
+Tell = Callable[[str], None]
+"""Takes one line of progress."""
+
+_BECAUSE, _WIDE = " (", 90
+_DRAWN = ("Collecting ", "Building ", "Installing ", "Successfully ", "Resolved ", "Installed ")
+
+
+@frozen
+class Wanted:
+    """One environment.
+
+    Attributes:
+        name: of the environment.
+        plugin: that runs in it.
+        distribution: of the plugin's middleware, None where there is one only.
+    """
+
+    name: str
+    plugin: str
+    distribution: str | None = None
+
+
+HOSTS = {
+    "ros_host": Wanted("healthbot-jazzy", "ros2", "jazzy"),
+    "rtm_host": Wanted("healthbot-rtm", "rtm"),
+}
+"""What stands for the host of each bridge in robot.yaml."""
+
+
+def prepare_environments(tell: Tell) -> None:
+    """Make every environment that is missing, cut short, or made of something else.
+
+    Args:
+        tell: told each step of it, and each package.
+
+    Raises:
+        PluginError: one could not be made; the text has the last lines of what failed.
+    """
+    there = {one.name: one for one in environments.listed()}
+    for wanted in HOSTS.values():
+        requirements = environments.requirements(wanted.plugin, wanted.distribution)
+        found = there.get(wanted.name)
+        if found is not None and found.is_whole and found.requirements == requirements:
+            continue
+        if found is not None:
+            environments.remove(wanted.name)
+        tell(f"Making the environment {wanted.name} for {wanted.plugin} (once) ...")
+        environments.create(wanted.name, requirements, tell=lambda line: _draw(line, tell))
+
+
+def _draw(line: str, tell: Tell) -> None:
+    text = line.strip()
+    if text.startswith(_DRAWN):
+        tell(f"  {text.partition(_BECAUSE)[0][:_WIDE]}")

@@ -1,0 +1,48 @@
+"""The plots on the pages are of the figures beside them."""
+
+from __future__ import annotations
+
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FIGURES = Path(__file__).parents[2] / "docs" / "figures"
+PAGE = FIGURES.parent / "healthbot.md"
+
+
+def recorded(name: str) -> Any:
+    return json.loads((FIGURES / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def drawn(name: str) -> str:
+    return html.unescape((FIGURES / f"{name}.svg").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("plot", "kinds"), [("steps", {"step"}), ("messages", {"floor", "alone", "pair"})]
+)
+def test_every_latency_is_drawn_and_dated(plot: str, kinds: set[str]) -> None:
+    latency, picture = recorded("latency"), drawn(plot)
+    assert latency["measured"] in picture
+    titles = {one["title"] for one in latency["figures"] if one["kind"] in kinds}
+    assert titles
+    assert not [title for title in titles if f">{title}<" not in picture]
+
+
+def test_every_death_is_drawn_and_dated() -> None:
+    deaths, picture = recorded("monitoring"), drawn("faults")
+    assert deaths["measured"] in picture
+    assert not [one for one in deaths["figures"] if f">{one['killed']}<" not in picture]
+
+
+def test_the_page_shows_the_same_run() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for name in ("latency", "monitoring"):
+        assert recorded(name)["measured"] in page
+    for one in recorded("latency")["figures"]:
+        assert f"{one['p50'] * 1e6:,.1f}" in page, one
+    for one in recorded("monitoring")["figures"]:
+        assert one["killed"] in page

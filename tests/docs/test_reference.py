@@ -1,0 +1,47 @@
+"""The reference names every public module, and every public module says what is public in it."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+import uoarm
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference.md"
+# `cli` is commands, which docs/cli.md has; `manager` gives its names to `uoarm` itself.
+ELSEWHERE = {"uoarm.cli", "uoarm.manager", "uoarm.__main__"}
+
+
+def public_modules() -> set[str]:
+    found = {f"uoarm.{one.name}" for one in pkgutil.iter_modules(uoarm.__path__)}
+    return {name for name in found if "._" not in name} - ELSEWHERE
+
+
+def listed(directive: str) -> list[str]:
+    return re.findall(
+        rf"^\.\. {directive}:: (\S+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
+
+
+def test_every_public_module_is_in_the_reference() -> None:
+    assert public_modules() <= set(listed("automodule"))
+
+
+def test_the_names_of_the_package_itself_are_in_the_reference() -> None:
+    modules = [importlib.import_module(name) for name in public_modules()]
+    elsewhere = {name for module in modules for name in module.__all__}
+    classes = {name.removeprefix("uoarm.") for name in listed("autoclass")}
+    own = set(uoarm.__all__) - {"__version__", "errors"}
+    assert own <= elsewhere | classes
+
+
+@pytest.mark.parametrize("name", sorted(public_modules()))
+def test_a_public_module_lists_its_names(name: str) -> None:
+    module = importlib.import_module(name)
+    assert sorted(module.__all__) == sorted(set(module.__all__))
+    assert all(hasattr(module, one) for one in module.__all__)
+    assert module.__doc__

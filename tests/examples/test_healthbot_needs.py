@@ -1,0 +1,48 @@
+"""What the scene says where something is missing, before it starts anything."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.examples.healthbot import EXAMPLE
+
+
+def scene(*arguments: str, flags: tuple[str, ...] = (), path: str = "") -> tuple[int, str]:
+    done = subprocess.run(
+        [sys.executable, *flags, str(EXAMPLE / "scene.py"), *arguments],
+        env={"PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    return done.returncode, done.stderr
+
+
+def test_without_packages_it_says_which_and_where_to_read() -> None:
+    code, told = scene(flags=("-S",))
+    assert code == 2
+    assert "attrs is not installed: see examples/healthbot/README.md" in told.replace(
+        "attr ", "attrs "
+    )
+
+
+def test_without_programs_it_says_what_to_install_and_what_does_not_run() -> None:
+    pytest.importorskip("rclpy", reason="without the scene's packages it says less")
+    code, told = scene("--visit")
+    assert code == 2
+    assert "Node.js 20.10 or later is not here (Debian: apt install nodejs)" in told
+    assert "Chromium is not here (Debian: apt install chromium)" in told
+
+
+def test_an_old_node_counts_as_none(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="without the scene's packages it says less")
+    old = tmp_path / "node"
+    old.write_text("#!/bin/sh\necho v18.20.4\n")
+    old.chmod(0o755)
+    code, told = scene("--visit", path=str(tmp_path))
+    assert code == 2
+    assert "Node.js" in told
