@@ -243,12 +243,13 @@ def test_sessions_without_a_connection_are_limited(
             streams = await one.request("numbers"), await other.request("echo")
             first.cut(admit=False)
             await until(lambda: clients(server) == 1)
+            assert "uoarm_serve_kept_sessions 1.0" in page(server, "/metrics")[1]
             second.cut()
             with pytest.raises(ConnectionClosedError, match="begin anew"):
                 await streams[1].get()
             async with resumed(one):
                 first.admit()
-            assert [stream.function for stream in robot.status().connections] == ["numbers"]
+            await until(lambda: [one.function for one in robot.status().connections] == ["numbers"])
 
     run(first, work)
 
