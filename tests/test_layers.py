@@ -23,7 +23,7 @@ LAYERS = [
     {"adapt"},
     {"bridge"},
     {"local"},
-    {"environments"},
+    {"environments", "certificates"},
     {"host"},
     {"flow"},
     {"config"},
@@ -101,6 +101,7 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
         "orjson",
         "cbor2",
         "prometheus_client",
+        "cryptography",
     ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(

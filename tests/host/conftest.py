@@ -1,13 +1,28 @@
-"""Links over a unix socket in a folder that is short enough for one."""
+"""Links over a unix socket in a folder that is short enough for one; nothing left behind."""
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from tests.host import hosted
 
 from uoarm.host._link import Link
+from uoarm.testing import Census
+
+
+@pytest.fixture
+def nothing_is_left(tmp_path: Path) -> Iterator[None]:
+    """Hold that threads, descriptors, folders and processes return to where they were."""
+    hosted.bridge(tmp_path).close()  # what stays for the next one, Zenoh's own threads, is there
+    before = Census()
+    yield
+    before.check()
+    left = Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*")
+    assert not list(left)
 
 
 @pytest.fixture

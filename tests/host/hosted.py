@@ -66,6 +66,19 @@ def say(value: int) -> int:
     print("spoken", value)
     return value
 
+hoard = []
+
+def grow(value: int) -> int:
+    hoard.append(bytearray(value * 2**20))
+    return len(hoard)
+
+def leak(value: int) -> int:
+    while True:
+        try:
+            hoard.append(bytearray(2**value))
+        except MemoryError:
+            value = max(0, value - 1)
+
 def echo(message: dict) -> dict:
     return message
 """

@@ -10,7 +10,7 @@ import tempfile
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,18 +20,8 @@ from tests.host.hosted import ANY, Events, at, lives, wait
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.host import RemoteBridge
 from uoarm.model import Health, Role
-from uoarm.testing import Census
 
-
-@pytest.fixture(autouse=True)
-def nothing_is_left(tmp_path: Path) -> Iterator[None]:
-    """Hold that threads, descriptors, folders and processes return to where they were."""
-    hosted.bridge(tmp_path).close()  # what stays for the next one, Zenoh's own threads, is there
-    before = Census()
-    yield
-    before.check()
-    left = Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*")
-    assert not list(left)
+pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
 
 def _lost(events: Events) -> list[str]:
@@ -135,7 +125,7 @@ def test_messages_under_way_at_a_death_are_counted(tmp_path: Path) -> None:
     sent = 40
     while not _refused(lambda: sink.send(0)):
         sent += 1
-    under_way = sink.facts()["unconfirmed"]
+    under_way = sink.facts()["under_way"]
     assert isinstance(under_way, int)
     assert sent - 20 <= under_way <= sent
     bridge.close()

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.config import loads
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.host._folders import link_folder
 from uoarm.host._settings import HostSettings
 
@@ -79,3 +80,15 @@ def test_a_link_folder_is_private_and_those_of_the_dead_are_removed(
     assert other.exists()
     assert link_folder() != mine
     assert mine.exists()
+
+
+@pytest.mark.parametrize(("written", "octets"), [("64 MiB", 2**26), ("2GiB", 2**31)])
+def test_a_size_is_read(written: str, octets: int) -> None:
+    assert HostSettings.read({"memory": written}).memory_bytes == octets
+
+
+@pytest.mark.parametrize("written", ["'512'", "512 MB", "0 MiB", "-1 MiB", "512"])
+def test_what_is_no_size_is_refused_with_its_place(written: str) -> None:
+    text = f"version: 1\nbridges: {{far: {{plugin: python, host: {{memory: {written}}}}}}}\n"
+    with pytest.raises(ConfigurationError, match=r"host\.memory"):
+        loads(text + "functions: {}\n")

@@ -21,9 +21,17 @@ if TYPE_CHECKING:
 
 PACKAGE = "jsonschema"
 VERSION = "4.26.0"
-_INSIDE = f"{PACKAGE}-{VERSION}/json/tests/draft2020-12"
+NEWEST = "draft2020-12"
+OLDER = {
+    "draft2019-09": "https://json-schema.org/draft/2019-09/schema",
+    "draft7": "http://json-schema.org/draft-07/schema#",
+    "draft6": "http://json-schema.org/draft-06/schema#",
+    "draft4": "http://json-schema.org/draft-04/schema#",
+}
+_INSIDE = f"{PACKAGE}-{VERSION}/json/tests"
 _SKIPPED = {"format", "dependencies-compatibility", "format-assertion", "cross-draft"}
 """Optional groups whose outcome the draft leaves open."""
+_LEFT_OPEN_BY_OLDER = {"optional/content", "optional/zeroTerminatedFloats"}
 
 
 class SuiteMissingError(RuntimeError):
@@ -39,12 +47,26 @@ class Group(NamedTuple):
     cases: tuple[tuple[object, bool], ...]
 
 
-def groups() -> tuple[Group, ...]:
-    """All groups of draft 2020-12, fetched first when they are not in the cache."""
-    folder = cache_folder() / f"json-schema-test-suite-{VERSION}"
+def groups(draft: str = NEWEST) -> tuple[Group, ...]:
+    """All groups of a draft, fetched first when they are not in the cache.
+
+    Those of older drafts name their draft.
+    """
+    folder = cache_folder() / f"json-schema-test-suites-{VERSION}"
     if not folder.is_dir():
         _fetch(folder)
-    return tuple(_read(folder))
+    found = _read(folder / draft)
+    if draft == NEWEST:
+        return tuple(found)
+    return tuple(
+        one._replace(schema=_naming(one.schema, OLDER[draft]))
+        for one in found
+        if one.keyword not in _LEFT_OPEN_BY_OLDER
+    )
+
+
+def _naming(schema: bool | dict[str, object], draft: str) -> bool | dict[str, object]:
+    return schema if isinstance(schema, bool) else {"$schema": draft, **schema}
 
 
 def cache_folder() -> Path:
@@ -70,7 +92,9 @@ def _fetch(folder: Path) -> None:
         members = [
             member
             for member in tar.getmembers()
-            if member.isfile() and member.name.startswith(_INSIDE) and ".." not in member.name
+            if member.isfile()
+            and member.name.startswith(tuple(f"{_INSIDE}/{one}/" for one in (NEWEST, *OLDER)))
+            and ".." not in member.name
         ]
         for member in members:
             source = tar.extractfile(member)

@@ -31,7 +31,7 @@ def const_pairs(groups: Iterable[Group]) -> Iterator[Derived]:
             name = f"{group.description}: {value!r:.60}"
             yield Derived(group.keyword, name, {"const": value}, group.schema, valid)
             if _wraps(group.schema):
-                negated: Body = {"not": group.schema}
+                negated = _negated(group.schema)
                 yield Derived(group.keyword, f"not {name}", {"const": value}, negated, not valid)
 
 
@@ -45,6 +45,12 @@ def schema_pairs(groups: Iterable[Group]) -> Iterator[Derived]:
             values = tuple(value for group in (one, other) for value, _ in group.cases)
             name = f"{one.description} / {other.description}"
             yield Derived(keyword, name, one.schema, other.schema, None, values)
+
+
+def _negated(schema: Body) -> Body:
+    if isinstance(schema, bool) or "$schema" not in schema:
+        return {"not": schema}
+    return {"$schema": schema["$schema"], "not": schema}
 
 
 def _wraps(schema: object) -> bool:

@@ -42,7 +42,7 @@ MALFORMED: dict[str, object] = {
     "required that is not text": {"required": [1]},
     "properties that are a list": {"properties": ["a"]},
     "a property that is no schema": {"properties": {"a": 3}},
-    "items that are a list": {"items": [{}]},
+    "items that are a list of numbers": {"items": [5]},
     "items that are no schema": {"items": "integer"},
     "prefixItems that are a mapping": {"prefixItems": {}},
     "an empty union": {"anyOf": []},

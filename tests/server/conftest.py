@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from tests.server.robot import CONFIGURATION, script
+from tests.server.ros import Ros, url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
@@ -17,6 +18,7 @@ from uoarm.server import Limits, Server, Settings, serve_in_thread
 
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
+Enter = Callable[..., Ros]
 
 
 @pytest.fixture
@@ -55,3 +57,14 @@ def talk(server: Server) -> Iterator[Connect]:
             return stack.enter_context(Talk(url, **options))
 
         yield connect
+
+
+@pytest.fixture
+def enter(server: Server) -> Iterator[Enter]:
+    """Connect a rosbridge client to the server."""
+    with ExitStack() as stack:
+
+        def begin() -> Ros:
+            return stack.enter_context(Ros(url(server)))
+
+        yield begin

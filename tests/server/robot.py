@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from typing import Annotated, TypedDict
 
-from uoarm.local import Range
+from uoarm.local import Emit, Range
 
 CONFIGURATION = """
 version: 1
@@ -41,6 +41,17 @@ functions:
   broken:
     components:
       - {name: broken, bridge: python, service: {endpoint: ["tests.server.robot:broken"]}}
+  navigate:
+    components:
+      - name: walker
+        bridge: python
+        inputs:
+          goal: {endpoint: ["tests.server.robot:Walker"]}
+          cancel: {endpoint: ["tests.server.robot:Walker"]}
+        outputs:
+          status: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
+          feedback: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
+          result: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
   missing:
     components:
       - {name: missing, bridge: python, output: {endpoint: ["tests.server.robot:nothing"]}}
@@ -67,6 +78,10 @@ class Pair(TypedDict):
     b: float
 
 
+class GoalId(TypedDict):
+    goal_id: str
+
+
 END = object()
 
 
@@ -80,6 +95,7 @@ class Script:
         self._items: dict[str, deque[object]] = {"numbers": deque(), "picture": deque()}
         self._newest: dict[str, object] = {}
         self.started = Counter[str]()
+        self.cancelled: list[str] = []
 
     def reset(self) -> None:
         with self._changed:
@@ -87,6 +103,7 @@ class Script:
             self._items = {name: deque() for name in self._items}
             self._newest.clear()
             self.started.clear()
+            self.cancelled = []
             self._changed.notify_all()
 
     def put(self, *items: object) -> None:
@@ -154,3 +171,32 @@ def slow(message: Number) -> Number:
 
 def broken(message: Number) -> Number:
     raise ValueError(f"cannot do {message['value']}")
+
+
+class Walker:
+    """An action: walks as many steps as its goal says; with none it waits to be cancelled."""
+
+    def __init__(self) -> None:
+        self._goals = 0
+
+    def __call__(self, message: Number) -> None:
+        """Take nothing: its inputs are goal and cancel."""
+
+    def goal(self, message: Number) -> Iterator[Emit]:
+        steps = message["value"]
+        self._goals += 1
+        goal = {"goal_id": f"goal {self._goals}"}
+        yield Emit("status", {**goal, "status": "rejected" if steps < 0 else "accepted"})
+        for step in range(steps):
+            yield Emit("feedback", {**goal, "feedback": {"step": step}})
+        if steps > 0:
+            yield Emit("result", {**goal, "status": "succeeded", "result": {"walked": steps}})
+            yield Emit("status", {**goal, "status": "succeeded"})
+
+    def cancel(self, message: GoalId) -> Iterator[Emit]:
+        script.cancelled.append(message["goal_id"])
+        result = {"walked": 0}
+        yield Emit(
+            "result", {"goal_id": message["goal_id"], "status": "canceled", "result": result}
+        )
+        yield Emit("status", {"goal_id": message["goal_id"], "status": "canceled"})

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
+from tests.server.ros import Ros
 from tests.server.talk import Talk, eventually
-from tests.server.test_rosbridge import Ros
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 

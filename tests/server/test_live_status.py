@@ -8,13 +8,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from click.testing import CliRunner
+from tests.host import joined as machines
 from tests.server.robot import END, script
 
 from uoarm import RobotManager
 from uoarm.cli import main
-from uoarm.server import Server
+from uoarm.server import Server, Settings, serve_in_thread
+from uoarm.server._role import Operation, Role
+from uoarm.server._view import visible_status
 
 
 def url_of(server: Server) -> str:
@@ -60,3 +64,18 @@ def test_a_server_that_is_not_there_is_named() -> None:
     shown = CliRunner().invoke(main, ["status", "--url", "ws://127.0.0.1:1/"])
     assert shown.exit_code == 4
     assert "ws://127.0.0.1:1/" in shown.output
+
+
+def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path) -> None:
+    file = machines.robot(tmp_path, machines.free_port())
+    somebody = Role("guest", {Operation.SEE: ("ticks",)})
+    nobody = Role("nobody", {Operation.SEE: ("other",)})
+    with RobotManager.from_file(file) as robot:
+        status = robot.status()
+        assert not visible_status(robot.robot, status, nobody)["machines"]
+        (shown,) = visible_status(robot.robot, status, somebody)["machines"]
+        assert shown["cause"] == "waiting for machine 'arm': far"
+        with serve_in_thread(robot, Settings(port=0)) as server:
+            live = CliRunner().invoke(main, ["status", "--url", url_of(server)])
+    assert "machines: 1" in live.output
+    assert "waiting for machine 'arm': far" in live.output

@@ -4,88 +4,21 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.server.conftest import Serve
+from tests.server.conftest import Enter, Serve
 from tests.server.robot import END, script
-from tests.server.talk import BESIDE, SECONDS, eventually
-from typing_extensions import Self
-from websockets.sync.client import ClientConnection, connect
+from tests.server.ros import Ros, url
+from tests.server.talk import BESIDE, eventually
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
 from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
 from uoarm.server.rosbridge._fragments import Fragments
-from uoarm.wire import read_binary
-
-
-class Ros:
-    """A bare rosbridge client: sends what it is told, returns what comes."""
-
-    def __init__(self, url: str, **options: Any) -> None:
-        self._open = ExitStack()
-        self.socket: ClientConnection = self._open.enter_context(
-            connect(url, max_size=None, **options)
-        )
-
-    def send(self, **fields: object) -> None:
-        self.socket.send(json.dumps(fields))
-
-    def receive(self) -> dict[str, Any]:
-        frame = self.socket.recv(timeout=SECONDS)
-        told = read_binary(frame, depth=64) if isinstance(frame, bytes) else json.loads(frame)
-        assert isinstance(told, dict)
-        return told
-
-    def call(self, service: str, args: object = None) -> Any:
-        self.send(op="call_service", id="c", service=service, args=args)
-        response = self.receive()
-        assert (response["op"], response["id"], response["result"]) == (
-            "service_response", "c", True,
-        ), response  # fmt: skip
-        return response["values"]
-
-    def refused(self, **fields: object) -> str:
-        self.send(**fields)
-        status = self.receive()
-        assert (status["op"], status["level"]) == ("status", "error")
-        assert status.get("id") == fields.get("id")
-        message: str = status["msg"]
-        return message
-
-    def messages(self, count: int) -> list[Any]:
-        told = [self.receive() for _ in range(count)]
-        assert {one["op"] for one in told} == {"publish"}
-        return [one["msg"] for one in told]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._open.close()
-
-
-Enter = Callable[..., Ros]
-
-
-@pytest.fixture
-def enter(server: Server) -> Iterator[Enter]:
-    with ExitStack() as stack:
-
-        def begin() -> Ros:
-            return stack.enter_context(Ros(url(server)))
-
-        yield begin
-
-
-def url(server: Server, path: str = "/rosbridge") -> str:
-    return f"ws://127.0.0.1:{server.ports[0]}{path}"
 
 
 def opened(robot: RobotManager, count: int) -> None:
@@ -202,7 +135,16 @@ def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
         ('{"op": "subscribe", "topic": "/t", "compression": "png"}', "'png' is not served"),
         ('{"op": "subscribe", "topic": "/a b"}', "no name"),
         ('{"op": "png", "data": ""}', "png is not served"),
-        ('{"op": "send_action_goal"}', "actions are not served"),
+        ('{"op": "auth", "mac": "x"}', "show a token in the handshake"),
+        ('{"op": "subscribe", "topic": "/t", "compression": "cbor-raw"}', "no serialised form"),
+        ('{"op": "cancel_action_goal", "action": "/a", "id": "1"}', "no goal '1' under way"),
+        ('{"op": "unadvertise_action", "action": "/a"}', "does not provide"),
+        ('{"op": "advertise_action", "action": "/uoarm/add", "type": "x"}', "belongs to"),
+        ('{"op": "action_feedback", "action": "/a", "id": "1", "values": {}}', "works on no goal"),
+        (
+            '{"op": "action_result", "action": "/a", "id": "1", "status": 4, "result": true}',
+            "works on no goal",
+        ),
         ('{"op": "unsubscribe", "topic": "/t"}', "has not subscribed"),
         ('{"op": "unadvertise", "topic": "/t"}', "does not publish"),
         ('{"op": "unadvertise_service", "service": "/t"}', "does not provide"),
@@ -324,6 +266,32 @@ def test_fragments_both_ways(enter: Enter, robot: RobotManager) -> None:
     assert client.receive()["values"] == {"value": 3}
 
 
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"op": "call_service", "service": "/uoarm/add", "args": [1, 2]},
+        {"op": "send_action_goal", "action": "/uoarm/add", "args": [1, 2]},
+    ],
+)
+def test_an_answer_comes_in_fragments(enter: Enter, fields: dict[str, Any]) -> None:
+    client = enter()
+    client.send(id="x" * 300, fragment_size=100, **fields)
+    pieces = [client.receive()]
+    pieces += [client.receive() for _ in range(pieces[0]["total"] - 1)]
+    assert len(pieces) > 3
+    assert {one["id"] for one in pieces} == {pieces[0]["id"]}
+    whole = json.loads("".join(one["data"] for one in pieces))
+    assert (whole["id"], whole["values"]) == ("x" * 300, {"value": 3})
+
+
+def test_the_level_of_status_messages_can_be_set_back(enter: Enter) -> None:
+    client = enter()
+    client.send(op="set_level", level="none")
+    client.send(op="dance")
+    client.send(op="set_level", level="warning")
+    assert "unknown op" in client.refused(op="dance", id="second")
+
+
 def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> None:
     client = enter()
     client.send(op="subscribe", id="s", topic="/uoarm/numbers")
@@ -350,6 +318,15 @@ def test_rosapi_shows_functions_and_components(enter: Enter) -> None:
     assert client.call("/rosapi/publishers", {"topic": "/uoarm/numbers"}) == {
         "publishers": ["/numbers"]
     }
+    raw = client.call("/rosapi/topics_and_raw_types")
+    text = dict(zip(raw["topics"], raw["typedefs_full_text"], strict=True))["/uoarm/picture"]
+    assert text == "int64 width\nuint8[] data\n"
+    for name in ("/uoarm/add", "Pair"):
+        providers = client.call("/rosapi/service_providers", {"service": name})["providers"]
+        assert providers == ["/adder"]
+    assert client.call("/rosapi/get_ros_version")["version"] == 2
+    default = client.call("/rosapi/get_param", {"name": "x", "default_value": "7"})
+    assert default == {"value": "7"}
     picture = client.call("/rosapi/message_details", {"type": "Picture"})["typedefs"][0]
     assert picture["fieldnames"] == ["width", "data"]
     assert picture["fieldtypes"] == ["int64", "uint8"]
@@ -407,16 +384,19 @@ def test_no_fragments_at_all_break_the_collector(pieces: list[dict[str, Any]]) -
 
 
 wild = st.dictionaries(
-    st.sampled_from(["id", "topic", "service", "type", "msg", "args", "values", "result", "level",
-                     "throttle_rate", "queue_length", "fragment_size", "compression", "latch"]),
+    st.sampled_from(["id", "topic", "service", "action", "status", "feedback", "type", "msg",
+                     "args", "values", "result", "level", "throttle_rate",
+                     "queue_length", "fragment_size", "compression", "latch"]),
     st.none() | st.booleans() | st.integers(-5, 5) | st.text(max_size=5)
-    | st.sampled_from(["/uoarm/numbers", "/t", "/uoarm/add", "/uoarm/", "/rosapi/topics", "cbor"])
+    | st.sampled_from(["/uoarm/numbers", "/t", "/uoarm/add", "/uoarm/navigate", "/uoarm/", "cbor"])
     | st.lists(st.integers(0, 3), max_size=2) | st.dictionaries(st.just("value"), st.integers()),
     max_size=6,
 )  # fmt: skip
 operation = st.sampled_from(
     ["advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service",
-     "advertise_service", "unadvertise_service", "service_response", "fragment", "status"]
+     "advertise_service", "unadvertise_service", "service_response", "fragment", "status",
+     "send_action_goal", "cancel_action_goal", "advertise_action", "unadvertise_action",
+     "action_feedback", "action_result"]
 )  # fmt: skip
 
 

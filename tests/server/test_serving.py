@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
-from uoarm.server import Server, Settings, serve_in_thread
+from uoarm.server import Server, Settings, fingerprint_of, serve_in_thread
 
 ROOT = Path(__file__).parents[2]
 Start = Callable[..., tuple[subprocess.Popen[str], int]]
@@ -42,7 +42,7 @@ def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
 def test_health_and_pages(server: Server) -> None:
     assert page(server, "/healthz") == (200, '{"status":"ok","clients":0}')
     assert "uoarm serve" in page(server, "/")[1]
-    assert "export function connect" in page(server, "/uoarm.js")[1]
+    assert "export async function connect" in page(server, "/uoarm.js")[1]
     assert "export function decode" in page(server, "/uoarm-cbor.js")[1]
     assert "export function connect" in page(server, "/uoarm.d.ts")[1]
     for path in ("/nowhere", "/../pyproject.toml", "/%2e%2e/__init__.py", "/static/index.html"):
@@ -126,6 +126,17 @@ def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
     assert second.returncode == 5
     assert "cannot listen" in err
     assert "Traceback" not in err
+
+
+def test_tls_auto_tells_the_fingerprint(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    process, _ = start("--tls", "auto")
+    assert process.stdout is not None
+    told = process.stdout.readline()
+    path = tmp_path / "uoarm" / "tls" / "server.pem"
+    assert told == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
 
 
 def test_off_loopback_it_refuses_to_start_without_an_access_file(start: Start) -> None:

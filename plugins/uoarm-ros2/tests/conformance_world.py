@@ -34,16 +34,21 @@ class RosWorld(World):
     Args:
         lasting: a node that serves every test.
         start: starts a node for one test alone.
+        make: makes a bridge; None: in this process.
     """
 
-    def __init__(self, lasting: Peer, start: Callable[..., Peer]) -> None:
+    def __init__(
+        self,
+        lasting: Peer,
+        start: Callable[..., Peer],
+        make: Callable[[BridgeSpec], Bridge] | None = None,
+    ) -> None:
         self._lasting = lasting
         self._start = start
+        self._make = make or Registry().create
 
     def bridge(self) -> Bridge:
-        return Registry().create(
-            BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS})
-        )
+        return self._make(BridgeSpec("ros", "ros2", {"domain_id": DOMAIN, "wait": WAIT_SECONDS}))
 
     def pair(self, kind: str) -> Pair:
         topic, native = f"/conformance/{kind}", KINDS[kind]

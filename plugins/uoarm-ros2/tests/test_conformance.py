@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -30,3 +31,19 @@ class TestRos2Bridge(BridgeConformance):
     @pytest.fixture
     def world(self, lasting: Peer, peer: Callable[..., Peer]) -> World:
         return RosWorld(lasting, peer)
+
+
+HOSTS = importlib.util.find_spec("zenoh") is not None
+
+
+@pytest.mark.skipif(not HOSTS, reason="needs uoarm[hosts]")
+class TestHostedRos2Bridge(BridgeConformance):
+    """The suite through a bridge host, whose link has its own tests: one kind is enough."""
+
+    kinds = ("scalars",)
+
+    @pytest.fixture
+    def world(self, lasting: Peer, peer: Callable[..., Peer]) -> World:
+        from uoarm.host import RemoteBridge
+
+        return RosWorld(lasting, peer, RemoteBridge)

@@ -11,6 +11,9 @@ from peers import DOMAIN
 from uoarm_ros2 import uoarm_bridge_types
 from uoarm_ros2._installation import Wheel, installation, wheels
 
+from uoarm.config import assign
+from uoarm.model import BridgeSpec, Robot
+
 SYSTEM = Path("/opt/ros/jazzy/lib/python3.12/site-packages/rclpy")
 VENV = Path("/home/robot/venv/lib/python3.12/site-packages")
 KILTED = Wheel("kilted", VENV)
@@ -25,6 +28,16 @@ def test_the_doctor_says_what_is_used() -> None:
     assert Path(found["rclpy"]).is_dir()
     assert found["distribution"] == f"{wheels()[0].distribution}, from wheels"
     assert "conflict" not in found
+
+
+def test_two_distributions_in_hosts_get_domains_of_their_own() -> None:
+    kind = uoarm_bridge_types()[0]
+    hosts = {name: {"environment": name} for name in ("jazzy", "kilted")}
+    specs = {name: BridgeSpec(name, "ros2", {}, host) for name, host in hosts.items()}
+    robot = assign(Robot(specs, {}), {"ros2": kind})
+    found = [spec.options["domain_id"] for spec in robot.bridges.values()]
+    free = [number for number in range(64, 102) if number != DOMAIN]
+    assert found == free[:2]
 
 
 def test_a_sourced_installation_is_named_by_its_environment() -> None:

@@ -33,7 +33,17 @@ WAYS: list[dict[str, Any]] = [
     {},
     {"subscription": "new"},
     {"subscription": "periodic", "rate": 50},
+    {"subscription": "new", "push_policy": "all", "outport_buffer": {"full_policy": "do_nothing"}},
+    {"subscription": "periodic", "rate": 50, "push_policy": "skip", "skip_count": 1},
     {"flow": "pull", "rate": 50},
+    {"flow": "pull", "rate": 50, "outport_buffer": {"empty_policy": "do_nothing"}},
+    {"flow": "pull", "rate": 50, "outport_buffer": {"empty_policy": "block", "read_timeout": 0.1}},
+]
+SENDING_WAYS: list[dict[str, Any]] = [
+    {},
+    {"subscription": "new", "push_policy": "fifo"},
+    {"flow": "pull"},
+    {"inport_buffer": {"length": 4, "full_policy": "block", "write_timeout": 0.5}},
 ]
 
 
@@ -76,6 +86,10 @@ def bridge() -> Iterator[Bridge]:
 
 def with_options(at: Endpoint, options: dict[str, Any]) -> Endpoint:
     return Endpoint(at.bridge, at.component, at.role, at.address, at.port, options)
+
+
+def lifecycle_of(at: Endpoint) -> Endpoint:
+    return Endpoint(at.bridge, at.component, Role.SERVICE, (at.address[0], "@lifecycle"))
 
 
 def connectors(bridge: Any, at: Endpoint) -> int:
@@ -126,7 +140,7 @@ def test_an_out_port_connects_delivers_and_lets_go(
     assert channel.facts()["refused"] == 0
 
 
-@pytest.mark.parametrize("options", [{}, {"flow": "pull"}], ids=str)
+@pytest.mark.parametrize("options", SENDING_WAYS, ids=str)
 @pytest.mark.parametrize("at", of(Role.INPUT))
 def test_an_in_port_takes_a_message_and_lets_go(
     bridge: Any, at: Endpoint, options: dict[str, Any]
@@ -138,6 +152,26 @@ def test_an_in_port_takes_a_message_and_lets_go(
     sink.send(example(bridge._types.codec(at.address[2]).shape))
     sink.close()
     assert connectors(bridge, at) == before
+
+
+@pytest.mark.parametrize("at", of(Role.INPUT))
+def test_a_full_buffer_of_an_inactive_component_says_so(bridge: Any, at: Endpoint) -> None:
+    if bridge.call(lifecycle_of(at), {"action": "state"})["state"] != "inactive":
+        pytest.skip("the component is not inactive")
+    ours = with_options(at, {"inport_buffer": {"length": 2, "full_policy": "do_nothing"}})
+    sink = bridge.open_sink(ours, bridge.describe(ours).message)
+    message = example(bridge._types.codec(at.address[2]).shape)
+
+    def fill() -> None:
+        for _ in range(20):
+            sink.send(message)
+
+    with pytest.raises(BridgeError, match="BUFFER_FULL"):
+        fill()
+    sink.close()
+    # An InPort of OpenRTM has one buffer for all its connections: leave it as it usually is.
+    usual = with_options(at, {"inport_buffer": {"length": 8, "full_policy": "overwrite"}})
+    bridge.open_sink(usual, bridge.describe(usual).message).close()
 
 
 @pytest.mark.parametrize("at", of(Role.OUTPUT) + of(Role.INPUT))

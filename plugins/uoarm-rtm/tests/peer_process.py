@@ -15,11 +15,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from plain import plain
+from uoarm_rtm import _data_ports
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._operations import Interface
 from uoarm_rtm._orb import Orb, narrowed
 from uoarm_rtm._peer import pairs, peer_at, properties_of
 from uoarm_rtm._port_servant import PortServant
+from uoarm_rtm._publisher import Pulled
 from uoarm_rtm._service_port import ServicePort, servant_of
 from uoarm_rtm._stubs import RTC
 from uoarm_rtm._types import Types
@@ -52,6 +54,19 @@ class Wanted(PortServant):
 
     def _release(self, connector_id: str) -> None:
         self._object = None
+
+
+class Asked(Pulled):
+    """A buffer that knows how many are asking it."""
+
+    asking = 0
+
+    def get(self) -> tuple[Any, bytes]:
+        Asked.asking += 1
+        try:
+            return super().get()
+        finally:
+            Asked.asking -= 1
 
 
 class _Service:
@@ -90,6 +105,9 @@ class Process:
         self._received: list[Any] = []
         self._calls: list[str] = []
         self._fail = ""
+        self._free = threading.Event()
+        self._free.set()
+        self._held = threading.Event()
         self._configured: dict[str, str] = {}
         callbacks = Callbacks(
             activated=lambda: self._called("activated"),
@@ -119,6 +137,18 @@ class Process:
     def fetch(self) -> int:
         return self._in.fetch()
 
+    def hold(self) -> None:
+        """Let whoever writes to the InPort wait, from the next message on."""
+        self._free.clear()
+        self._held.clear()
+
+    def held(self) -> bool:
+        """Wait until a writer waits; returns whether that came."""
+        return self._held.wait(20)
+
+    def let_go(self) -> None:
+        self._free.set()
+
     def calls(self) -> list[str]:
         return self._calls
 
@@ -134,6 +164,34 @@ class Process:
     def connectors(self) -> list[int]:
         ports = (self._in, self._out)
         return [len(port.get_connector_profiles()) for port in ports]
+
+    def speak(self, language: str) -> None:
+        """Say in the profile which language it is written in."""
+        usual = self._component.get_component_profile
+
+        def profile() -> Any:
+            found = usual()
+            found.properties = pairs({"language": language})
+            return found
+
+        setattr(self._component, "get_component_profile", profile)  # noqa: B010 - of this instance
+
+    def mind_disconnecting(self) -> None:
+        """Count whoever asks the OutPort while it is being disconnected."""
+        setattr(_data_ports, "Pulled", Asked)  # noqa: B010 - typed as what it stands in for
+        release, self._interrupted = getattr(self._out, "_release"), 0  # noqa: B009 - private
+
+        def spy(connector_id: str) -> None:
+            self._interrupted += Asked.asking
+            release(connector_id)
+
+        setattr(self._out, "_release", spy)  # noqa: B010 - of this instance alone
+
+    def asked(self) -> int:
+        return Asked.asking
+
+    def interrupted(self) -> int:
+        return self._interrupted
 
     def refuse(self) -> None:
         """Let every later connection fail after the port has published what it offers."""
@@ -195,6 +253,8 @@ class Process:
         self._orb.close()
 
     def _take(self, message: Any) -> None:
+        self._held.set()
+        self._free.wait(20)
         self._received.append(plain(message))
 
     def _called(self, name: str) -> None:

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,39 @@ def test_the_other_side_ends_the_connection(bridge: Bridge, peer: Start) -> None
     channel.close()
 
 
+def test_an_out_port_is_never_disconnected_while_it_is_asked(bridge: Bridge, peer: Start) -> None:
+    component = peer("Mortal")
+    component.mind_disconnecting()
+    waiting = {"empty_policy": "block", "read_timeout": 1}
+    at = endpoint(Role.OUTPUT, "Mortal.rtc", "out", flow="pull", rate=1000, outport_buffer=waiting)
+    channel = source(bridge, at, Inbox())
+    until(lambda: component.asked() == 1)
+    channel.close()
+    assert component.connectors() == [0, 0]
+    assert component.interrupted() == 0
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_an_in_port_is_never_disconnected_while_it_takes_a_message(
+    bridge: Bridge, peer: Start, subscription: str
+) -> None:
+    component = peer("Mortal")
+    at = endpoint(Role.INPUT, "Mortal.rtc", "in", subscription=subscription, activate=True)
+    into = sink(bridge, at)
+    component.hold()
+    with ThreadPoolExecutor(2) as pool:
+        sending = pool.submit(into.send, stamped(1))
+        assert component.held()
+        closing = pool.submit(into.close)
+        with pytest.raises(TimeoutError):
+            closing.result(0.3)
+        assert component.connectors() == [1, 0]
+        component.let_go()
+        sending.result(20)
+        closing.result(20)
+    assert component.connectors() == [0, 0]
+
+
 def test_silence_is_told_when_asked(bridge: Bridge, peer: Start) -> None:
     peer("Mortal")
     events = Inbox()
@@ -154,6 +188,29 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
         component.count(3, 5)
         inbox.wait_for(5)
     assert not [each for each in events.messages if each.channel is not None]
+
+
+ASKED: dict[str, Callable[[Bridge], object]] = {
+    "discover": lambda bridge: [each.name for each in bridge.discover()] == ["Mortal.rtc"],
+    "describe": lambda bridge: bridge.describe(OUT).message,
+    "a port of our own": lambda bridge: sink(
+        bridge, endpoint(Role.INPUT, "self", "o", "TimedLong")
+    ),
+}
+
+
+@pytest.mark.parametrize("asked", ASKED)
+def test_the_first_request_after_a_naming_service_came_back_succeeds(
+    make_bridge: Make, peer: Start, asked: str
+) -> None:
+    with NameServer() as first:
+        port = first.port
+        bridge = make_bridge(nameserver=first.address, watch=0)
+        with ThreadPoolExecutor(4) as pool:  # for several connections to it
+            assert set(pool.map(lambda _: bridge.discover(), range(8))) == {()}
+    with NameServer(port) as second:
+        peer("Mortal", at=second.address)
+        assert ASKED[asked](bridge)
 
 
 def test_one_naming_service_of_two_is_enough(make_bridge: Make, peer: Start) -> None:

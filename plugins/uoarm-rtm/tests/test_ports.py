@@ -73,6 +73,27 @@ def test_an_in_port_gets_everything_in_order(
     assert caught.value.reason is FailureReason.CLOSED
 
 
+def test_big_endian_is_refused_where_a_component_would_not_notice(
+    bridge: Bridge, peer: Start
+) -> None:
+    component = peer("Talker")
+    component.speak("C++")
+    out, into = (Role.OUTPUT, "Talker.rtc", "out"), (Role.INPUT, "Talker.rtc", "in")
+    for at in (endpoint(*out, endian="big"), endpoint(*into, endian="big", flow="pull")):
+        with pytest.raises(BridgeError, match="take no notice of `endian`") as caught:
+            bridge.describe(at)
+        assert caught.value.reason is FailureReason.REFUSED
+    pulled = endpoint(*out, endian="big", flow="pull")
+    assert bridge.link(pulled, endpoint(*into)) is None
+    inbox = Inbox()
+    source(bridge, pulled, inbox)
+    component.count(5, 6)
+    inbox.wait_for(1)
+    assert inbox.numbers() == [5]
+    sink(bridge, endpoint(*into, endian="big", activate=True)).send(stamped(6))
+    assert component.received() == [stamped(6)]
+
+
 def test_an_in_port_that_pulls(bridge: Bridge, peer: Start) -> None:
     component = peer("Listener")
     at = endpoint(Role.INPUT, "Listener.rtc", "in", activate=True, flow="pull")

@@ -216,6 +216,32 @@ def test_we_are_a_component_that_others_connect_to(
     assert talker.connectors() == [0, 0]
 
 
+def test_an_in_port_of_ours_asks_those_who_wait_to_be_asked(
+    make_bridge: Make, peer: Start, nameserver: str
+) -> None:
+    bridge = make_bridge(component="Manager")
+    talker = peer("Talker")
+    talker.mind_disconnecting()
+    inbox = Inbox()
+    at = endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong", rate=200)
+    channel = source(bridge, at, inbox)
+    pull = {
+        **PUSH,
+        "dataport.dataflow_type": "pull",
+        "dataport.outport.buffer.read.empty_policy": "block",
+    }
+    assert talker.connect(nameserver, "Manager.rtc", "heard", pull) == "RTC_OK"
+    talker.count(0, 3)
+    inbox.wait_for(3)
+    talker.count(2, 3)
+    inbox.wait_for(4)
+    assert inbox.numbers() == [0, 1, 2, 2]
+    until(lambda: talker.asked() == 1)
+    channel.close()
+    assert talker.connectors() == [0, 0]
+    assert talker.interrupted() == 0
+
+
 def test_another_manager_uses_our_ports_as_those_of_any_component(make_bridge: Make) -> None:
     ours, theirs = make_bridge(idl=IDL, component="Manager"), make_bridge("other", idl=IDL)
     said = sink(ours, endpoint(Role.INPUT, "self", "said", "RTC::TimedLong"))

@@ -52,7 +52,12 @@ class Channel(ABC):
             _bounded.run(step, timeout, self._close)
 
     def facts(self) -> Mapping[str, object]:
-        """Return what the framework knows of the link now, for the status; quick, any thread."""
+        """Return what the framework knows of the link now, for the status; quick, any thread.
+
+        Two names have a meaning for the manager: `under_way` counts messages that the channel
+        took and that have not arrived, `lost_on_link` those that never will. When a component
+        dies, both are counted as lost, so they can be asked for after `close`, too.
+        """
         return {}
 
     def drain(self, timeout: float) -> bool:

@@ -27,7 +27,9 @@ class BridgeType:
         summary: one line for people.
         create: takes the instance's name and checked options; may import the middleware, and
             raises PluginError naming the distribution to install when it cannot.
-        options_schema: JSON Schema of the options.
+        options_schema: JSON Schema of the options. An integer with `x-uoarm-assign: {from: 64,
+            to: 101, except_variable: NAME}` is chosen by uoarm for bridges in hosts of several
+            installations that leave it out, a number each, so that they do not meet.
         check_endpoint: takes an address and its options; returns what is wrong, or "".
             Reads only; imports no middleware.
         doctor: returns facts about the environment, name to finding, for `uoarm doctor`.

@@ -1,7 +1,9 @@
-"""The command `uoarm host`: one bridge of a configuration, run for tools of other kinds."""
+"""The command `uoarm host`: bridges run for a manager elsewhere, or for tools of other kinds."""
 
 from __future__ import annotations
 
+import logging
+import signal
 import threading
 
 import click
@@ -10,38 +12,109 @@ from uoarm.bridge import Registry
 from uoarm.cli._shared import configuration_option, reporting
 from uoarm.config import load
 from uoarm.errors import PluginError, UsageError
-from uoarm.model import Component, Endpoint
+from uoarm.model import Component, Endpoint, place_problem
 
 __all__ = ["host"]
 
 
 @click.command()
-@click.argument("bridge")
-@click.option("--xmlrpc", "port", type=click.IntRange(0, 65535), required=True, help="Its port.")
+@click.argument("bridges", nargs=-1)
+@click.option("--xmlrpc", "port", type=click.IntRange(0, 65535), help="Answer XML-RPC here.")
 @configuration_option
-def host(bridge: str, port: int, file: str) -> None:
-    """Answer over XML-RPC what BRIDGE knows of its components, until interrupted."""
+@click.option("--join", "place", help="Serve the manager that listens at tls/ADDRESS:PORT.")
+@click.option("--machine", help="With --join: the name of this machine in the configuration.")
+@click.option(
+    "--certificates",
+    default="certificates",
+    show_default=True,
+    help="With --join: folder with ca.pem, and the machine's certificate and key.",
+)
+@click.option(
+    "--modules",
+    default=".",
+    show_default=True,
+    help="With --join: folder of the components of python bridges.",
+)
+@click.option(
+    "--silence",
+    type=click.FloatRange(min=0.5),
+    default=3.0,
+    show_default=True,
+    help="With --join: seconds after which a silent link counts as cut.",
+)
+def host(
+    bridges: tuple[str, ...],
+    port: int | None,
+    file: str,
+    place: str | None,
+    machine: str | None,
+    certificates: str,
+    modules: str,
+    silence: float,
+) -> None:
+    """Run BRIDGES of a configuration, until interrupted.
+
+    With --join, serve a manager on another machine, which has the configuration: all bridges of
+    this machine, or those that are named. With --xmlrpc, answer what one bridge knows of its
+    components to tools on this machine.
+    """
     with reporting():
+        if place is not None and machine is not None and port is None:
+            _join(place, machine, bridges, certificates, modules, silence)
+        elif port is not None and place is None and len(bridges) == 1:
+            _answer(bridges[0], port, file)
+        else:
+            text = "give --join PLACE and --machine NAME, or one BRIDGE and --xmlrpc PORT"
+            raise click.UsageError(text)
+
+
+def _join(
+    place: str,
+    machine: str,
+    bridges: tuple[str, ...],
+    certificates: str,
+    modules: str,
+    silence: float,
+) -> None:
+    try:
+        from uoarm.host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
+    except ImportError as error:
+        raise PluginError(f"this needs: pip install 'uoarm[hosts]' ({error})") from error
+    problem = place_problem(place)
+    if problem:
+        raise UsageError(f"--join {place}: {problem}")
+    secured = place.startswith("tls/")
+    identity = Identity.find(certificates, machine) if secured else None
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    joined = JoinedHost(
+        place, machine, identity=identity, bridges=bridges, modules=modules, silence=silence
+    )
+    signal.signal(signal.SIGTERM, lambda *_: joined.close())
+    signal.signal(signal.SIGINT, lambda *_: joined.close())
+    joined.run()
+
+
+def _answer(bridge: str, port: int, file: str) -> None:
+    try:
+        from uoarm.host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
+    except ImportError as error:
+        raise PluginError(f"this needs: pip install 'uoarm[hosts]' ({error})") from error
+    registry = Registry()
+    robot = load(file, registry.types)
+    spec = robot.bridges.get(bridge)
+    if spec is None:
+        raise UsageError(f"there is no bridge {bridge!r}: {', '.join(robot.bridges)}")
+    made = registry.create(spec) if spec.host is None else RemoteBridge(spec)
+    try:
+        mine = (one for one in robot.components() if one.bridge == bridge)
+        face = XmlRpcFace(made, (end for one in mine for end in _endpoints(one)), port)
+        click.echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
-            from uoarm.host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
-        except ImportError as error:
-            raise PluginError(f"this needs: pip install 'uoarm[hosts]' ({error})") from error
-        registry = Registry()
-        robot = load(file, registry.types)
-        spec = robot.bridges.get(bridge)
-        if spec is None:
-            raise UsageError(f"there is no bridge {bridge!r}: {', '.join(robot.bridges)}")
-        made = registry.create(spec) if spec.host is None else RemoteBridge(spec)
-        try:
-            mine = (one for one in robot.components() if one.bridge == bridge)
-            face = XmlRpcFace(made, (end for one in mine for end in _endpoints(one)), port)
-            click.echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
-            try:
-                threading.Event().wait()
-            finally:
-                face.close()
+            threading.Event().wait()
         finally:
-            made.close()
+            face.close()
+    finally:
+        made.close()
 
 
 def _endpoints(component: Component) -> list[Endpoint]:

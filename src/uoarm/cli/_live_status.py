@@ -16,9 +16,10 @@ from uoarm.model import to_json
 __all__ = ["show_live_status"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "bridges": ("name", "plugin", "health", "cause"),
+    "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
+    "bridges": ("name", "plugin", "health", "assigned", "cause"),
     "components": ("name", "function", "health", "cause"),
-    "connections": ("id", "function", "state", "cause"),
+    "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
 }
 
@@ -80,7 +81,11 @@ def _print_json(status: Mapping[str, Any]) -> None:
 
 def _print_tables(status: Mapping[str, Any]) -> None:
     for name, columns in _COLUMNS.items():
-        rows = [[_shown(one.get(column)) for column in columns] for one in status.get(name, ())]
+        rows = [
+            [_shown(one.get(column), column) for column in columns] for one in status.get(name, ())
+        ]
+        if name == "machines" and not rows:
+            continue
         click.echo(click.style(f"{name}: {len(rows) or 'none'}", bold=True))
         if rows:
             _print_table(columns, rows)
@@ -93,9 +98,11 @@ def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         click.echo(f"  {'  '.join(cells)}".rstrip())
 
 
-def _shown(value: object) -> str:
+def _shown(value: object, column: str) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.1f}"
+        return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
     if isinstance(value, list):
         return ", ".join(f"{reason} {count}" for reason, count in value)
     return "" if value is None else str(value)

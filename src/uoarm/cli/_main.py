@@ -9,6 +9,8 @@ import click
 
 import uoarm
 from uoarm.bridge import Registry
+from uoarm.cli._certificates import certificates
+from uoarm.cli._configured import assigned_options, optional_configuration
 from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
@@ -90,23 +92,28 @@ def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
 
 
 @main.command()
+@optional_configuration
 @json_option
-def bridges(*, as_json: bool) -> None:
+def bridges(*, file: str | None, as_json: bool) -> None:
     """List the installed bridge plugins, broken ones with the cause."""
     registry = Registry()
+    assigned = dict(assigned_options(file, registry))
     if as_json:
         types = [{"name": one.name, "summary": one.summary} for one in registry.types.values()]
-        print_json({"bridges": types, "problems": registry.problems})
+        print_json({"bridges": types, "problems": registry.problems, "assigned": assigned})
         return
     for one in registry.types.values():
         click.echo(f"{one.name:<10} {one.summary}")
     for problem in registry.problems:
         click.echo(f"{problem.name:<10} {click.style('broken:', fg='red')} {problem.cause}")
+    for option, value in assigned.items():
+        click.echo(f"{option} {value}, chosen by uoarm")
 
 
 @main.command()
+@optional_configuration
 @json_option
-def doctor(*, as_json: bool) -> None:
+def doctor(*, file: str | None, as_json: bool) -> None:
     """Say what this environment is and what each plugin finds in it."""
     registry = Registry()
     facts: dict[str, dict[str, str]] = {
@@ -125,6 +132,9 @@ def doctor(*, as_json: bool) -> None:
                 facts[one.name]["usable"] = f"no: {type(error).__name__}: {error}"
     for problem in registry.problems:
         facts[problem.name] = {"usable": f"no: {problem.cause}"}
+    chosen = dict(assigned_options(file, registry))
+    if chosen:
+        facts["chosen by uoarm"] = chosen
     if as_json:
         print_json(facts)
         return
@@ -134,6 +144,7 @@ def doctor(*, as_json: bool) -> None:
             click.echo(f"  {key:<14} {finding}")
 
 
+main.add_command(certificates)
 main.add_command(env)
 main.add_command(host)
 main.add_command(request)

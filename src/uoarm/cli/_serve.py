@@ -37,10 +37,15 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option(
     "--allow-host", "hosts", multiple=True, help="A further name of this server on loopback."
 )
+@click.option(
+    "--tls",
+    type=click.Choice(["auto"]),
+    help="Speak TLS with a certificate made for this user; its fingerprint is printed.",
+)
 @click.option("--certificate", type=_FILE, help="PEM file of the certificate, for TLS.")
 @click.option("--key", type=_FILE, help="PEM file of its key.")
 @click.option("--client-authority", type=_FILE, help="PEM file that client certificates rest on.")
-def serve(robot: str | None, file: str, **settings: Any) -> None:
+def serve(robot: str | None, file: str, tls: str | None, **settings: Any) -> None:
     """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM.
 
     Endpoints: / speaks the native protocol, /rosbridge speaks rosbridge v2; /healthz and
@@ -53,7 +58,7 @@ def serve(robot: str | None, file: str, **settings: Any) -> None:
             raise PluginError(
                 f"serving needs the package {error.name!r}: pip install 'uoarm[server]'"
             ) from error
-        chosen = Settings(**settings)
+        chosen = Settings(own_certificate=tls is not None, **settings)
         try:
             run(manager, chosen, lambda server: _say(server, chosen))
         except OSError as error:
@@ -77,11 +82,16 @@ def token(name: str, role: str) -> None:
 
 
 def _say(server: Server, settings: Settings) -> None:
-    scheme = "ws" if settings.certificate is None else "wss"
+    from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
+
+    scheme = "wss" if settings.secured else "ws"
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
     main, *more = server.ports
     click.echo(f"serving {scheme}://{host}:{main}/ and {scheme}://{host}:{main}/rosbridge")
     for port in more:
         click.echo(f"serving {scheme}://{host}:{port}/ for rosbridge clients")
-    if not settings.local and settings.certificate is None:
+    certificate = settings.certificate_file()
+    if certificate is not None:
+        click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}")
+    elif not settings.local:
         click.echo("warning: without TLS, tokens and data can be read on the network", err=True)

@@ -11,17 +11,16 @@ from typing import Any, final
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
-from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
 from uoarm import errors
+from uoarm.client._link import Link, Open
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode
 from uoarm.wire import BINARY_FORM, TEXT_FORM, Form
 
 __all__ = ["Client", "ServerError", "connect"]
 
-_DEPTH = 512
 _HELD = 1024
 _ERRORS: Mapping[str, type[errors.UoarmError]] = {
     "resolution": errors.ResolutionError,
@@ -50,6 +49,7 @@ async def connect(
     binary: bool = True,
     tls: ssl.SSLContext | None = None,
     timeout: float = 10.0,
+    resume: bool = True,
 ) -> AsyncIterator[Client]:
     """Connect to a server for the length of a block.
 
@@ -59,6 +59,8 @@ async def connect(
         binary: CBOR, where octets stay octets; False: JSON.
         tls: for `wss://`, where the system's authorities do not do.
         timeout: seconds for connecting.
+        resume: whether to connect again after a drop and go on with the same session, as long as
+            the server keeps it; what was lost meanwhile is in `RemoteStream.lost`.
 
     Raises:
         OSError: nobody listens there.
@@ -67,38 +69,46 @@ async def connect(
     """
     form = BINARY_FORM if binary else TEXT_FORM
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-    async with open_socket(
-        url,
-        subprotocols=[Subprotocol(form.subprotocol)],
-        additional_headers=headers,
-        max_size=None,
-        compression=None,
-        open_timeout=timeout,
-        ssl=tls,
-    ) as socket:
-        client = Client(socket, form)
-        reading = asyncio.ensure_future(client.read())
-        try:
-            yield client
-        finally:
-            reading.cancel()
-            with suppress(asyncio.CancelledError):
-                await reading
+
+    async def opening() -> ClientConnection:
+        return await open_socket(
+            url,
+            subprotocols=[Subprotocol(form.subprotocol)],
+            additional_headers=headers,
+            max_size=None,
+            compression=None,
+            open_timeout=timeout,
+            ssl=tls,
+        )
+
+    client = Client(opening, form)
+    await client.start(resume=resume)
+    reading = asyncio.ensure_future(client.read())
+    try:
+        yield client
+    finally:
+        reading.cancel()
+        with suppress(asyncio.CancelledError):
+            await reading
+        await client.close()
 
 
 @final
 class Client:
     """A robot elsewhere. Made by `connect`; all methods in the loop in which it was made."""
 
-    def __init__(self, socket: ClientConnection, form: Form) -> None:
+    def __init__(self, opening: Open, form: Form) -> None:
         self.hello: Mapping[str, Any] = {}
-        self._socket = socket
-        self._form = form
+        self._link = Link(opening, form, self._take)
         self._ids = itertools.count(1)
         self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
         self._streams: dict[str, RemoteStream] = {}
         self._watchers: set[asyncio.Queue[StatusEvent | None]] = set()
-        self._closed = ""
+
+    @property
+    def resumed(self) -> int:
+        """How often the connection dropped and the session went on over another."""
+        return self._link.resumed
 
     async def request(
         self,
@@ -162,36 +172,38 @@ class Client:
         finally:
             self._watchers.discard(events)
 
+    async def start(self, *, resume: bool) -> None:
+        """Connect; `connect` does it."""
+        await self._link.start(resume=resume)
+
+    async def close(self) -> None:
+        """Close the connection; `connect` does it."""
+        await self._link.close()
+
     async def read(self) -> None:
-        """Read until the connection ends; what waits then fails."""
+        """Read until the connection ends for good; what waits then fails. `connect` does it."""
         try:
-            async for frame in self._socket:
-                self._take(self._form.read(frame, _DEPTH))
-            self._closed = "the server closed the connection"
-        except ConnectionClosed as error:
-            self._closed = f"the connection to the server ended: {error}"
+            await self._link.run()
         finally:
-            self._closed = self._closed or "the client was closed"
             for _, future in self._asked.values():
                 if not future.done():
-                    future.set_exception(errors.ConnectionClosedError(self._closed))
+                    future.set_exception(errors.ConnectionClosedError(self._link.closed))
             for stream in self._streams.values():
-                stream.finish("failed", self._closed)
+                stream.finish("failed", self._link.closed)
             for watcher in self._watchers:
                 watcher.put_nowait(None)
 
     async def _ask(self, op: str, kind: str = "", **more: Any) -> Any:
-        if self._closed:
-            raise errors.ConnectionClosedError(self._closed)
+        if self._link.closed:
+            raise errors.ConnectionClosedError(self._link.closed)
         identity = str(next(self._ids))
         future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._asked[identity] = op, future
-        fields = {"op": op, "id": identity, **more} | ({"type": kind} if kind else {})
         try:
-            await self._socket.send(self._form.write(fields), text=self._form.text)
+            await self._link.send(
+                {"op": op, "id": identity, **more} | ({"type": kind} if kind else {})
+            )
             return await future
-        except ConnectionClosed as error:
-            raise errors.ConnectionClosedError(f"the server is gone: {error}") from error
         finally:
             self._asked.pop(identity, None)
 

@@ -1,7 +1,18 @@
 """Configuration files: YAML 1.2 in, a `Robot` or every mistake out."""
 
+from uoarm.config._assignments import ASSIGN, assign
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._problem import Place, Problem
 from uoarm.config._shape import published_schema
 
-__all__ = ["Place", "Problem", "Report", "inspect", "load", "loads", "published_schema"]
+__all__ = [
+    "ASSIGN",
+    "Place",
+    "Problem",
+    "Report",
+    "assign",
+    "inspect",
+    "load",
+    "loads",
+    "published_schema",
+]

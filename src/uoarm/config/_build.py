@@ -14,6 +14,7 @@ from uoarm.model import (
     FailoverPolicy,
     Function,
     Input,
+    Listening,
     MessageStructure,
     Output,
     OverflowPolicy,
@@ -34,7 +35,16 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
     failover = FailoverPolicy(**value.get("failover", {}))
-    return Robot(bridges, functions, warnings, origin, applications, failover)
+    hosts = _listening(value["hosts"], origin) if "hosts" in value else None
+    return Robot(bridges, functions, warnings, origin, applications, failover, hosts)
+
+
+def _listening(value: Mapping[str, Any], origin: str) -> Listening:
+    settings = {key: one for key, one in value.items() if key != "listen"}
+    if "certificates" in settings and origin:
+        folder = FilePath(settings["certificates"]).expanduser()
+        settings["certificates"] = str(FilePath(origin).resolve().parent / folder)
+    return Listening(value["listen"], **settings)
 
 
 def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
@@ -48,9 +58,10 @@ def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, An
 def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
     plugin = value.get("plugin", name)
     options = dict(value.get("options", {}))
-    if plugin == "python" and "path" not in options and origin:
-        options["path"] = [str(FilePath(origin).resolve().parent)]
     host = value.get("host", False)
+    elsewhere = isinstance(host, dict) and "machine" in host
+    if plugin == "python" and "path" not in options and origin and not elsewhere:
+        options["path"] = [str(FilePath(origin).resolve().parent)]
     if isinstance(host, bool):
         return BridgeSpec(name, plugin, options, {} if host else None)
     return BridgeSpec(name, plugin, options, host)

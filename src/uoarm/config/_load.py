@@ -142,7 +142,7 @@ def _judge(document: Document, file: str, types: Types) -> Report:
         found.extend(shape.structure_problems(structure, path))
     told = {problem.place for problem in document.problems}
     problems = [*document.problems, *(one for one in found if one.place not in told)]
-    warnings = _sorted(meaning.warnings)
+    warnings = _sorted([*meaning.warnings, *plugins.warnings()])
     if problems:
         return Report(None, _sorted(problems), warnings)
     assert isinstance(document.value, dict), "the shape was checked"

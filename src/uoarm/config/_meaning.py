@@ -9,6 +9,7 @@ from attrs import Factory, define
 
 from uoarm.config._cycles import avoidable_cycles, unavoidable_cycles
 from uoarm.config._document import Document, Path
+from uoarm.config._hosts import host_mistakes
 from uoarm.config._parts import (
     ComponentPart,
     PortPart,
@@ -66,6 +67,8 @@ class MeaningChecker:
         """Check everything; the results stand in `problems` and `warnings`."""
         self._check_names()
         self._check_bridges()
+        for path, sentence, hint in host_mistakes(self._document.value):
+            self._refuse(path, sentence, hint, at_key=True)
         for component in self._components:
             self._check_ports(component)
             for port in component.inputs():
@@ -113,18 +116,11 @@ class MeaningChecker:
                 self._refuse(
                     (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
                 )
-        for name, bridge_part in self._bridges.items():
-            self._check_host(name, bridge_part)
+        for name in self._bridges:
             if name not in used:
                 self._warn(
                     ("bridges", name), f"no component uses the bridge {clip(name)}", at_key=True
                 )
-
-    def _check_host(self, name: str, bridge: object) -> None:
-        host = bridge.get("host") if isinstance(bridge, dict) else None
-        if isinstance(host, dict) and "environment" in host and "python" in host:
-            path = ("bridges", name, "host", "python")
-            self._refuse(path, "give either environment or python, not both", at_key=True)
 
     def _check_ports(self, component: ComponentPart) -> None:
         streams = component.streams

@@ -20,6 +20,7 @@ __all__ = [
     "bridge_names",
     "components",
     "function_names",
+    "listening",
 ]
 
 _STREAMS = ("input", "inputs", "output", "outputs")
@@ -106,6 +107,11 @@ def applications(value: object) -> dict[str, list[Any]]:
     """Return what each application asks for, where it can be told."""
     asked = _mapping(_mapping(value).get("applications"))
     return {name: names for name, names in asked.items() if isinstance(names, list)}
+
+
+def listening(value: object) -> dict[str, Any]:
+    """Return where hosts on other machines join, where it can be told."""
+    return _mapping(_mapping(value).get("hosts"))
 
 
 def components(value: object) -> Iterator[ComponentPart]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from uoarm.bridge import BridgeType
+from uoarm.config._assignments import assignables, installation
 from uoarm.config._document import Document, Path
 from uoarm.config._parts import bridge_names, components
 from uoarm.config._problem import Problem, clip, write_path
@@ -28,11 +29,13 @@ class PluginChecker:
         self._file = file
         self._speller = speller
         self._bridges: dict[str, tuple[BridgeType, Any]] = {}
+        self._hosts: dict[str, Any] = {}
         for name, written in bridge_names(document.value).items():
             settings = written if isinstance(written, dict) else {}
             kind = types.get(str(settings.get("plugin", name)))
             if kind is not None:
                 self._bridges[name] = kind, settings.get("options", {})
+                self._hosts[name] = settings.get("host")
 
     def problems(self) -> Iterator[Problem]:
         """Yield every mistake in options and endpoints."""
@@ -45,6 +48,24 @@ class PluginChecker:
                 kind, _ = self._bridges[bridge]
                 for port in (*component.inputs(), *component.outputs(), *component.services()):
                     yield from self._endpoint_problems(kind, port.value, port.path)
+
+    def warnings(self) -> Iterator[Problem]:
+        """Yield what several installations of a plugin have in common and should not have."""
+        seen: dict[tuple[str, str, str], tuple[str, str]] = {}
+        for name, (kind, options) in self._bridges.items():
+            for one in assignables(kind) if isinstance(options, dict) else ():
+                if one.option not in options:
+                    continue
+                value = clip(options[one.option])
+                place = installation(self._hosts[name])
+                first, where = seen.setdefault((kind.name, one.option, value), (name, place))
+                if where != place:
+                    sentence = (
+                        f"bridge {first} has the same {one.option} {value}, with another "
+                        f"installation of {kind.name}: they meet there"
+                    )
+                    path: Path = ("bridges", name, "options", one.option)
+                    yield self._problem(path, sentence, "leave it out, and uoarm chooses")
 
     def _option_problems(self, kind: BridgeType, options: Any, path: Path) -> Iterator[Problem]:
         from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import

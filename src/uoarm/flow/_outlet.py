@@ -14,13 +14,17 @@ class Outlet:
     """The routes that one output feeds.
 
     `deliver` reads a tuple that `attach` and `detach` replace, so that it needs no lock.
+
+    Attributes:
+        unheard: messages that came while no route was there.
     """
 
-    __slots__ = ("_lock", "_routes")
+    __slots__ = ("_lock", "_routes", "unheard")
 
     def __init__(self) -> None:
         self._routes: tuple[Route, ...] = ()
         self._lock = threading.Lock()
+        self.unheard = 0
 
     @property
     def routes(self) -> tuple[Route, ...]:
@@ -29,8 +33,11 @@ class Outlet:
 
     def deliver(self, message: Message) -> None:
         """Hand one message to every route. Never raises."""
-        for route in self._routes:
+        routes = self._routes
+        for route in routes:
             route.deliver(message)
+        if not routes:
+            self.unheard += 1
 
     def attach(self, route: Route) -> None:
         """Feed a route from the next message on."""

@@ -129,15 +129,21 @@ class Route:
         """Wait until what is queued was handed over; False when time ran out."""
         return self._queue is None or self._queue.drain(timeout)
 
-    def close(self) -> None:
-        """Hand over nothing more; what is queued is lost and counted. Once is enough.
+    @property
+    def closed(self) -> bool:
+        """Whether it hands over nothing more."""
+        return self._closed
 
-        Waits a second at most for a message that the worker has in hand.
-        """
+    def stop(self) -> None:
+        """Hand over nothing more; what is queued is lost and counted. Waits for nothing."""
         with self._dropping:
             self._closed = True
         if self._queue is not None:
             self._queue.close(discard=True)
+
+    def close(self) -> None:
+        """Stop, and wait a second at most for a message that the worker has in hand."""
+        self.stop()
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join(_WORKER_SECONDS)
 

@@ -3,9 +3,20 @@
 Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
 """
 
+from uoarm.host._desk import MachineDesk
 from uoarm.host._die_with_parent import die_with_parent
+from uoarm.host._join import JoinedHost
 from uoarm.host._remote import RemoteBridge
+from uoarm.host._security import Identity
 from uoarm.host._settings import HostSettings
 from uoarm.host._xmlrpc import XmlRpcFace
 
-__all__ = ["HostSettings", "RemoteBridge", "XmlRpcFace", "die_with_parent"]
+__all__ = [
+    "HostSettings",
+    "Identity",
+    "JoinedHost",
+    "MachineDesk",
+    "RemoteBridge",
+    "XmlRpcFace",
+    "die_with_parent",
+]

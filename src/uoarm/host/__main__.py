@@ -16,8 +16,10 @@ from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.host import _keys
 from uoarm.host._die_with_parent import die_with_parent
+from uoarm.host._limit_memory import limit_memory
 from uoarm.host._link import Link, Reply
 from uoarm.host._serving import Serving
+from uoarm.host._tally import Tally
 from uoarm.model import BridgeSpec
 
 _REFUSED_SECONDS = 30.0
@@ -30,6 +32,7 @@ def main() -> int:
         orders = json.loads(given.readline())
     if not die_with_parent(orders["parent"]):
         return _ORPHANED
+    limit_memory(orders["memory"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
     ended = threading.Event()
@@ -45,11 +48,11 @@ def main() -> int:
     except UoarmError as error:
         _refuse(link, error, ended)
         return 1
-    return _serve(bridge, link, ended)
+    return _serve(bridge, link, ended, Tally(Path(orders["tally"]), make=False))
 
 
-def _serve(bridge: Bridge, link: Link, ended: threading.Event) -> int:
-    serving = Serving(bridge, link, ended)
+def _serve(bridge: Bridge, link: Link, ended: threading.Event, tally: Tally) -> int:
+    serving = Serving(bridge, link, ended, tally)
     serving.begin()
     ended.wait()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

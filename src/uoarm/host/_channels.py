@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from uoarm.bridge import Channel, Delivery, Sink
 from uoarm.errors import UoarmError
 from uoarm.host._flow import Incoming, Outgoing
+from uoarm.host._tally import Counter
 from uoarm.model import Endpoint, Message
 
 __all__ = ["AskChannel", "RemoteChannel", "RemoteSink", "RemoteSource"]
@@ -53,15 +54,27 @@ class RemoteChannel(Channel):
 
 
 class RemoteSource(RemoteChannel):
-    """An output in a host; its messages arrive in a thread of their own."""
+    """An output in a host; its messages arrive in a thread of their own.
+
+    Attributes:
+        counter: of the messages that the host took from its component; None: not known.
+        given: how many were handed on.
+    """
 
     incoming: Incoming
     delivery: Delivery
+    counter: Counter | None = None
+    given: int = 0
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what was lost on the link; latency in seconds."""
-        incoming = self.incoming
-        ours = {"lost_on_link": incoming.lost, "link_latency": incoming.latency}
+        lost = self.incoming.lost
+        taken = self.given + lost if self.counter is None else self.counter.read()
+        ours = {
+            "under_way": max(0, taken - self.given - lost),
+            "lost_on_link": lost,
+            "link_latency": self.incoming.latency,
+        }
         return {**self.host_facts, **ours}
 
     def drain(self, timeout: float) -> bool:
@@ -82,9 +95,13 @@ class RemoteSink(RemoteChannel, Sink):
     """An input in a host.
 
     `send` waits for room for 10 s at most where the host's own sink may block, else for 0.2 s.
+
+    Attributes:
+        counter: of the messages that the component in the host took; None: not known at once.
     """
 
     outgoing: Outgoing
+    counter: Counter | None = None
 
     def send(self, message: Message) -> None:
         """Send one message to the host, where it is handed to the component.
@@ -98,8 +115,12 @@ class RemoteSink(RemoteChannel, Sink):
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what became of the messages sent."""
         outgoing = self.outgoing
+        under_way = outgoing.unconfirmed
+        if self.counter is not None:
+            under_way = max(0, outgoing.sent - outgoing.lost - self.counter.read())
         ours = {
-            "unconfirmed": outgoing.unconfirmed,
+            "under_way": under_way,
+            "lost_on_link": outgoing.lost,
             "failed_in_host": outgoing.failed,
             "last_error_in_host": outgoing.last_error,
         }

@@ -19,6 +19,7 @@ from uoarm.host._link import ANSWER_SECONDS, Link
 from uoarm.host._process import HostProcess, host_command
 from uoarm.host._pulse import Pulse
 from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Tally
 from uoarm.model import BridgeSpec
 
 __all__ = ["HostConnection"]
@@ -59,7 +60,7 @@ class HostConnection:
         self._name = spec.name
         self._died = died
         self._doubted = doubted
-        self._silence = settings.silence
+        self._memory = settings.memory
         self._state = threading.Condition()
         self._alive = False
         self._closing = False
@@ -71,6 +72,7 @@ class HostConnection:
         variables = settings.process_variables(os.environ)
         folder = link_folder()
         try:
+            self.tally = Tally(folder / "tally", make=True)
             place = f"unixsock-stream/{folder}/link"
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
             shared = settings.shared_memory
@@ -84,7 +86,9 @@ class HostConnection:
                     "options": dict(spec.options),
                     "place": place,
                     "folder": str(folder),
+                    "tally": str(folder / "tally"),
                     "parent": os.getpid(),
+                    "memory": settings.memory_bytes,
                     "lease": lease,
                     "shared_memory": shared,
                 }
@@ -166,6 +170,7 @@ class HostConnection:
                     pulse.join(_JOIN_SECONDS)
                 if self._link is not None:
                     self._link.close()
+                    self.tally.close()
 
     def _end_with_python(self) -> None:
         """End a host that nobody closed before the interpreter ends."""
@@ -211,7 +216,7 @@ class HostConnection:
             self._state.notify_all()
 
     def _exited(self, how: str) -> None:
-        self._die(how)
+        self._die(f"{how}; it might have {self._memory} of memory" if self._memory else how)
 
     def _doubt(self, in_doubt: bool) -> None:  # noqa: FBT001 - told, not asked
         self._doubted(in_doubt, "its bridge host does not answer" if in_doubt else "it answers")

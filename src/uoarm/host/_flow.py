@@ -13,11 +13,12 @@ import time
 from collections.abc import Callable
 
 import msgpack
-from attrs import frozen
+from attrs import astuple, frozen
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.host._codec import pack, unpack
 from uoarm.host._link import Link
+from uoarm.host._tally import Counter
 from uoarm.model import Message
 
 __all__ = ["Ending", "Handled", "Incoming", "Outgoing"]
@@ -41,11 +42,19 @@ class Ending:
 
 @frozen
 class Handled:
-    """How far a receiving end is: the last number it handled, how many failed, and the last why."""
+    """How far a receiving end is.
+
+    Attributes:
+        number: of the last message it handled.
+        failed: how many its consumer raised on.
+        last_error: what it raised last.
+        lost: how many were lost on the way to it.
+    """
 
     number: int
     failed: int
     last_error: str
+    lost: int
 
 
 class Outgoing:
@@ -69,6 +78,7 @@ class Outgoing:
         self._room = threading.Condition()
         self.failed = 0
         self.last_error = ""
+        self.lost = 0
         self._end = link.listen(f"{key}/handled", self._read_confirmation)
 
     @property
@@ -150,6 +160,7 @@ class Outgoing:
         with self._room:
             self._handled = max(self._handled, handled.number)
             self.failed, self.last_error = handled.failed, handled.last_error
+            self.lost = handled.lost
             self._next_try = None
             self._room.notify_all()
 
@@ -166,6 +177,7 @@ class Incoming:
         name: for the thread.
         take: the consumer; what it raises is counted and told to the sending end.
         ended: told, after the last message, how the flow ended.
+        counter: where how many messages the consumer has taken is written down.
     """
 
     def __init__(
@@ -176,11 +188,13 @@ class Incoming:
         name: str,
         take: Callable[[Message], None],
         ended: Callable[[Ending], None],
+        counter: Counter | None = None,
     ) -> None:
         self._link = link
         self._key = key
         self._take = take
         self._ended = ended
+        self._counter = counter
         self._closed = False
         self._number = 0
         self._skipped = 0
@@ -197,7 +211,7 @@ class Incoming:
 
     def handled(self) -> Handled:
         """Return how far it is, for the sending end."""
-        return Handled(self._number, self.failed, self.last_error)
+        return Handled(self._number, self.failed, self.last_error, self.lost)
 
     def close(self) -> None:
         """Begin no other `take`; one under way finishes alone. Once is enough."""
@@ -228,7 +242,7 @@ class Incoming:
         number, skipped, sent_at, ending = msgpack.unpackb(header)
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
-        self.latency = max(0.0, (time.time_ns() - sent_at) / 1e9)
+        self.latency = max(0.0, (time.time_ns() + self._link.ahead() - sent_at) / 1e9)
         if ending is not None:
             self._ended(Ending(*ending))
         else:
@@ -238,6 +252,8 @@ class Incoming:
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self.failed += 1
                 self.last_error = f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]
+            if self._counter is not None:
+                self._counter.set(self.received)
         self._number = number
         self._confirm()
 
@@ -247,5 +263,5 @@ class Incoming:
         if few and now - self._confirmed_at < _CONFIRM_SECONDS:
             return
         self._confirmed, self._confirmed_at = self._number, now
-        header = msgpack.packb((self._number, self.failed, self.last_error))
+        header = msgpack.packb(astuple(self.handled()))
         self._link.publish(f"{self._key}/handled", b"", header, must_arrive=True)

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-__all__ = ["ALIVE", "ASK", "FOLDER", "LINK_VERSION", "PING", "TOLD", "flow", "service"]
+__all__ = [
+    "ALIVE",
+    "ANY_BRIDGE",
+    "ASK",
+    "FOLDER",
+    "LINK_VERSION",
+    "MACHINES",
+    "MANAGED",
+    "PING",
+    "TOLD",
+    "attach",
+    "clock",
+    "flow",
+    "here",
+    "service",
+    "talk",
+]
 
-LINK_VERSION = 1
+LINK_VERSION = 2
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"
@@ -14,6 +30,13 @@ ALIVE = "uoarm/host/alive"
 ASK = "uoarm/host/ask"
 PING = "uoarm/host/ping"
 TOLD = "uoarm/manager/told"
+MANAGED = "uoarm/manager/alive"
+
+MACHINES = "uoarm/machine"
+"""Every key of another machine begins so, and then with its name: the access list knows no more."""
+
+ANY_BRIDGE = "-"
+"""Stands for a bridge's name where a host serves every one; no bridge has this name."""
 
 
 def flow(number: int) -> str:
@@ -24,3 +47,23 @@ def flow(number: int) -> str:
 def service(number: int) -> str:
     """Name the place where the manager answers for a service that the framework calls."""
     return f"uoarm/manager/service/{number}"
+
+
+def here(machine: str, bridge: str, host: str) -> str:
+    """Name the token of a host on another machine that serves this bridge; behind `MACHINES`."""
+    return f"{machine}/here/{bridge}/{host}"
+
+
+def attach(machine: str, host: str) -> str:
+    """Name the place where such a host takes orders; behind `MACHINES`."""
+    return f"{machine}/attach/{host}"
+
+
+def clock(machine: str, host: str) -> str:
+    """Name the place where such a host tells its time; behind `MACHINES`."""
+    return f"{machine}/clock/{host}"
+
+
+def talk(machine: str, bridge: str, time: str) -> str:
+    """Name what stands before every key of one bridge while one manager uses it."""
+    return f"{machine}/talk/{bridge}/{time}"

@@ -6,11 +6,13 @@ an error, also when the answering function raises. Foreign exceptions end here.
 
 from __future__ import annotations
 
+import copy
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from types import MappingProxyType
 from typing import Any
 
 import zenoh
@@ -30,6 +32,8 @@ _RETRY_MILLISECONDS = 200
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
 
+_NOTHING: Mapping[str, object] = MappingProxyType({})
+
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
 
@@ -38,12 +42,16 @@ class Link:
     """One end of a link. All methods may be called from any thread.
 
     Args:
-        place: a Zenoh endpoint, `unixsock-stream/...`.
+        place: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
         listen: whether this end waits for the other one; it must be there first.
         timeout: seconds for the connection to stand, where this end connects.
         lease: seconds without a sign of life after which the other end is taken for gone. The
             pulse notices a host that hangs, so this may be long.
         shared_memory: whether large frames cross in shared memory; both ends must say the same.
+        more: further settings of the session, by name.
+
+    Attributes:
+        ahead: by how many nanoseconds the clock at the other end is ahead of this one.
 
     Raises:
         BridgeError: the session could not be opened.
@@ -57,13 +65,31 @@ class Link:
         timeout: float = 10.0,
         lease: float = 10.0,
         shared_memory: bool = False,
+        more: Mapping[str, object] = _NOTHING,
     ) -> None:
         with _wrapped(f"opening the link at {place}"):
             settings = configuration(
-                place, listen=listen, timeout=timeout, lease=lease, shared_memory=shared_memory
+                place,
+                listen=listen,
+                timeout=timeout,
+                lease=lease,
+                shared_memory=shared_memory,
+                more=more,
             )
             self._session = zenoh.open(settings)
+        self._prefix = ""
         self._kept: list[Any] = []
+        self.ahead: Callable[[], int] = _same_clock
+
+    def part(self, prefix: str) -> Link:
+        """Return a link over the same session that sees every key behind a prefix.
+
+        Closing it ends what was declared through it; the session stays.
+        """
+        part = copy.copy(self)
+        part._prefix = f"{self._prefix}{prefix}/"  # noqa: SLF001 - one of this kind
+        part._kept = []  # noqa: SLF001 - likewise
+        return part
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
         """Send a request and return the answer; waits `timeout` seconds at most.
@@ -74,6 +100,7 @@ class Link:
             BridgeTimeoutError: no answer in time.
         """
         begun = time.monotonic()
+        key = self._prefix + key
         with _wrapped(f"asking {key}"):
             replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
         late = time.monotonic() - begun >= timeout
@@ -106,7 +133,9 @@ class Link:
                 reply(error)
 
         with _wrapped(f"answering at {key}"):
-            return self._keep(self._session.declare_queryable(key, _directly(handle)))
+            return self._keep(
+                self._session.declare_queryable(self._prefix + key, _directly(handle))
+            )
 
     def publish(
         self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
@@ -120,7 +149,7 @@ class Link:
         """
         with _wrapped(f"sending to {key}"):
             self._session.put(
-                key,
+                self._prefix + key,
                 payload,
                 attachment=header,
                 congestion_control=_BLOCK if must_arrive else _DROP,
@@ -133,7 +162,8 @@ class Link:
         `length` frames wait; the oldest are lost first.
         """
         with _wrapped(f"subscribing to {key}"):
-            subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(length))
+            ring: Any = zenoh.handlers.RingChannel(length)
+            subscriber = self._session.declare_subscriber(self._prefix + key, ring)
         waiting = subscriber.handler
 
         def receive() -> tuple[bytes, bytes] | None:
@@ -155,27 +185,40 @@ class Link:
                 take(header.to_bytes())
 
         with _wrapped(f"listening at {key}"):
-            return self._keep(self._session.declare_subscriber(key, _directly(handle)))
+            taking = _directly(handle)
+            return self._keep(self._session.declare_subscriber(self._prefix + key, taking))
 
     def show_alive(self, key: str) -> None:
         """Declare a token that goes when this end dies."""
         with _wrapped("declaring the token"):
-            self._keep(self._session.liveliness().declare_token(key))
+            self._keep(self._session.liveliness().declare_token(self._prefix + key))
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
         """Have the coming and going of a token told, in the link's thread."""
+        self.watch_tokens(key, lambda _, alive: seen(alive))
+
+    def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> None:
+        """Have the coming and going of every token that matches told, each with its key."""
 
         def handle(sample: zenoh.Sample) -> None:
-            seen(sample.kind == zenoh.SampleKind.PUT)
+            key = str(sample.key_expr).removeprefix(self._prefix)
+            seen(key, sample.kind == zenoh.SampleKind.PUT)
 
-        with _wrapped("watching the token"):
+        with _wrapped("watching for tokens"):
             tokens = self._session.liveliness()
-            subscriber = tokens.declare_subscriber(key, _directly(handle), history=True)
+            place = self._prefix + keys
+            subscriber = tokens.declare_subscriber(place, _directly(handle), history=True)
         self._keep(subscriber)
 
     def close(self) -> None:
-        """End everything of this end. Once is enough."""
+        """End everything of this end, or of this part of it. Once is enough."""
+        kept = list(self._kept)
         self._kept.clear()
+        if self._prefix:
+            for declared in kept:
+                with suppress(zenoh.ZError):  # the session was closed before
+                    declared.undeclare()
+            return
         with _wrapped("closing the link"):
             self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
 
@@ -189,6 +232,10 @@ class Link:
                     declared.undeclare()
 
         return end
+
+
+def _same_clock() -> int:
+    return 0
 
 
 def _directly(handle: Callable[[Any], None]) -> Any:
@@ -223,7 +270,13 @@ def _wrapped(step: str) -> Iterator[None]:
 
 
 def configuration(
-    place: str, *, listen: bool, timeout: float, lease: float, shared_memory: bool
+    place: str,
+    *,
+    listen: bool,
+    timeout: float,
+    lease: float,
+    shared_memory: bool,
+    more: Mapping[str, object] = _NOTHING,
 ) -> zenoh.Config:
     """Return settings under which nothing is found by itself and nothing listens elsewhere."""
     settings: dict[str, object] = {
@@ -244,6 +297,7 @@ def configuration(
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
             _FULL_MICROSECONDS
         ),
+        **more,
     }
     configuration: zenoh.Config = zenoh.Config()
     for name, value in settings.items():

@@ -15,6 +15,7 @@ from uoarm.host import _keys
 from uoarm.host._codec import pack
 from uoarm.host._flow import Ending, Incoming, Outgoing
 from uoarm.host._link import Link
+from uoarm.host._tally import Counter, Tally
 from uoarm.model import Endpoint, Message
 
 __all__ = ["Leaving", "OpenFlows"]
@@ -26,12 +27,19 @@ _log = logging.getLogger("uoarm")
 class Leaving:
     """The messages of one source on their way to the manager.
 
+    Args:
+        endpoint: of the source.
+        outgoing: the flow.
+        counter: where how many messages the source has delivered is written down.
+
     Attributes:
         channel: the source, from when it is open.
     """
 
-    def __init__(self, endpoint: Endpoint, outgoing: Outgoing) -> None:
+    def __init__(self, endpoint: Endpoint, outgoing: Outgoing, counter: Counter | None) -> None:
         self.endpoint = endpoint
+        self._counter = counter
+        self._taken = 0
         self.channel: Channel | None = None
         self._outgoing = outgoing
         self._closed = False
@@ -44,6 +52,9 @@ class Leaving:
 
     def deliver(self, message: Message) -> None:
         """Send one message. Never raises: what cannot be sent is counted as lost."""
+        if self._counter is not None:
+            self._taken += 1
+            self._counter.set(self._taken)
         try:
             self._outgoing.send(message)
         except UoarmError as error:
@@ -76,16 +87,18 @@ class _Open:
 class OpenFlows:
     """Opens, lists and closes flows. All methods may be called from any thread."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, tally: Tally | None) -> None:
         self._link = link
+        self._tally = tally
         self._lock = threading.Lock()
         self._open: dict[int, _Open] = {}
         self._opening: list[Leaving] = []
 
     @contextmanager
-    def leaving(self, number: int, endpoint: Endpoint) -> Iterator[Leaving]:
+    def leaving(self, number: int, slot: int | None, endpoint: Endpoint) -> Iterator[Leaving]:
         """Make the flow of a source, which the caller opens meanwhile and sets `channel` to."""
-        leaving = Leaving(endpoint, Outgoing(self._link, _keys.flow(number), _PATIENCE_SECONDS))
+        outgoing = Outgoing(self._link, _keys.flow(number), _PATIENCE_SECONDS)
+        leaving = Leaving(endpoint, outgoing, self._counter(slot))
         with self._lock:
             self._opening.append(leaving)
         try:
@@ -99,7 +112,7 @@ class OpenFlows:
                 if leaving.channel is not None:
                     self._open[number] = _Open(leaving.channel, leaving=leaving)
 
-    def arriving(self, number: int, sink: Sink) -> None:
+    def arriving(self, number: int, slot: int | None, sink: Sink) -> None:
         """Feed a sink with the messages of a flow from now on."""
         incoming = Incoming(
             self._link,
@@ -107,6 +120,7 @@ class OpenFlows:
             name=f"manager-{number}",
             take=sink.send,
             ended=lambda _: None,
+            counter=self._counter(slot),
         )
         with self._lock:
             self._open[number] = _Open(sink, arriving=incoming)
@@ -139,7 +153,7 @@ class OpenFlows:
                     return one.leaving
             return next((one for one in self._opening if one.endpoint == channel.endpoint), None)
 
-    def pulse(self) -> list[tuple[int, tuple[int, int, str] | None, Mapping[str, object]]]:
+    def pulse(self) -> list[tuple[int, tuple[int, int, str, int] | None, Mapping[str, object]]]:
         """Return for every channel its number, how far a sink is, and the facts last looked at."""
         with self._lock:
             found = list(self._open.items())
@@ -180,3 +194,6 @@ class OpenFlows:
         finally:
             if found.leaving is not None:
                 found.leaving.close()
+
+    def _counter(self, slot: int | None) -> Counter | None:
+        return None if slot is None or self._tally is None else Counter(self._tally, slot)

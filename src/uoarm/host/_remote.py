@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, final
 
 from uoarm.bridge import (
@@ -18,13 +19,16 @@ from uoarm.bridge import (
     Handler,
     Sink,
 )
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.host import _keys
 from uoarm.host._channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm.host._connection import HostConnection
+from uoarm.host._desk import MachineDesk
 from uoarm.host._flow import Ending, Handled, Incoming, Outgoing
 from uoarm.host._link import Reply
+from uoarm.host._machine import MachineConnection
 from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Counter
 from uoarm.host._workers import Workers
 from uoarm.model import (
     BridgeSpec,
@@ -49,8 +53,11 @@ _log = logging.getLogger("uoarm")
 class RemoteBridge(Bridge):
     """A bridge that runs in a process of its own, which this object starts and ends.
 
+    One on another machine is only taken up and let go: its process is not this object's.
+
     Args:
         spec: name, plugin and options of the bridge; `spec.host` are the settings of its host.
+        desk: where other machines join; for a host that has a `machine`.
 
     Raises:
         UoarmError: what the plugin raised when it was started in the host.
@@ -58,14 +65,20 @@ class RemoteBridge(Bridge):
         BridgeTimeoutError: it was not ready in time.
     """
 
-    def __init__(self, spec: BridgeSpec) -> None:
+    def __init__(self, spec: BridgeSpec, desk: MachineDesk | None = None) -> None:
         super().__init__(spec.name, spec.options)
         self._numbers = itertools.count(1)
         self._channels: dict[int, RemoteChannel] = {}
         self._services = Workers(f"uoarm-serve-{spec.name}")
         self._told_death = threading.Lock()
         settings = HostSettings.read(spec.host or {})
-        self._host = HostConnection(
+        connect: Callable[..., HostConnection | MachineConnection] = HostConnection
+        if settings.machine is not None:
+            if desk is None:
+                text = f"bridge {spec.name!r} is on machine {settings.machine!r}: ask its manager"
+                raise BridgeError(text, FailureReason.UNSUPPORTED)
+            connect = partial(MachineConnection, desk, settings.machine)
+        self._host = connect(
             spec, settings, heard=self._heard, doubted=self._doubted, died=self._died
         )
         try:
@@ -95,7 +108,12 @@ class RemoteBridge(Bridge):
         def ended(ending: Ending) -> None:
             self.report(Health(ending.health), ending.cause, channel=channel)
 
-        channel.delivery = Delivery(deliver)
+        def give(message: Message) -> None:
+            channel.given += 1
+            deliver(message)
+
+        channel.counter = self._counter()
+        channel.delivery = Delivery(give)
         channel.incoming = Incoming(
             self._host.link,
             _keys.flow(number),
@@ -105,9 +123,7 @@ class RemoteBridge(Bridge):
         )
         self._channels[number] = channel
         try:
-            self._ask(
-                "source", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
-            )
+            self._ask("source", **_opening(number, channel.counter, endpoint, structure))
         except BaseException:
             channel.incoming.close()
             self._drop(number)
@@ -117,9 +133,13 @@ class RemoteBridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         number = next(self._numbers)
         channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
-        channel.blocking = self._ask(
-            "sink", flow=number, endpoint=to_json(endpoint), structure=to_json(structure)
-        )
+        channel.counter = self._counter()
+        try:
+            opening = _opening(number, channel.counter, endpoint, structure)
+            channel.blocking = self._ask("sink", **opening)
+        except BaseException:
+            self._take_back(channel.counter)
+            raise
         patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
         channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
         self._channels[number] = channel
@@ -174,7 +194,17 @@ class RemoteBridge(Bridge):
         return None
 
     def _drop(self, number: int) -> None:
-        self._channels.pop(number, None)
+        channel = self._channels.pop(number, None)
+        if isinstance(channel, RemoteSource | RemoteSink) and not self._host.dead:
+            self._take_back(channel.counter)
+
+    def _counter(self) -> Counter | None:
+        tally = self._host.tally
+        return None if tally is None else tally.counter()
+
+    def _take_back(self, counter: Counter | None) -> None:
+        if self._host.tally is not None:
+            self._host.tally.take_back(counter)
 
     def _heard(self, answer: list[Any]) -> None:
         for number, handled, facts in answer:
@@ -206,3 +236,14 @@ class RemoteBridge(Bridge):
             component=told["component"],
         )
         reply(None)
+
+
+def _opening(
+    number: int, counter: Counter | None, endpoint: Endpoint, structure: MessageStructure
+) -> dict[str, Any]:
+    return {
+        "flow": number,
+        "slot": None if counter is None else counter.slot,
+        "endpoint": to_json(endpoint),
+        "structure": to_json(structure),
+    }

@@ -15,6 +15,7 @@ from uoarm.host import _keys
 from uoarm.host._flow import Ending
 from uoarm.host._link import ANSWER_SECONDS, Link, Reply
 from uoarm.host._open_flows import OpenFlows
+from uoarm.host._tally import Tally
 from uoarm.host._workers import Workers
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
@@ -32,12 +33,15 @@ class Serving:
         bridge: the bridge of this host.
         link: to the manager.
         ended: set when the manager has closed the bridge.
+        tally: where flows are counted; None where the manager shares no memory.
     """
 
-    def __init__(self, bridge: Bridge, link: Link, ended: Event) -> None:
+    def __init__(
+        self, bridge: Bridge, link: Link, ended: Event, tally: Tally | None = None
+    ) -> None:
         self._bridge = bridge
         self._link = link
-        self._flows = OpenFlows(link)
+        self._flows = OpenFlows(link, tally)
         self._workers = Workers("uoarm-ask")
         self._teller = ThreadPoolExecutor(1, thread_name_prefix="uoarm-tell")
         self._looker = ThreadPoolExecutor(1, thread_name_prefix="uoarm-look")
@@ -66,6 +70,12 @@ class Serving:
         self._link.answer(_keys.ASK, self._take)
         self._link.answer(_keys.PING, self._beat)
         self._link.show_alive(_keys.ALIVE)
+
+    def end(self) -> None:
+        """Take no more requests; those under way end alone."""
+        self._workers.close()
+        self._teller.shutdown(wait=False, cancel_futures=True)
+        self._looker.shutdown(wait=False, cancel_futures=True)
 
     def _beat(self, _: Any, reply: Reply) -> None:
         """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
@@ -113,7 +123,7 @@ class Serving:
 
     def _source(self, request: Request) -> None:
         endpoint, structure = _port(request)
-        with self._flows.leaving(request["flow"], endpoint) as leaving:
+        with self._flows.leaving(request["flow"], request["slot"], endpoint) as leaving:
             leaving.channel = self._bridge.open_source(
                 endpoint, structure, leaving.deliver, timeout=ANSWER_SECONDS
             )
@@ -121,7 +131,7 @@ class Serving:
     def _sink(self, request: Request) -> bool:
         endpoint, structure = _port(request)
         sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
-        self._flows.arriving(request["flow"], sink)
+        self._flows.arriving(request["flow"], request["slot"], sink)
         return sink.blocking
 
     def _call(self, request: Request) -> Message:

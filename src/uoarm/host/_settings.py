@@ -19,6 +19,7 @@ __all__ = ["HostSettings"]
 _OF_A_PYTHON = ("PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV")
 _MARK_OF_ROS_WHEELS = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 _LIBRARIES = "LD_LIBRARY_PATH"
+_UNITS = {"MiB": 2**20, "GiB": 2**30}
 
 
 @frozen
@@ -26,6 +27,8 @@ class HostSettings:
     """Settings of one bridge host.
 
     Attributes:
+        machine: name of another machine, where the host was started and joins by itself; of the
+            others, only `silence` and `start` go with it.
         environment: name of an environment made with `uoarm env create`.
         python: path of an interpreter; where neither is given, the application's own.
         variables: environment variables to set, or with None to take away.
@@ -33,8 +36,10 @@ class HostSettings:
         start: seconds within which it must be ready.
         restarts: deaths in a row after which the manager gives it up.
         shared_memory: whether large messages cross in shared memory.
+        memory: how much memory it may have, `512 MiB` or `2 GiB`; None: all there is. Linux.
     """
 
+    machine: str | None = None
     environment: str | None = None
     python: str | None = None
     variables: Mapping[str, str | None] = field(factory=dict, hash=False)
@@ -42,12 +47,20 @@ class HostSettings:
     start: float = 30.0
     restarts: int = 5
     shared_memory: bool = False
+    memory: str | None = None
 
     @classmethod
     def read(cls, options: Options) -> HostSettings:
         """Return the settings of a `host:` mapping, whose keys the configuration has checked."""
         given: dict[str, Any] = dict(options)
         return cls(**given)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        """How much memory it may have; None: all there is."""
+        if self.memory is None:
+            return None
+        return int(self.memory[:-3]) * _UNITS[self.memory[-3:]]
 
     def interpreter(self) -> Path:
         """Return the interpreter that runs the host.

@@ -36,5 +36,5 @@ class Attempt:
             self._is_given_up = True
             connection = self._connection
         if connection is not None:
-            connection.end(ConnectionState.FAILED, cause)
+            connection.course.end(ConnectionState.FAILED, cause)
         return connection

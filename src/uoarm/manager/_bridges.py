@@ -12,8 +12,9 @@ from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.flow import Clock
 from uoarm.manager._hosted import start_hosted
+from uoarm.manager._machines import Machines
 from uoarm.manager._restarts import Restarts
-from uoarm.model import BridgeSpec, BridgeStatus, Health
+from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
 
 __all__ = ["BridgeSet"]
 
@@ -31,6 +32,7 @@ class BridgeSet:
         listener: told of every health event.
         ready: instances to use instead of making them; closed with the others.
         clock: seconds, for the waits between restarts.
+        listening: where hosts on other machines join.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class BridgeSet:
         listener: Callable[[HealthEvent], None],
         ready: Mapping[str, Bridge],
         clock: Clock,
+        listening: Listening | None = None,
     ) -> None:
         self._specs = specs
         self._registry = registry
@@ -51,6 +54,7 @@ class BridgeSet:
         self._health: dict[str, tuple[Health, str]] = {}
         self._lock = threading.Lock()
         self._closed = False
+        self.machines = Machines(specs, listening, self._heard, self._state)
         for name, bridge in ready.items():
             self._bridges[name] = bridge
             bridge.watch(self._heard)
@@ -105,6 +109,7 @@ class BridgeSet:
                 health=health.get(name, _FINE)[0],
                 open_channels=0 if bridge is None else bridge.open_channels,
                 cause=health.get(name, _FINE)[1],
+                assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
             )
             for name, bridge in known.items()
         )
@@ -122,7 +127,14 @@ class BridgeSet:
                 bridge.close()
             except BridgeError as error:
                 failures.append(error)
+        self.machines.close()
         return failures
+
+    def _state(self, name: str) -> Health | None:
+        """Return how a bridge is that runs or was lost, None of any other."""
+        with self._lock:
+            health = self._health.get(name, _FINE)[0]
+            return health if name in self._bridges or health is Health.LOST else None
 
     def _require_open(self) -> None:
         if self._closed:
@@ -147,7 +159,7 @@ class BridgeSet:
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         if spec.host is not None:
-            return start_hosted(spec, spec.host, self._restarts)
+            return start_hosted(spec, spec.host, self._restarts, self.machines)
         return _bounded.run(
             f"starting bridge {name!r}",
             _START_SECONDS,

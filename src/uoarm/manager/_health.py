@@ -112,5 +112,5 @@ def _concerns(event: HealthEvent, component: Component) -> bool:
 
 
 def _finish_one(connection: Connection, cause: str) -> None:
-    connection.drain(_DRAIN_SECONDS)
-    connection.end(ConnectionState.CLOSED, cause)
+    connection.course.drain(_DRAIN_SECONDS)
+    connection.course.end(ConnectionState.CLOSED, cause)

@@ -8,7 +8,7 @@ from uoarm.adapt import check_edge
 from uoarm.errors import ResolutionError
 from uoarm.model import MessageStructure, Plan
 
-__all__ = ["Resolve", "heir"]
+__all__ = ["Resolve", "heir", "names"]
 
 _TRIES = 50
 
@@ -44,6 +44,11 @@ def heir(dead: Plan, output: str | None, excluded: frozenset[str], resolve: Reso
         unfit.append(f"component {name!r} is no heir: {difference}")
         excluded |= {name}
     raise ResolutionError("\n".join(unfit))
+
+
+def names(plan: Plan) -> tuple[str, ...]:
+    """Return the names of a plan's components, producers first."""
+    return tuple(step.component.name for step in plan.steps)
 
 
 def _difference(dead: Plan, plan: Plan, output: str | None) -> str:

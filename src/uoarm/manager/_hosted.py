@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, PluginError
+from uoarm.manager._machines import Machines
 from uoarm.manager._restarts import Restarts
 from uoarm.model import BridgeSpec, Options
 
 __all__ = ["start_hosted"]
 
 
-def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts) -> Bridge:
-    """Start the host of a bridge and return when it is ready.
+def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts, machines: Machines) -> Bridge:
+    """Start the host of a bridge, or find it on its machine, and return when it is ready.
 
     Args:
         spec: the bridge.
         host: the settings of its host, see `HostSettings`.
         restarts: what is known of earlier deaths.
+        machines: other machines; what runs there is never started from here.
 
     Raises:
         PluginError: the extra `uoarm[hosts]`, or the plugin in the host, is missing.
@@ -27,6 +29,8 @@ def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts) -> Bridge:
     except ImportError as error:
         text = f"bridge {spec.name!r} has a host, which needs: pip install 'uoarm[hosts]' ({error})"
         raise PluginError(text) from error
+    if "machine" in host:
+        return RemoteBridge(spec, machines.desk())
     restarts.check(spec.name, HostSettings.read(host).restarts)
     restarts.began(spec.name)
     try:

@@ -36,7 +36,7 @@ class Ledger:
         with self._lock:
             self.require_open()
             self._connections[connection.id] = connection
-        connection.on_change(self._changed)
+        connection.course.on_change(lambda: self._changed(connection))
 
     def require_open(self) -> None:
         """Raise ConnectionClosedError when the manager is closed."""
@@ -50,7 +50,7 @@ class Ledger:
 
     def users_of(self, live: LiveComponent) -> list[Connection]:
         """Return the connections that depend on an open component."""
-        return [connection for connection in self.all() if connection.uses(live)]
+        return [connection for connection in self.all() if connection.course.uses(live)]
 
     def close(self) -> tuple[Connection, ...]:
         """Admit no more connections; return those that are open."""

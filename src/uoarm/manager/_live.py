@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 from uoarm.bridge import Bridge, Channel, Sink
@@ -12,12 +12,13 @@ from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
 from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
 
-__all__ = ["LiveComponent", "connection_of", "facts_of"]
+__all__ = ["LiveComponent", "connection_of", "facts_of", "lost_with"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
+_LOSSES = frozenset({"under_way", "lost_on_link"})
 
 
 class LiveComponent:
@@ -25,6 +26,9 @@ class LiveComponent:
 
     Channels are opened when they are first needed and closed together. `close` never waits
     for a thread that is opening: that thread closes everything when it comes out.
+
+    Attributes:
+        lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
     def __init__(self, step: Step, bridge: Bridge) -> None:
@@ -40,6 +44,17 @@ class LiveComponent:
         self._senders: dict[str, Callable[[Message], None]] = {}
         self._busy = threading.Lock()
         self._doomed = False
+        self.lost = 0
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was closed, after its last user or its death."""
+        return self._doomed
+
+    @property
+    def unheard(self) -> int:
+        """How many messages it emitted while nobody took them, as it was being let go."""
+        return sum(outlet.unheard for outlet in self.outlets.values())
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -93,11 +108,6 @@ class LiveComponent:
         for channel in (*self._sinks.values(), *self._sources.values()):
             channel.drain(timeout)
 
-    def under_way(self) -> int:
-        """Return how many messages were sent to its inputs and not known to be handled."""
-        counts = (sink.facts().get("unconfirmed", 0) for sink in self._sinks.copy().values())
-        return sum(count for count in counts if isinstance(count, int))
-
     def close(self) -> None:
         """Close every channel, sources first; failures are logged. Bounded in time."""
         self._doomed = True
@@ -145,6 +155,16 @@ class LiveComponent:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
+                self.lost += _lost(channel)
+
+
+def lost_with(dead: Iterable[LiveComponent]) -> int:
+    """Return how many messages were under way in components that died, which are closed."""
+    lost = 0
+    for live in dead:
+        live.close()
+        lost += live.lost + live.unheard
+    return lost
 
 
 def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
@@ -153,6 +173,11 @@ def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
         return tuple(channel.facts().items())
     except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
         return (("failed", f"{type(error).__name__}: {error}"),)
+
+
+def _lost(channel: Channel) -> int:
+    counts = (value for name, value in facts_of(channel) if name in _LOSSES)
+    return sum(count for count in counts if isinstance(count, int))
 
 
 def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from attrs import define, field
 
 from uoarm.flow import Clock, Route
+from uoarm.manager._ends import Ends
 from uoarm.manager._live import LiveComponent, connection_of
-from uoarm.manager._pool import LiveEdge, Pool
-from uoarm.manager._sender import Sender
-from uoarm.model import Edge, Plan, ValidationMode
+from uoarm.manager._live_edge import LiveEdge
+from uoarm.manager._pool import Pool
+from uoarm.model import Edge, Plan, RouteStatus, ValidationMode
 
 __all__ = ["OpenPlan"]
 
@@ -28,6 +29,7 @@ class OpenPlan:
         pool: where components and edges are shared.
         validate: how many messages are checked.
         clock: seconds.
+        beside: whether its inputs may be fed by another plan until `Pool.change_over`.
     """
 
     plan: Plan
@@ -35,27 +37,34 @@ class OpenPlan:
     pool: Pool
     validate: ValidationMode
     clock: Clock
-    senders: dict[str, Sender] = field(factory=dict, init=False)
+    beside: bool = False
     edges: list[LiveEdge] = field(factory=list, init=False)
+    _ends: Ends | None = field(default=None, init=False)
+    _owns_ends: bool = field(default=False, init=False)
     _lives: dict[str, LiveComponent] = field(factory=dict, init=False)
     _undo: list[Callable[[], None]] = field(factory=list, init=False)
 
     @property
-    def provider(self) -> LiveComponent:
-        """The open component that provides the function asked for."""
-        return self._lives[self.plan.provider.component.name]
+    def ends(self) -> Ends:
+        """Where the application touches the plan, once it is being opened."""
+        assert self._ends is not None, "the ends are made before anything is opened"
+        return self._ends
 
     @property
     def components(self) -> tuple[LiveComponent, ...]:
         """The components in use."""
         return tuple(self._lives.values())
 
-    def component(self, name: str) -> LiveComponent:
-        """Return an open component of the plan."""
-        return self._lives[name]
+    def open(
+        self, output: str | None, receive: Callable[[], Route | None], before: Ends | None = None
+    ) -> None:
+        """Open everything.
 
-    def open(self, output: str | None, receive: Route | None) -> None:
-        """Open everything; `receive` takes the messages of the provider's `output`.
+        Args:
+            output: of the provider, whose messages the application receives.
+            receive: makes the route that takes them.
+            before: the ends of the plan so far, which stay where this plan has the same open
+                provider; see `inherit`.
 
         Raises:
             UoarmError: a step failed. What was opened is still held: call `close`.
@@ -64,13 +73,68 @@ class OpenPlan:
             live = self.pool.enter(step, self.user)
             self._lives[step.component.name] = live
             self._undo.append(lambda live=live: self.pool.leave(live, self.user))  # type: ignore[misc]
+        provider = self._lives[self.plan.provider.component.name]
+        is_same = before is not None and before.provider is provider
+        ends = before if is_same and before is not None else Ends(provider, receive(), output)
+        self._ends, self._owns_ends = ends, not is_same
+        if self._owns_ends:
+            ends.attach()
+        self._open_steps(None if ends.route is None else output)
+        if self._owns_ends:
+            ends.feed(connection_of(self.user), self.validate, self.clock)
+
+    def inherit(self, before: OpenPlan) -> None:
+        """Take over the ends that the plan so far has in common with this one."""
+        if before._ends is self._ends:
+            before._owns_ends, self._owns_ends = False, True
+
+    def close(self) -> None:
+        """Undo every step that was done, last first. May be called by several threads."""
+        if self._owns_ends:
+            self.ends.close()
+        while self._undo:
+            try:
+                undo = self._undo.pop()
+            except IndexError:
+                return
+            undo()
+
+    def run_out(self, timeout: float) -> None:
+        """Let what is under way pass through what ends with this plan; new messages stay out.
+
+        Waits `timeout` seconds at most for each queue and component.
+        """
+        for joined in self._edges_downstream():
+            if set(joined.users) == {self.user}:
+                joined.finish()
+            if joined.consumer.users == [self.user]:
+                joined.consumer.drain(timeout)
+
+    def drain(self, timeout: float) -> None:
+        """Wait until what is under way has passed every edge, `timeout` seconds for each."""
+        for joined in self._edges_downstream():
+            if joined.route is not None:
+                joined.route.drain(timeout)
+                joined.consumer.drain(timeout)
+
+    def ended_edges(self) -> Iterator[RouteStatus]:
+        """Yield the counters of its edges that have ended, for good."""
+        for joined in self.edges:
+            if joined.route is not None and joined.route.closed:
+                yield joined.route.status()
+
+    def uses(self, live: LiveComponent) -> bool:
+        """Say whether the connection depends on this open component."""
+        return any(one is live for one in self._lives.values())
+
+    def _open_steps(self, output: str | None) -> None:
+        """Open inputs, then outputs, from the provider up to the first producers."""
         incoming: dict[str, list[Edge]] = {}
         for edge in self.plan.edges:
             incoming.setdefault(edge.consumer, []).append(edge)
         wanted = {name: set[str]() for name in self._lives}
-        if output is not None and receive is not None:
-            wanted[self.provider.component.name].add(output)
-            self._receive(output, receive)
+        if output is not None:
+            wanted[self.ends.provider.component.name].add(output)
         for step in reversed(self.plan.steps):
             live = self._lives[step.component.name]
             for name in sorted(wanted[step.component.name]):
@@ -79,43 +143,22 @@ class OpenPlan:
                 joined = self._join(edge, live)
                 if joined.route is not None:
                     wanted[edge.producer].add(edge.output)
-        for port in self.provider.component.inputs:
-            if port.source is None:
-                self._feed(port.name)
 
-    def close(self) -> None:
-        """Undo every step that was done, last first. May be called by several threads."""
-        while self._undo:
-            try:
-                undo = self._undo.pop()
-            except IndexError:
-                return
-            undo()
-
-    def uses(self, live: LiveComponent) -> bool:
-        """Say whether the connection depends on this open component."""
-        return any(one is live for one in self._lives.values())
-
-    def _feed(self, name: str) -> None:
-        sender = Sender(self.provider, name, connection_of(self.user), self.validate, self.clock)
-        self.senders[name] = sender
-        self._undo.append(sender.close)
-
-    def _receive(self, output: str, route: Route) -> None:
-        outlet = self.provider.outlets[output]
-        outlet.attach(route)
-
-        def undo() -> None:
-            outlet.detach(route)
-            route.close()
-
-        self._undo.append(undo)
+    def _edges_downstream(self) -> list[LiveEdge]:
+        """Return its edges, those of the first producers first."""
+        order = {step.component.name: n for n, step in enumerate(self.plan.steps)}
+        return sorted(self.edges, key=lambda one: order[one.edge.producer])
 
     def _join(self, edge: Edge, consumer: LiveComponent) -> LiveEdge:
         producer = self._lives[edge.producer]
         joined = self.pool.join(
-            edge, self.user, producer=producer, consumer=consumer, validate=self.validate
+            edge,
+            self.user,
+            producer=producer,
+            consumer=consumer,
+            validate=self.validate,
+            beside=self.beside,
         )
         self.edges.append(joined)
-        self._undo.append(lambda: self.pool.part(joined, self.user, producer))
+        self._undo.append(lambda: self.pool.part(joined, self.user))
         return joined

@@ -2,57 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
-from attrs import define, field
+from uoarm.bridge import Bridge
+from uoarm.errors import ConnectionClosedError, ResolutionError
+from uoarm.flow import Clock
+from uoarm.manager._live import LiveComponent, connection_of
+from uoarm.manager._live_edge import LiveEdge
+from uoarm.model import Edge, Plan, Step, ValidationMode
 
-from uoarm.adapt import transfer
-from uoarm.bridge import Bridge, Channel
-from uoarm.errors import BridgeError, ConnectionClosedError, ResolutionError
-from uoarm.flow import Clock, Route, make_check
-from uoarm.manager._live import LiveComponent, facts_of
-from uoarm.model import Edge, QueuePolicy, RouteStatus, Step, ValidationMode
-
-__all__ = ["LiveEdge", "Pool"]
-
-_STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
-_log = logging.getLogger("uoarm")
-
-
-@define(eq=False)
-class LiveEdge:
-    """An open edge: a route of ours, or a native link of the bridge.
-
-    Its messages are checked as the strictest of its users wishes; a native link's never are.
-    """
-
-    edge: Edge
-    users: dict[str, ValidationMode] = field(factory=dict)
-    route: Route | None = None
-    link: Channel | None = None
-    ready: threading.Lock = field(factory=threading.Lock)
-    checking: threading.Lock = field(factory=threading.Lock)
-
-    def renew_check(self) -> None:
-        """Check messages as the users of this moment wish."""
-        if self.route is None:
-            return
-        with self.checking:
-            wished = list(self.users.values())
-            mode = max(wished, key=_STRICTNESS.index, default=ValidationMode.OFF)
-            name = producer_name(self.edge)
-            self.route.check = make_check(self.edge.producer_structure, mode, name)
-
-    def status(self) -> RouteStatus | None:
-        """Return what the status map shows; None while the edge is being opened."""
-        if self.route is not None:
-            return self.route.status()
-        if self.link is None:
-            return None
-        ends = producer_name(self.edge), consumer_name(self.edge)
-        return RouteStatus(*ends, 0, 0, native=True, facts=facts_of(self.link))
+__all__ = ["Pool"]
 
 
 class Pool:
@@ -69,6 +29,7 @@ class Pool:
         self._lock = threading.Lock()
         self._components: dict[str, LiveComponent] = {}
         self._edges: dict[tuple[str, str], LiveEdge] = {}
+        self._beside: dict[tuple[str, str], LiveEdge] = {}
 
     def enter(self, step: Step, user: str) -> LiveComponent:
         """Count a user of a component; nothing is opened yet."""
@@ -98,60 +59,103 @@ class Pool:
         producer: LiveComponent,
         consumer: LiveComponent,
         validate: ValidationMode,
+        beside: bool = False,
     ) -> LiveEdge:
         """Count a user of an edge, and open it when there was none.
+
+        Args:
+            edge: to open.
+            user: who counts as its user.
+            producer: the open component at its beginning.
+            consumer: the open component at its end.
+            validate: how many messages this user wishes to be checked.
+            beside: whether another edge may feed the input still; then `change_over` comes next.
 
         Raises:
             ResolutionError: the input is in use, fed by another component.
             BridgeError: a bridge could not open the input.
         """
-        key = edge.consumer, edge.input
         with self._lock:
-            joined = self._edges.get(key)
-            if joined is None:
-                joined = self._edges[key] = LiveEdge(edge)
-            elif (joined.edge.producer, joined.edge.output) != (edge.producer, edge.output):
-                raise ResolutionError(
-                    f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
-                    f"{joined.edge.producer!r}; this plan feeds it from {edge.producer!r}"
-                )
+            joined = self._place(edge, producer, consumer, beside=beside)
             joined.users[user] = validate
         try:
-            with joined.ready:
-                if joined.route is None and joined.link is None:
-                    self._open(joined, producer, consumer)
-                joined.renew_check()
+            joined.open(self._clock)
         except BaseException:
-            self.part(joined, user, producer)
+            self.part(joined, user)
             raise
         if user not in joined.users:
-            _shut(joined, producer)
-            raise ConnectionClosedError(f"{user} was given up while {key[0]!r} was being opened")
+            joined.close()
+            key = edge.consumer
+            raise ConnectionClosedError(f"{user} was given up while {key!r} was being opened")
         return joined
 
-    def part(self, joined: LiveEdge, user: str, producer: LiveComponent) -> None:
+    def part(self, joined: LiveEdge, user: str) -> None:
         """Take one user of an edge back; the last one closes it."""
         with self._lock:
             joined.users.pop(user, None)
-            key = joined.edge.consumer, joined.edge.input
-            if not joined.users and self._edges.get(key) is joined:
-                del self._edges[key]
+            if not joined.users:
+                for places in (self._edges, self._beside):
+                    if places.get(joined.key) is joined:
+                        del places[joined.key]
         if joined.users:
             joined.renew_check()
         else:
-            _shut(joined, producer)
+            joined.close()
+
+    def rivals(self, plan: Plan) -> set[str]:
+        """Return the users of edges that feed what a plan would feed from elsewhere."""
+        with self._lock:
+            return {
+                user
+                for edge in plan.edges
+                if (joined := self._edges.get((edge.consumer, edge.input))) is not None
+                and joined.origin != (edge.producer, edge.output)
+                for user in joined.users
+            }
+
+    def change_over(self, edges: Iterable[LiveEdge]) -> None:
+        """Let those of the edges that are held take the places of the ones that stand there.
+
+        What waits in a queue passes first, five seconds for each edge at most.
+
+        Raises:
+            ResolutionError: somebody else uses an edge that would end. Nothing has changed.
+            BridgeError: a bridge could not link both ends of an edge.
+        """
+        held = [joined for joined in dict.fromkeys(edges) if joined.held]
+        with self._lock:
+            standing = [self._edges.get(joined.key) for joined in held]
+            for joined, other in zip(held, standing, strict=True):
+                left = set() if other is None else _connections(other) - _connections(joined)
+                if left:
+                    raise ResolutionError(
+                        f"input {'.'.join(joined.key)} is fed for {', '.join(sorted(left))} by "
+                        "another component still"
+                    )
+            for joined in held:
+                del self._beside[joined.key]
+                self._edges[joined.key] = joined
+        for joined, other in zip(held, standing, strict=True):
+            if other is not None:
+                other.finish()
+            joined.release(self._clock)
 
     def bury(self, live: LiveComponent) -> None:
-        """Share a dead component no more, nor its edges; its users still leave it as ever."""
+        """Share a dead component no more; its users still leave it as ever.
+
+        Its edges stop at once, so that what each of them had counted stands.
+        """
+        name = live.component.name
         with self._lock:
-            if self._components.get(live.component.name) is live:
-                del self._components[live.component.name]
-                name = live.component.name
-                self._edges = {
-                    key: joined
-                    for key, joined in self._edges.items()
-                    if name not in {joined.edge.producer, joined.edge.consumer}
-                }
+            if self._components.get(name) is not live:
+                return
+            del self._components[name]
+            ended = [one for one in self._edges.values() if live in {one.producer, one.consumer}]
+            for joined in ended:
+                del self._edges[joined.key]
+        for joined in ended:
+            if joined.route is not None:
+                joined.route.stop()
 
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components open now."""
@@ -163,58 +167,28 @@ class Pool:
         with self._lock:
             return tuple(self._edges.values())
 
-    def _open(self, joined: LiveEdge, producer: LiveComponent, consumer: LiveComponent) -> None:
-        edge = joined.edge
-        joined.link = _native_link(edge, producer, consumer)
-        if joined.link is not None:
-            return
-        sink = consumer.open_input(edge.input)
-        queue = next(i.queue for i in consumer.component.inputs if i.name == edge.input)
-        if queue is None and sink.blocking:
-            queue = QueuePolicy()
-        route = Route(
-            producer_name(edge),
-            consumer_name(edge),
-            sink.send,
-            clock=self._clock,
-            transfer=transfer(edge),
-            queue=queue,
-        )
-        joined.route = route
-        producer.outlets[edge.output].attach(route)
+    def _place(
+        self, edge: Edge, producer: LiveComponent, consumer: LiveComponent, *, beside: bool
+    ) -> LiveEdge:
+        """Return the edge that is there already, or a new one in its place or beside it."""
+        key = edge.consumer, edge.input
+        standing = self._edges.get(key)
+        if standing is None:
+            joined = self._edges[key] = LiveEdge(edge, producer, consumer)
+            return joined
+        origin = edge.producer, edge.output
+        if standing.origin == origin:
+            return standing
+        waiting = self._beside.get(key)
+        if not beside or (waiting is not None and waiting.origin != origin):
+            raise ResolutionError(
+                f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
+                f"{standing.edge.producer!r}; this plan feeds it from {edge.producer!r}"
+            )
+        if waiting is None:
+            waiting = self._beside[key] = LiveEdge(edge, producer, consumer, held=True)
+        return waiting
 
 
-def _shut(joined: LiveEdge, producer: LiveComponent) -> None:
-    """Close an edge, also for the second time."""
-    if joined.route is not None:
-        producer.outlets[joined.edge.output].detach(joined.route)
-        joined.route.close()
-    if joined.link is not None:
-        try:
-            joined.link.close()
-        except BridgeError as error:
-            _log.warning("%s", error)
-
-
-def producer_name(edge: Edge) -> str:
-    """Name the output of an edge as the status map does."""
-    return f"{edge.producer}.{edge.output}"
-
-
-def consumer_name(edge: Edge) -> str:
-    """Name the input of an edge as the status map does."""
-    return f"{edge.consumer}.{edge.input}"
-
-
-def _native_link(edge: Edge, producer: LiveComponent, consumer: LiveComponent) -> Channel | None:
-    """Let the bridge connect both ends itself where they are its own and of one structure."""
-    if producer.bridge is not consumer.bridge or edge.mapping is not None:
-        return None
-    if edge.producer_structure != edge.consumer_structure:
-        return None
-    if not producer.bridge.capabilities.link:
-        return None
-    output = producer.component.output(edge.output)
-    assert output is not None, "the resolver checked every output"
-    sink = next(i.endpoint for i in consumer.component.inputs if i.name == edge.input)
-    return producer.bridge.link(output.endpoint, sink)
+def _connections(joined: LiveEdge) -> set[str]:
+    return {connection_of(user) for user in joined.users}

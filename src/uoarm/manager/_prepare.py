@@ -5,6 +5,7 @@ from __future__ import annotations
 from uoarm.errors import UsageError
 from uoarm.flow import Clock, Route, make_check
 from uoarm.manager._connection import Connection
+from uoarm.manager._course import Course
 from uoarm.manager._opening import OpenPlan
 from uoarm.manager._pool import Pool
 from uoarm.model import Deliver, Plan, PortRef, QueuePolicy, ValidationMode
@@ -36,14 +37,14 @@ def prepare(
     output = _output(plan, wanted)
     opened = OpenPlan(plan, identity, pool, validate, clock)
     if output is None:
-        return Connection(identity, opened, queue)
+        return Connection(Course(identity, opened, queue))
 
     def receive(of: Plan, hand: Deliver) -> Route:
         place = f"{of.provider.component.name}.{output}"
         check = make_check(of.provider.structures[f"output.{output}"], validate, place)
         return Route(place, identity, hand, clock=clock, check=check)
 
-    return Connection(identity, opened, queue, output=output, receive=receive)
+    return Connection(Course(identity, opened, queue, output=output, receive=receive))
 
 
 def _output(plan: Plan, wanted: PortRef) -> str | None:

@@ -12,7 +12,7 @@ from typing import final
 from uoarm import _bounded
 from uoarm.adapt import check_edge
 from uoarm.bridge import Bridge, HealthEvent, Registry
-from uoarm.config import load
+from uoarm.config import assign, load
 from uoarm.errors import UsageError
 from uoarm.flow import Clock, make_check
 from uoarm.manager._attempt import Attempt
@@ -67,12 +67,14 @@ class RobotManager:
         bridges: Mapping[str, Bridge] | None = None,
         clock: Clock = time.monotonic,
     ) -> None:
-        self.robot = robot
         self.registry = registry or Registry()
+        self.robot = robot = assign(robot, self.registry.types)
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
-        self._bridges = BridgeSet(robot.bridges, self.registry, self._noticed, bridges or {}, clock)
+        self._bridges = BridgeSet(
+            robot.bridges, self.registry, self._noticed, bridges or {}, clock, robot.hosts
+        )
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
         self._pool = Pool(self._bridges.get, clock)
@@ -80,6 +82,8 @@ class RobotManager:
             robot.failover,
             resolve=lambda name, excluded: self._resolver.resolve(name, excluded=excluded),
             forget=self._forget,
+            pool=self._pool,
+            ledger=self._ledger,
             board=self._board,
             clock=clock,
         )
@@ -97,6 +101,7 @@ class RobotManager:
         self._staleness = StalenessWatch(self._pool.components, self._noticed, clock)
         if any(one.expect for each in robot.components() for one in each.outputs):
             self._staleness.start()
+        self._bridges.machines.begin()
 
     @classmethod
     def from_file(
@@ -176,7 +181,7 @@ class RobotManager:
                 connection.subscribe(on_message)
             attempt.adopt(connection)
             self._ledger.add(connection)
-            connection.open()
+            connection.course.open()
             return connection
 
         try:
@@ -210,12 +215,13 @@ class RobotManager:
         """Return the whole system as it is at this moment."""
         connections = self._ledger.all()
         shared = (edge.status() for edge in self._pool.edges())
-        own = (route for connection in connections for route in connection.routes())
+        own = (route for connection in connections for route in connection.course.routes())
         return StatusMap(
             bridges=self._bridges.statuses(),
             components=tuple(live.status() for live in self._pool.components()),
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
+            machines=self._bridges.machines.statuses(),
         )
 
     def survey(self) -> tuple[FunctionStatus, ...]:
@@ -240,7 +246,7 @@ class RobotManager:
         self._staleness.close()
         self._failover.close()
         for connection in self._ledger.close():
-            connection.end(ConnectionState.CLOSED, "the robot manager was closed")
+            connection.course.end(ConnectionState.CLOSED, "the robot manager was closed")
         for failure in self._bridges.close():
             _log.warning("%s", failure)
         self._board.close()

@@ -13,6 +13,7 @@ from uoarm.model._component import (
 )
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
+from uoarm.model._listening import Listening, place_problem
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
@@ -24,6 +25,7 @@ from uoarm.model._status import (
     ConnectionStatus,
     Gap,
     Health,
+    MachineStatus,
     RouteStatus,
     StatusEvent,
     StatusMap,
@@ -53,6 +55,8 @@ __all__ = [
     "Gap",
     "Health",
     "Input",
+    "Listening",
+    "MachineStatus",
     "Message",
     "MessageStructure",
     "Op",
@@ -74,6 +78,7 @@ __all__ = [
     "Step",
     "ValidationMode",
     "from_json",
+    "place_problem",
     "read_control",
     "to_json",
     "write_control",

@@ -23,6 +23,7 @@ class Op(Enum):
     ERROR = "Error"
     LIST = "List"
     RESOLVE = "Resolve"
+    RESUME = "Resume"
 
 
 @frozen

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from attrs import field, frozen
 
 from uoarm.model._component import Component, Function
+from uoarm.model._listening import Listening
 from uoarm.model._values import Options
 
 __all__ = ["BridgeSpec", "FailoverPolicy", "Robot"]
@@ -21,12 +22,14 @@ class BridgeSpec:
         plugin: name of the plugin that makes it.
         options: settings handed to the plugin.
         host: settings of the process it runs in; None: the application's own.
+        assigned: the options among these that uoarm chose, since the configuration left them out.
     """
 
     name: str
     plugin: str
     options: Options = field(factory=dict, hash=False)
     host: Options | None = field(default=None, hash=False)
+    assigned: Options = field(factory=dict, hash=False)
 
 
 @frozen
@@ -57,6 +60,7 @@ class Robot:
         applications: the functions that each application is said to ask for; for readers and
             checks, nobody else is kept from asking.
         failover: what happens to connections when a component dies.
+        hosts: where hosts on other machines join; None where there are none.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -65,6 +69,7 @@ class Robot:
     origin: str = ""
     applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
     failover: FailoverPolicy = FailoverPolicy()
+    hosts: Listening | None = None
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

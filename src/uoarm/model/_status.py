@@ -13,6 +13,7 @@ __all__ = [
     "ConnectionState",
     "ConnectionStatus",
     "Health",
+    "MachineStatus",
     "RouteStatus",
     "StatusEvent",
     "StatusMap",
@@ -44,12 +45,37 @@ class ConnectionState(Enum):
 
 @frozen
 class BridgeStatus:
-    """One bridge instance."""
+    """One bridge instance.
+
+    Attributes:
+        assigned: options that uoarm chose for it, by name.
+    """
 
     name: str
     plugin: str
     health: Health
     open_channels: int
+    cause: str = ""
+    assigned: tuple[tuple[str, object], ...] = ()
+
+
+@frozen
+class MachineStatus:
+    """Another machine, whose hosts join by themselves.
+
+    Attributes:
+        present: whether a host there is joined for every bridge of the machine.
+        bridges: the bridges of the machine.
+        clock_offset: seconds by which its clock is ahead of the manager's, None while unknown.
+        clock_error: seconds by which the offset may be wrong: half of the quickest round trip.
+        cause: why it is not present.
+    """
+
+    name: str
+    present: bool
+    bridges: tuple[str, ...]
+    clock_offset: float | None = None
+    clock_error: float | None = None
     cause: str = ""
 
 
@@ -118,11 +144,14 @@ class Gap:
         time: seconds of the manager's clock, when the new plan was open.
         position: how many messages the application had been given before it.
         seconds: how long nothing could arrive.
-        lost: messages that were under way into what died and are not known to have arrived;
-            what its framework had not handed over yet, nobody can count.
+        lost: messages that were under way into or out of what died and did not arrive; what
+            its framework had not handed over yet, nobody can count.
         before: the components of the plan that ended.
         after: the components of the plan that goes on.
         cause: why it was replaced.
+        dropped: what the routes that ended with it had dropped since they were opened, by
+            reason: `closed` waited in a queue, `replaced` came too late, `in-hand` was with a
+            consumer that did not return.
     """
 
     time: float
@@ -132,17 +161,27 @@ class Gap:
     before: tuple[str, ...]
     after: tuple[str, ...]
     cause: str
+    dropped: tuple[tuple[str, int], ...] = ()
 
 
 @frozen
 class ConnectionStatus:
-    """One request that an application made."""
+    """One request that an application made.
+
+    Attributes:
+        lost: messages that were under way into or out of components that died, over all changes
+            of plan.
+        ended: the routes of plans that were replaced, those between the same ends as one. With
+            these, `lost`, and the routes that are open, every message is accounted for.
+    """
 
     id: str
     function: str
     state: ConnectionState
     components: tuple[str, ...]
     cause: str = ""
+    lost: int = 0
+    ended: tuple[RouteStatus, ...] = ()
 
 
 @frozen
@@ -153,6 +192,7 @@ class StatusMap:
     components: tuple[ComponentStatus, ...] = ()
     connections: tuple[ConnectionStatus, ...] = ()
     routes: tuple[RouteStatus, ...] = ()
+    machines: tuple[MachineStatus, ...] = ()
 
 
 @frozen

@@ -28,7 +28,7 @@ def check(
     """Decide whether every message that the producer can emit is accepted by the consumer.
 
     Args:
-        producer: JSON Schema of draft 2020-12.
+        producer: JSON Schema of draft 2020-12, or an older one that `$schema` names.
         consumer: likewise. Both may be hostile; the answer comes within the budget.
         budget: None for the standard one.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from uoarm.schema._dialects import DRAFT_2019, NEWEST, dialect_of
 from uoarm.schema._errors import OutOfScopeError, SchemaError
 from uoarm.schema._keywords import fill
 from uoarm.schema._node import Node
@@ -14,7 +15,6 @@ from uoarm.schema._values import key_of
 
 __all__ = ["Document", "Pool"]
 
-_DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _MAX_POINTER = 20_000
 
 
@@ -43,7 +43,9 @@ class Document:
         self._pool = pool
         self._nodes: dict[int, Node] = {}
         self._by_reference: dict[str, Node] = {}
-        self._resources = Resources(schema)
+        self._dialect = dialect_of(schema) or NEWEST
+        self._has_contains = self._dialect is DRAFT_2019 and _mentions(schema, "contains")
+        self._resources = Resources(schema, self._dialect)
         refers = self._resources.refers
         self._identity = pool.number(("document", id(schema))) if refers else 0
         self._references: list[str] = []
@@ -109,8 +111,8 @@ class Document:
         if not isinstance(schema, Mapping):
             raise SchemaError(pointer, "a schema (an object, true or false)", schema)
         found: list[tuple[object, str]] = []
-        for keyword, value in schema.items():
-            at = f"{pointer}/{keyword}"
+        for keyword, value in self._dialect.view(schema).items():
+            at = f"{pointer}/{self._dialect.spelled(schema, keyword)}"
             check_keyword(keyword, value, at)
             if keyword in SINGLES:
                 found.append((value, at))
@@ -125,43 +127,42 @@ class Document:
     def _make(self, schema: Any) -> Node:
         if isinstance(schema, bool):
             return self._keep(Node(self._pool.number(schema), schema, self, never=not schema))
-        child = self._child_numbers(schema)
-        content: list[object] = []
-        for keyword, value in schema.items():
+        view = self._dialect.view(schema)
+        objection = self._objection(schema)
+        child = self._child_numbers(view)
+        content: list[object] = [("not decided", objection)] if objection else []
+        for keyword, value in view.items():
             if keyword in child:
                 content.append((keyword, child[keyword]))
             elif keyword in {"$ref", "$dynamicRef"}:
                 content.append((self._identity, self._resources.absolute(schema, value)))
-            elif self._matters(keyword, value):
+            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
                 content.append((keyword, key_of(value)))
-        node = Node(self._pool.number(frozenset(content)), schema, self)
-        fill(node, schema, lambda one: self._nodes[id(one)])
-        self._refer(node, schema)
+        node = Node(self._pool.number(frozenset(content)), schema, self, unsupported=objection)
+        fill(node, view, lambda one: self._nodes[id(one)])
+        for keyword in ("$ref", "$dynamicRef"):
+            if keyword in view:
+                self._refer(node, keyword, self._resources.absolute(schema, view[keyword]))
         return self._keep(node)
 
-    def _refer(self, node: Node, schema: Mapping[str, Any]) -> None:
-        named = schema.get("$schema", _DRAFT)
-        if not isinstance(named, str) or named.rstrip("#") != _DRAFT:
-            node.unsupported = f"the schema is of another draft: {named}"
-        if "$recursiveRef" in schema:
-            node.unsupported = "$recursiveRef is not followed"
-        for keyword in ("$ref", "$dynamicRef"):
-            if keyword in schema:
-                reference = self._resources.absolute(schema, schema[keyword])
-                if keyword == "$dynamicRef":
-                    self._dynamic.append((node, reference))
-                if node.reference is None:
-                    node.reference = reference
-                else:
-                    number = self._pool.number((self._identity, reference))
-                    also = Node(number, {"$ref": reference}, self, reference=reference)
-                    node.all_of = (*node.all_of, also)
+    def _objection(self, schema: Mapping[str, Any]) -> str:
+        """Return why a schema is not decided; empty when it is."""
+        if "$schema" in schema:
+            named = dialect_of(schema)
+            same = named is self._dialect
+            if not same and (named is None or not self._resources.agree(schema, named)):
+                return f"the schema is of another draft: {schema['$schema']}"
+        return self._dialect.objection(schema, beside_contains=self._has_contains)
 
-    def _matters(self, keyword: str, value: object) -> bool:
-        """Say whether a keyword makes a schema differ from one without it."""
-        if keyword == "$schema":
-            return bool(value != _DRAFT)
-        return keyword not in ANNOTATIONS and not keyword.startswith("x-")
+    def _refer(self, node: Node, keyword: str, reference: str) -> None:
+        if keyword == "$dynamicRef":
+            self._dynamic.append((node, reference))
+        if node.reference is None:
+            node.reference = reference
+        else:
+            number = self._pool.number((self._identity, reference))
+            also = Node(number, {"$ref": reference}, self, reference=reference)
+            node.all_of = (*node.all_of, also)
 
     def _keep(self, node: Node) -> Node:
         self._pool.nodes.append(node)
@@ -181,6 +182,19 @@ class Document:
                     (name, self._nodes[id(one)].number) for name, one in schema[keyword].items()
                 )
         return numbers
+
+
+def _mentions(document: object, keyword: str) -> bool:
+    seen: set[int] = set()
+    waiting = [document]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, Mapping | list) and id(one) not in seen:
+            seen.add(id(one))
+            if isinstance(one, Mapping) and keyword in one:
+                return True
+            waiting.extend(one.values() if isinstance(one, Mapping) else one)
+    return False
 
 
 def _refers_in_place(nodes: Iterable[Node]) -> bool:

@@ -10,8 +10,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import unquote, urljoin
 
+from uoarm.schema._dialects import Dialect
 from uoarm.schema._errors import OutOfScopeError, SchemaError
-from uoarm.schema._shapes import LISTS, MAPS, SINGLES
+from uoarm.schema._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES
 
 __all__ = ["Resources"]
 
@@ -21,7 +22,8 @@ _POSITIONAL = frozenset({"$id", "$ref", "$dynamicRef", "$anchor", "$dynamicAncho
 class Resources:
     """The identifiers and anchors of one schema and of all schemas inside it."""
 
-    def __init__(self, schema: object) -> None:
+    def __init__(self, schema: object, dialect: Dialect) -> None:
+        self._dialect = dialect
         self._documents: dict[str, object] = {"": schema}
         self._bases: dict[int, str] = {}
         self._seen: set[tuple[int, str]] = set()
@@ -38,14 +40,15 @@ class Resources:
             if not isinstance(one, Mapping) or (id(one), around) in self._seen:
                 continue
             self._seen.add((id(one), around))
-            if self._bases.setdefault(id(one), around) != around and _POSITIONAL & one.keys():
+            view = self._dialect.view(one)
+            if self._bases.setdefault(id(one), around) != around and _POSITIONAL & view.keys():
                 raise OutOfScopeError("one object with references stands in two documents")
-            inner = self._enter(one, around)
-            waiting.extend((child, inner) for child in _children(one))
+            inner = self._enter(one, view, around)
+            waiting.extend((child, inner) for child in _children(view))
 
     def absolute(self, schema: Mapping[str, Any], reference: str) -> str:
         """Return a reference of a schema in the form that `find` takes."""
-        base = _inner(schema, self._bases[id(schema)])
+        base = self._inner(schema, self._bases[id(schema)])
         target, _, fragment = reference.partition("#")
         return f"{urljoin(base, target) if target else base}#{fragment}"
 
@@ -54,6 +57,18 @@ class Resources:
         base, _, name = absolute.partition("#")
         bases = self._dynamic.get(name, set())
         return base not in bases or len(bases) == 1
+
+    def agree(self, schema: Mapping[str, Any], other: Dialect) -> bool:
+        """Say whether a schema means the same in another draft as in that of the document."""
+        waiting: list[object] = [schema]
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, Mapping):
+                view, its = self._dialect.view(one), other.view(one)
+                if _meaning(view) != _meaning(its) or other.objection(one, beside_contains=True):
+                    return False
+                waiting.extend(_children(view))
+        return True
 
     def find(self, absolute: str) -> tuple[object, str] | None:
         """Return what a reference leads to and the base around it; None when it leads out.
@@ -72,7 +87,7 @@ class Resources:
         at: Any = self._documents[base]
         around = self._bases.get(id(at), "")
         for step in unquote(fragment).split("/")[1:]:
-            around = _inner(at, around)
+            around = self._inner(at, around)
             name = step.replace("~1", "/").replace("~0", "~")
             if isinstance(at, Mapping) and name in at:
                 at = at[name]
@@ -84,28 +99,33 @@ class Resources:
             raise SchemaError("#/$ref", "a reference to a schema", absolute)
         return at, around
 
-    def _enter(self, schema: Mapping[str, Any], around: str) -> str:
-        base = _inner(schema, around)
-        if isinstance(schema.get("$id"), str):
+    def _enter(self, schema: Mapping[str, Any], view: Mapping[str, Any], around: str) -> str:
+        base = _named(view, around)
+        if isinstance(view.get("$id"), str):
             known = self._documents.setdefault(base, schema)
             if known is not schema:
                 raise OutOfScopeError(f"two documents are called {base!r}")
         for keyword in ("$anchor", "$dynamicAnchor"):
-            name = schema.get(keyword)
+            name = view.get(keyword)
             if isinstance(name, str):
                 self._anchors[base, name] = schema
                 if keyword == "$dynamicAnchor":
                     self._dynamic.setdefault(name, set()).add(base)
-        self.refers = self.refers or "$ref" in schema or "$dynamicRef" in schema
+        self.refers = self.refers or "$ref" in view or "$dynamicRef" in view
         return base
 
+    def _inner(self, schema: object, around: str) -> str:
+        """Return the base inside a schema."""
+        return _named(self._dialect.view(schema), around) if isinstance(schema, Mapping) else around
 
-def _inner(schema: object, around: str) -> str:
-    """Return the base inside a schema."""
-    named = schema.get("$id") if isinstance(schema, Mapping) else None
-    if not isinstance(named, str):
-        return around
-    return urljoin(around, named.partition("#")[0])
+
+def _named(view: Mapping[str, Any], around: str) -> str:
+    named = view.get("$id")
+    return urljoin(around, named.partition("#")[0]) if isinstance(named, str) else around
+
+
+def _meaning(view: Mapping[str, Any]) -> dict[str, object]:
+    return {name: id(one) for name, one in view.items() if name not in ANNOTATIONS}
 
 
 def _children(schema: Mapping[str, Any]) -> Iterator[object]:

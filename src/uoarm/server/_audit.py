@@ -42,6 +42,14 @@ class Audit:
         level = logging.WARNING if cause else logging.INFO
         self._write(level, address=address, session=session, role=role, refused=cause)
 
+    def dropped(self, session: str) -> None:
+        """Record that a client's connection broke while its session is kept."""
+        self._write(logging.INFO, session=session, dropped=True)
+
+    def resumed(self, address: str, session: str) -> None:
+        """Record that a client goes on with its session."""
+        self._write(logging.INFO, address=address, session=session, resumed=True)
+
     def departure(self, session: str) -> None:
         """Record that a client has gone."""
         self._write(logging.INFO, session=session, gone=True)

@@ -12,6 +12,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
+from uoarm.server._admission import Pass
 from uoarm.server._limits import Limits
 from uoarm.server._outbox import Outbox
 from uoarm.server._role import Role
@@ -38,12 +39,22 @@ class Client:
     Args:
         socket: after its handshake.
         identity: name of the session, for logs and the client itself.
+        shown: what it showed to be let in.
         role: its rights.
         limits: bounds.
+
+    Attributes:
+        is_cut: whether the server ended its connection.
+        is_kept: whether its session outlives a drop of its connection.
+        is_leaving: set when its connection goes on with another session.
+        has_dropped: whether its connection ended without a word.
     """
 
-    def __init__(self, socket: ServerConnection, identity: str, role: Role, limits: Limits) -> None:
+    def __init__(
+        self, socket: ServerConnection, identity: str, shown: Pass, role: Role, limits: Limits
+    ) -> None:
         self.identity = identity
+        self.shown = shown
         self.role = role
         self.limits = limits
         self.outbox = Outbox(limits.queue_bytes, limits.control_messages)
@@ -51,6 +62,9 @@ class Client:
         self.sent = 0
         self.sent_bytes = 0
         self.is_cut = False
+        self.is_kept = False
+        self.is_leaving = False
+        self.has_dropped = False
         self._socket = socket
         self._writing_since: float | None = None
         self._closing: set[asyncio.Task[None]] = set()
@@ -61,18 +75,24 @@ class Client:
         name = self._socket.remote_address
         return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"
 
-    async def run(self, session: Session) -> None:
-        """Serve until the client or the server ends the connection."""
+    async def run(self, session: Session, socket: ServerConnection) -> None:
+        """Serve until the client or the server ends the connection, or another session goes on."""
+        self._socket = socket
+        self.has_dropped = False
         writer = asyncio.ensure_future(self._write())
         try:
             await self._read(session)
-        except ConnectionClosed:
-            pass
+            if self.is_leaving:
+                await asyncio.wait_for(self.outbox.emptied(), self.limits.handshake_seconds)
+        except ConnectionClosed as error:
+            self.has_dropped = not self.is_cut and _is_drop(error)
+        except asyncio.TimeoutError:
+            self.cut("it does not read its replies")
         finally:
-            session.close()
             writer.cancel()
             with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                 await writer
+            self._writing_since = None
 
     def check(self, now: float) -> None:
         """Cut the client off when it has not read for too long, or left too many replies."""
@@ -80,7 +100,14 @@ class Client:
         if self.outbox.overflowed:
             self.cut("it does not read its replies")
         elif since is not None and now - since > self.limits.stall_seconds:
-            self.cut(f"it has read nothing for {now - since:.0f} s")
+            if self.is_kept:
+                self.release()
+            else:
+                self.cut(f"it has read nothing for {now - since:.0f} s")
+
+    def release(self) -> None:
+        """End the connection as if it had dropped."""
+        self._socket.transport.abort()
 
     def dismiss(self, cause: str) -> None:
         """Close properly, with a closing handshake that is not waited for here."""
@@ -103,6 +130,8 @@ class Client:
         async for frame in self._socket:
             self.received += 1
             session.handle(frame)
+            if self.is_leaving:
+                return
             if self.outbox.overflowed:
                 self.cut("it does not read its replies")
                 return
@@ -120,3 +149,9 @@ class Client:
             self._writing_since = None
             self.sent += 1
             self.sent_bytes += len(frame)
+
+
+def _is_drop(error: ConnectionClosed) -> bool:
+    """Say whether a connection broke: nobody closed it, or only because pings had no answer."""
+    sent = error.sent
+    return error.rcvd is None and (sent is None or sent.code == CloseCode.INTERNAL_ERROR)

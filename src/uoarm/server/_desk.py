@@ -242,11 +242,14 @@ class Desk:
 def _request(
     robot: RobotManager, wanted: Wanted, take: Callable[[Message], None], timeout: float
 ) -> Connection:
-    has_output = bool(robot.resolve(wanted.name).provider.component.outputs)
+    outputs = robot.resolve(wanted.name).provider.component.outputs
+    name = wanted.name
+    if not wanted.receive and len(outputs) > 1:
+        name = f"{wanted.function}.{outputs[0].name}"
     return robot.request(
-        wanted.name,
+        name,
         validate=wanted.validate,
-        on_message=take if has_output else None,
+        on_message=take if outputs else None,
         timeout=timeout,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import TypeAlias
 
@@ -9,7 +10,9 @@ from uoarm import errors
 from uoarm.server._role import DeniedError
 from uoarm.server._workers import BusyError
 
-__all__ = ["LimitError", "UnknownError", "code_of"]
+__all__ = ["LimitError", "UnknownError", "code_of", "tell_error"]
+
+_log = logging.getLogger("uoarm.server")
 
 
 class LimitError(errors.UoarmError):
@@ -42,3 +45,11 @@ _CODES: _Kinds = {
 def code_of(error: BaseException) -> str:
     """Return the code of an error; `internal` for one that nobody foresaw."""
     return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")
+
+
+def tell_error(error: BaseException) -> str:
+    """Return an error's text; of one that nobody foresaw, log it and say no more than that."""
+    if isinstance(error, errors.UoarmError):
+        return str(error)
+    _log.error("the server failed", exc_info=error)
+    return "the server failed; its log says more"

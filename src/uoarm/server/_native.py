@@ -10,14 +10,16 @@ from types import MappingProxyType
 from typing import Any
 
 from uoarm._version import __version__
-from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
 from uoarm.resolve import NoPlanError
+from uoarm.server._answers import Answers
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of
 from uoarm.server._holdings import Holdings, wanted_by
+from uoarm.server._lobby import Lobby
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
@@ -36,8 +38,11 @@ class NativeSession:
     holds up nothing.
     """
 
-    def __init__(self, client: Client, desk: Desk, form: Form, audit: Audit) -> None:
+    def __init__(self, client: Client, desk: Desk, form: Form, audit: Audit, lobby: Lobby) -> None:
+        self.form = form.name
         self._client = client
+        self._lobby = lobby
+        self._answers: Answers | None = None
         self._desk = desk
         self._form = form
         self._audit = audit
@@ -54,6 +59,7 @@ class NativeSession:
             Op.KILL: self._kill,
             Op.LIST: self._list,
             Op.STATUS: self._status,
+            Op.RESUME: self._resume,
         }
         self._slow: Mapping[Op, Callable[[ControlMessage], Awaitable[None]]] = {
             Op.REQUEST: self._request,
@@ -71,6 +77,8 @@ class NativeSession:
         except ControlMessageError as error:
             self._fail(salvage_id(fields), "", error)
             return
+        if self._answers is not None and asked.id is not None:
+            self._answers.begin(asked.id)
         try:
             if asked.op in self._quick:
                 self._quick[asked.op](asked)
@@ -78,6 +86,21 @@ class NativeSession:
                 self._begin(asked)
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             self._failed(asked, error)
+
+    def go_on(self, asked: ControlMessage) -> None:
+        """Answer the Resume that took this session up, and what its client did not hear.
+
+        What it asked and was not kept or never came gets an error.
+        """
+        self._reply(asked, {"session": self._client.identity, "own": self._holdings.counters()})
+        assert self._answers is not None, "only a session that is kept can go on"
+        for identity in dict.fromkeys((asked.jsonMessage or {}).get("waiting", ())):
+            frame = self._answers.get(identity)
+            if frame is None and not self._answers.is_under_way(identity):
+                text = "it did not arrive before the connection dropped, or its answer is lost"
+                self._fail(identity, "", ConnectionClosedError(text))
+            elif frame is not None and not self._client.outbox.holds(frame):
+                self._client.outbox.tell(frame, text=self._form.text)
 
     def close(self) -> None:
         """Give back everything that only this client used."""
@@ -139,7 +162,8 @@ class NativeSession:
             self._desk.watch(self._changed)
         elif asked.type == "unwatch":
             self._desk.unwatch(self._changed)
-        status = visible_status(self._desk.robot.status(), self._client.role)
+        robot = self._desk.robot
+        status = visible_status(robot.robot, robot.status(), self._client.role)
         told = {**status, "own": self._holdings.counters()}
         if asked.type == "watch":
             told["past"] = [
@@ -148,6 +172,18 @@ class NativeSession:
                 if self._client.role.allows(Operation.SEE, function)
             ]
         self._reply(asked, told)
+
+    def _resume(self, asked: ControlMessage) -> None:
+        options = asked.jsonMessage
+        limits = self._client.limits
+        if options is None:
+            key = self._lobby.keep(self._client, self)
+            self._answers = Answers(limits.control_messages, limits.queue_bytes)
+            self._reply(asked, {"key": key, "seconds": limits.resume_seconds})
+        elif self._tasks or self._holdings.counters() or self._answers is not None:
+            raise UsageError("Resume with a key must be the first message of a connection")
+        else:
+            self._lobby.claim(options["key"], self._client, self.form, asked)
 
     def _send(self, asked: ControlMessage) -> None:
         identity, _, port = str(asked.type).partition(".")
@@ -234,4 +270,7 @@ class NativeSession:
         self._tell(told)
 
     def _tell(self, message: Mapping[str, Any]) -> None:
-        self._client.outbox.tell(write_or_tell(self._form, message), text=self._form.text)
+        frame = write_or_tell(self._form, message)
+        if self._answers is not None and "id" in message:
+            self._answers.add(message["id"], frame)
+        self._client.outbox.tell(frame, text=self._form.text)

@@ -82,6 +82,10 @@ class Outbox:
             self._reply_bytes += len(frame)
         self._filled.set()
 
+    def holds(self, frame: bytes) -> bool:
+        """Say whether a reply still waits."""
+        return any(one is frame for one, _ in self._replies)
+
     def put(self, lane: Lane, *frames: bytes) -> None:
         """Add one data message of a stream, dropping older ones as its policy says.
 

@@ -79,6 +79,20 @@ class Sending:
         else:
             self._flush([action])
 
+    def structure(self, port: str | None) -> MessageStructure:
+        """Return the structure of an input; None stands for the only one.
+
+        Raises:
+            UsageError: there is no such input for the application.
+        """
+        step = self._connection.plan.provider
+        names = [one.name for one in step.component.inputs if one.source is None]
+        name = names[0] if port is None and len(names) == 1 else port or "default"
+        if name not in names:
+            has = ", ".join(names) or "none"
+            raise UsageError(f"{step.component.function!r} takes no {name!r}; its inputs: {has}")
+        return step.structures[f"input.{name}"]
+
     def _flush(self, actions: list[Callable[[], None]]) -> None:
         flushed = self._workers.start(lambda: self._connection.flush(_FLUSH_SECONDS), always=True)
         flushed.add_done_callback(lambda _: [action() for action in actions])
@@ -107,7 +121,7 @@ class Sending:
     def _hand_over(self, letter: _Letter) -> BaseException | None:
         """Return what went wrong with one message, in a worker."""
         try:
-            structure = self._structure(letter.port)
+            structure = self.structure(letter.port)
             place = f"{self._connection.plan.provider.component.name}.{letter.port or 'input'}"
             message = read_message(self._form, structure, letter.message)
             check = make_check(structure, ValidationMode.ALWAYS, place)
@@ -117,15 +131,6 @@ class Sending:
         except Exception as error:  # noqa: BLE001 - told to the one who sent it
             return error
         return None
-
-    def _structure(self, port: str | None) -> MessageStructure:
-        step = self._connection.plan.provider
-        names = [one.name for one in step.component.inputs if one.source is None]
-        name = names[0] if port is None and len(names) == 1 else port or "default"
-        if name not in names:
-            has = ", ".join(names) or "none"
-            raise UsageError(f"{step.component.function!r} takes no {name!r}; its inputs: {has}")
-        return step.structures[f"input.{name}"]
 
 
 def read_message(form: Form, structure: MessageStructure, message: Message) -> Message:

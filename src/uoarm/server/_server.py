@@ -8,6 +8,7 @@ import secrets
 import time
 from collections import Counter
 from collections.abc import Callable, Coroutine
+from functools import cache
 from typing import Any
 
 from websockets.asyncio.server import Server as Listening
@@ -15,11 +16,12 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm.manager import RobotManager
-from uoarm.server._admission import Admission, Pass
+from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
 from uoarm.server._desk import Desk
 from uoarm.server._doors import Doors
+from uoarm.server._lobby import Lobby
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
@@ -60,7 +62,8 @@ class Server:
         self._totals = Totals()
         self._hub = Hub()
         self._connected: Counter[str] = Counter()
-        self._clients: dict[Client, Pass] = {}
+        self._clients: dict[Client, None] = {}
+        self._lobby = Lobby(self._limits, self._end)
         self._listening: list[Listening] = []
         self._doors: list[Doors] = []
         self._sockets: set[ServerConnection] = set()
@@ -108,16 +111,18 @@ class Server:
         for socket in tuple(self._sockets):
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
+        self._lobby.close()
         if self._desk is not None:
             await self._desk.close()
 
     async def _listen(
         self, port: int, desk: Desk, metrics: Callable[[], bytes], *, only_rosbridge: bool
     ) -> None:
+        limits = self._limits
         doors = Doors(
             self._admission,
             self._audit,
-            self._limits,
+            limits,
             self._connected,
             health=self._health,
             metrics=metrics,
@@ -133,16 +138,17 @@ class Server:
                 self._settings.host,
                 port,
                 ssl=self._tls,
+                ssl_handshake_timeout=None if self._tls is None else limits.handshake_seconds,
                 process_request=doors.process_request,
                 select_subprotocol=doors.select_subprotocol,
                 create_connection=self._make_connection,  # type: ignore[arg-type] # it is only called
                 compression=None,
                 server_header=None,
-                open_timeout=self._limits.handshake_seconds,
-                ping_interval=self._limits.ping_seconds,
-                ping_timeout=self._limits.stall_seconds,
-                close_timeout=self._limits.stop_seconds,
-                max_size=self._limits.message_bytes,
+                open_timeout=limits.handshake_seconds,
+                ping_interval=limits.ping_seconds,
+                ping_timeout=limits.stall_seconds,
+                close_timeout=limits.stop_seconds,
+                max_size=limits.message_bytes,
             )
         )
         self._doors.append(doors)
@@ -158,19 +164,37 @@ class Server:
         if role is None:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
-        client = Client(socket, secrets.token_hex(6), role, self._limits)
+        client = Client(socket, secrets.token_hex(6), entry.shown, role, self._limits)
         host = client.address.rpartition(":")[0]
-        self._clients[client] = entry.shown
+        session = self._session(client, desk, socket, rosbridge=entry.rosbridge)
         self._connected[host] += 1
         self._totals.clients += 1
         self._audit.arrival(client.address, client.identity, role.name)
         try:
-            await client.run(self._session(client, desk, socket, rosbridge=entry.rosbridge))
+            await self._attend(client, session, socket)
+            kept = await self._lobby.successor(client)
+            if kept is not None:
+                self._audit.resumed(client.address, kept.client.identity)
+                await self._attend(kept.client, kept.session, socket)
+        finally:
+            self._connected -= Counter({host: 1})
+
+    async def _attend(self, client: Client, session: Session, socket: ServerConnection) -> None:
+        """Serve a client until its connection ends, then keep its session or end it."""
+        self._clients[client] = None
+        try:
+            await client.run(session, socket)
         finally:
             del self._clients[client]
-            self._connected -= Counter({host: 1})
-            self._totals.add(client)
-            self._audit.departure(client.identity)
+            if self._lobby.park(client):
+                self._audit.dropped(client.identity)
+            else:
+                self._end(client, session)
+
+    def _end(self, client: Client, session: Session) -> None:
+        session.close()
+        self._totals.add(client)
+        self._audit.departure(client.identity)
 
     def _session(
         self, client: Client, desk: Desk, socket: ServerConnection, *, rosbridge: bool
@@ -178,7 +202,7 @@ class Server:
         if rosbridge:
             return RosbridgeSession(client, desk, self._hub, self._audit)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
-        return NativeSession(client, desk, form, self._audit)
+        return NativeSession(client, desk, form, self._audit, self._lobby)
 
     async def _keep_watch(self) -> None:
         """Look after clients that are stuck and rights that have changed."""
@@ -191,9 +215,10 @@ class Server:
 
     def _look_after_clients(self, now: float) -> None:
         self._admission.refresh()
-        roles = {shown: self._admission.role(shown) for shown in set(self._clients.values())}
-        for client, shown in list(self._clients.items()):
-            if roles[shown] != client.role:
+        role = cache(self._admission.role)
+        self._lobby.refresh(now, role)
+        for client in list(self._clients):
+            if role(client.shown) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")
             client.check(now)
 

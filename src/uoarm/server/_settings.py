@@ -10,8 +10,11 @@ from attrs import field, frozen
 from uoarm.errors import ConfigurationError
 from uoarm.server._admission import is_loopback
 from uoarm.server._limits import Limits
+from uoarm.server._own_certificate import own_certificate, state_folder
 
 __all__ = ["Settings"]
+
+_EVERY_ADDRESS = ("", "0.0.0.0", "::")  # noqa: S104 - names what is no name
 
 
 @frozen
@@ -26,6 +29,7 @@ class Settings:
         origins: origins of web pages that may connect, `*` for all.
         hosts: further names by which the server is reached on loopback.
         certificate: PEM file of the server's certificate and chain, for TLS.
+        own_certificate: make one where there is none, and keep it for this user.
         key: PEM file of its key; None: in the same file.
         client_authority: PEM file of the authority whose client certificates are asked for.
         limits: bounds of what clients may use.
@@ -38,6 +42,7 @@ class Settings:
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] = ()
     certificate: Path | None = None
+    own_certificate: bool = False
     key: Path | None = None
     client_authority: Path | None = None
     limits: Limits = field(factory=Limits)
@@ -59,8 +64,28 @@ class Settings:
                 f"{self.host} can be reached from other machines: give an access file "
                 "(--access), or listen on 127.0.0.1"
             )
-        if self.client_authority is not None and self.certificate is None:
-            raise ConfigurationError("client certificates need TLS: give --certificate as well")
+        if self.certificate is not None and self.own_certificate:
+            raise ConfigurationError("--tls auto makes a certificate: leave --certificate out")
+        if self.client_authority is not None and not self.secured:
+            raise ConfigurationError(
+                "client certificates need TLS: give --certificate or --tls auto as well"
+            )
+
+    @property
+    def secured(self) -> bool:
+        """Whether TLS is spoken."""
+        return self.certificate is not None or self.own_certificate
+
+    def certificate_file(self) -> Path | None:
+        """Return the file of the certificate, made at need; None without TLS.
+
+        Raises:
+            ConfigurationError: it cannot be made or kept.
+        """
+        if not self.own_certificate:
+            return self.certificate
+        names = [one for one in (self.host, *self.hosts) if one not in _EVERY_ADDRESS]
+        return own_certificate(state_folder() / "tls", names)
 
     def tls(self) -> ssl.SSLContext | None:
         """Return the TLS context, None without a certificate.
@@ -68,15 +93,16 @@ class Settings:
         Raises:
             ConfigurationError: a file cannot be used.
         """
-        if self.certificate is None:
+        certificate = self.certificate_file()
+        if certificate is None:
             return None
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         try:
-            context.load_cert_chain(self.certificate, self.key)
+            context.load_cert_chain(certificate, self.key)
             if self.client_authority is not None:
                 context.load_verify_locations(self.client_authority)
                 context.verify_mode = ssl.CERT_OPTIONAL
         except (OSError, ssl.SSLError) as error:
-            raise ConfigurationError(f"TLS: {self.certificate}: {error}") from error
+            raise ConfigurationError(f"TLS: {certificate}: {error}") from error
         return context

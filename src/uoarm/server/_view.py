@@ -62,8 +62,11 @@ def show_plan(plan: Plan, form: Form) -> dict[str, Any]:
     return {"plan": data, "text": tell_plan(plan)}
 
 
-def visible_status(status: StatusMap, role: Role) -> dict[str, Any]:
-    """Return the part of the status map that concerns functions which a role may see."""
+def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any]:
+    """Return the part of the status map that concerns functions which a role may see.
+
+    Other machines are shown where such a function has a component there, open or not.
+    """
     components = [one for one in status.components if role.allows(Operation.SEE, one.function)]
     connections = [one for one in status.connections if role.allows(Operation.SEE, one.function)]
     names = {one.name for one in components} | {one.id for one in connections}
@@ -73,11 +76,15 @@ def visible_status(status: StatusMap, role: Role) -> dict[str, Any]:
         if one.producer.rpartition(".")[0] in names or one.producer in names
     ]
     bridges = {one.bridge for one in components}
+    possible = {
+        one.bridge for one in robot.components() if role.allows(Operation.SEE, one.function)
+    }
     shown = StatusMap(
         bridges=tuple(one for one in status.bridges if one.name in bridges),
         components=tuple(components),
         connections=tuple(connections),
         routes=tuple(routes),
+        machines=tuple(one for one in status.machines if possible.intersection(one.bridges)),
     )
     data: dict[str, Any] = to_json(shown)
     return data

@@ -9,6 +9,7 @@ from uoarm.testing._clock import ManualClock
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
+from uoarm.testing._losses import losses
 from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
 from uoarm.testing._same import plain, same
@@ -27,6 +28,7 @@ __all__ = [
     "find_instance",
     "hanging",
     "instances",
+    "losses",
     "lying",
     "plain",
     "raising",

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 __all__ = ["ASKED", "check_asked", "protocol_schema", "salvage_id"]
 
 ASKED = tuple(
-    op.value for op in (Op.REQUEST, Op.KILL, Op.DATA, Op.CALL, Op.LIST, Op.RESOLVE, Op.STATUS)
-)
+    op.value
+    for op in (
+        Op.REQUEST, Op.KILL, Op.DATA, Op.CALL, Op.LIST, Op.RESOLVE, Op.STATUS, Op.RESUME,
+    )
+)  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}
 _MAX_ID = 128
 _MAX_NAME = 256

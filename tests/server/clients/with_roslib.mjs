@@ -4,7 +4,7 @@ import { pathToFileURL } from "node:url";
 
 const [url, folder] = process.argv.slice(2);
 const entry = pathToFileURL(`${folder}/node_modules/roslib/dist/RosLib.js`);
-const { Ros, Topic, Service } = await import(entry);
+const { Action, Ros, Topic, Service } = await import(entry);
 
 const within = (work, what) =>
   Promise.race([
@@ -26,6 +26,23 @@ assert(nodes.includes("/adder"));
 const details = await within(
   new Promise((yes, no) => ros.getMessageDetails("Picture", yes, no)), "details");
 assert.deepEqual(details[0].fieldnames, ["width", "data"]);
+
+const raw = await within(
+  new Promise((yes, no) => ros.getTopicsAndRawTypes(yes, no)), "raw types");
+assert.match(raw.typedefs_full_text[raw.topics.indexOf("/uoarm/picture")], /^int64 width/);
+assert.equal(await within(new Promise((yes, no) =>
+  ros.getTopicType("/uoarm/numbers", yes, no)), "type"), "Number");
+assert((await within(new Promise((yes, no) =>
+  ros.getTopicsForType("Number", yes, no)), "topics of a type")).includes("/uoarm/numbers"));
+assert.equal(await within(new Promise((yes, no) =>
+  ros.getServiceType("/uoarm/add", yes, no)), "service type"), "Pair");
+assert((await within(new Promise((yes, no) =>
+  ros.getServicesForType("Pair", yes, no)), "services of a type")).includes("/uoarm/add"));
+assert.deepEqual(await within(new Promise((yes, no) => ros.getParams(yes, no)), "params"), []);
+assert((await within(new Promise((yes, no) =>
+  ros.getServiceRequestDetails("Pair", yes, no)), "request")).typedefs.length);
+assert((await within(new Promise((yes, no) =>
+  ros.getServiceResponseDetails("Pair", yes, no)), "response")).typedefs.length);
 
 // The test plays three numbers, then a picture, as soon as each topic is open.
 const doubled = new Topic({ ros, name: "/uoarm/doubled", messageType: "any/Type", queue_length: 10 });
@@ -72,6 +89,54 @@ const broken = new Service({ ros, name: "/uoarm/broken", serviceType: "any/Type"
 const error = await within(new Promise((yes, no) =>
   broken.callService({ value: 6 }, () => no(new Error("it answered")), yes)), "error");
 assert.match(String(error), /cannot do 6/);
+
+const walk = new Action({ ros, name: "/uoarm/navigate", actionType: "any/Walk" });
+const steps = [];
+const walked = await within(new Promise((yes, no) =>
+  walk.sendGoal({ value: 3 }, yes, (feedback) => steps.push(feedback.step), no)), "result");
+assert.deepEqual([walked, steps], [{ walked: 3 }, [0, 1, 2]]);
+const cancelled = await within(new Promise((yes, no) => {
+  const id = walk.sendGoal({ value: 0 }, () => no(new Error("it ended")), null, yes);
+  walk.cancelGoal(id);
+}), "cancelled");
+assert.match(cancelled, /CANCELED/i);
+const allCancelled = await within(new Promise((yes, no) => {
+  walk.sendGoal({ value: 0 }, () => no(new Error("it ended")), null, yes);
+  walk.cancelAllGoals();
+}), "all cancelled");
+assert.match(allCancelled, /CANCELED/i);
+const rejected = await within(new Promise((yes, no) =>
+  walk.sendGoal({ value: -1 }, () => no(new Error("it ended")), null, yes)), "rejected");
+assert.match(rejected, /rejected/);
+
+// One connection offers an action, another sends it goals.
+const other = new Ros({});
+await other.connect(url);
+const count = new Action({ ros: other, name: "/count", actionType: "any/Count" });
+count.advertise((goal, id) => {
+  if (goal.to < 0) { count.setFailed(id); return; }
+  count.sendFeedback(id, { at: 1 });
+  if (goal.to > 0) count.setSucceeded(id, { at: goal.to });
+}, (id) => count.setCanceled(id, { at: 1 }));
+const offered = async () => {
+  while (!(await new Promise((yes, no) => ros.getActionServers(yes, no))).includes("/count"));
+};
+await within(offered(), "count is advertised");
+const counter = new Action({ ros, name: "/count", actionType: "any/Count" });
+const seen = [];
+const counted = await within(new Promise((yes, no) =>
+  counter.sendGoal({ to: 5 }, yes, (feedback) => seen.push(feedback.at), no)), "counted");
+assert.deepEqual([counted, seen], [{ at: 5 }, [1]]);
+const stopped = await within(new Promise((yes, no) => {
+  const id = counter.sendGoal({ to: 0 }, () => no(new Error("it ended")),
+    () => counter.cancelGoal(id), yes);
+}), "stopped");
+assert.match(stopped, /CANCELED/i);
+const failed = await within(new Promise((yes, no) =>
+  counter.sendGoal({ to: -1 }, () => no(new Error("it ended")), null, yes)), "failed");
+assert.match(failed, /aborted/);
+count.unadvertise();
+other.close();
 
 ros.close();
 console.log("done");

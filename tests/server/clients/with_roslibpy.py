@@ -22,6 +22,7 @@ def main(url: str) -> None:
     call(ros)
     provide(ros)
     fail(ros)
+    send_goals(ros)
     ros.close()
     print("done")  # noqa: T201 - the test waits for it
 
@@ -43,7 +44,7 @@ def look_around(ros: Any) -> None:
     assert ros.get_params() == []
     replies: SimpleQueue[Any] = SimpleQueue()
     ros.get_action_servers(replies.put)
-    assert replies.get(timeout=SECONDS)["action_servers"] == []
+    assert "/uoarm/navigate" in replies.get(timeout=SECONDS)["action_servers"]
 
 
 def receive(ros: Any) -> None:
@@ -118,6 +119,32 @@ def fail(ros: Any) -> None:
         assert "cannot do 6" in str(error), error
     else:
         raise AssertionError("a broken service answered")
+
+
+def send_goals(ros: Any) -> None:
+    told: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+
+    def send(value: int) -> Any:
+        return client.send_goal(
+            roslibpy.Goal({"value": value}),
+            lambda result: told.put(("result", result)),
+            lambda feedback: told.put(("feedback", feedback)),
+            lambda error: told.put(("error", error)),
+        )
+
+    client = roslibpy.ActionClient(ros, "/uoarm/navigate", "any/Walk")
+    client.wait_goal(send(2), timeout=SECONDS)
+    came = [told.get(timeout=SECONDS) for _ in range(3)]
+    assert [kind for kind, _ in came] == ["feedback", "feedback", "result"], came
+    assert came[1][1]["step"] == 1, came
+    assert came[2][1] == {"status": roslibpy.GoalStatus.SUCCEEDED, "values": {"walked": 2}}, came
+    client.cancel_goal(send(0))
+    kind, result = told.get(timeout=SECONDS)
+    assert (kind, result["status"]) == ("result", roslibpy.GoalStatus.CANCELED), result
+    send(-1)
+    kind, error = told.get(timeout=SECONDS)
+    assert kind == "error", error
+    assert "rejected" in error["values"], error
 
 
 if __name__ == "__main__":

@@ -37,6 +37,8 @@ BRIDGE_OPTIONS: Schema = {
             "type": "integer",
             "minimum": 0,
             "maximum": 232,
+            # 102 to 214 lie in the ephemeral ports of Linux; small numbers are people's own.
+            "x-uoarm-assign": {"from": 64, "to": 101, "except_variable": "ROS_DOMAIN_ID"},
             "description": "DDS domain; default: ROS_DOMAIN_ID of the environment, else 0",
         },
         "node": {

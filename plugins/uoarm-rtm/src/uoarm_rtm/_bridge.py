@@ -176,6 +176,8 @@ class RtmBridge(Bridge):
         settings = settings_of(source)
         if not self._types.same(start[1].data_type, end[1].data_type) or settings.stale_after:
             return None
+        if _is_big_in_cpp(start[0], settings) or _is_big_in_cpp(end[0], settings):
+            return None
         seconds = self._settings.call_seconds
         native = Native(source, (start, end), settings, seconds, self._told, self._active.tick)
         for (peer, _), wish in ((end, settings_of(sink)), (start, settings)):
@@ -230,6 +232,14 @@ class RtmBridge(Bridge):
                 f"the configuration says {address.type}: correct the endpoint"
             )
             raise BridgeError(text, FailureReason.REFUSED)
+        settings = settings_of(endpoint)
+        misread = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
+        if _is_big_in_cpp(peer, settings) and (endpoint.role, settings.flow) in misread:
+            text = (
+                f"port {port.name!r} of component {peer.path!r}: components in C++ take no notice "
+                "of `endian` where they push or ask: leave it out"
+            )
+            raise BridgeError(text, FailureReason.REFUSED)
         return peer, port
 
     def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> Channel:
@@ -274,6 +284,11 @@ class RtmBridge(Bridge):
 
     def _component_changed(self, health: Health, cause: str, path: str) -> None:
         self.report(health, cause, component=path or None)
+
+
+def _is_big_in_cpp(peer: Peer, settings: Settings) -> bool:
+    """Whether big-endian data is asked of a component that may not notice."""
+    return settings.endian == "big" and peer.language == "C++"
 
 
 def _only_type(peer: Peer, port: Port) -> str:

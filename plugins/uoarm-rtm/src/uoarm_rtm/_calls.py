@@ -16,7 +16,7 @@ __all__ = ["Calls", "calls"]
 
 
 class Calls:
-    """A context manager around every call; entered from any thread, also nested."""
+    """A context manager around calls; entered from any thread, also nested."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition(threading.Lock())
@@ -24,7 +24,7 @@ class Calls:
         self._ended = False
 
     def __enter__(self) -> None:
-        """Begin a call; raises CORBA.BAD_INV_ORDER when the ORB is ending."""
+        """Begin a call; raises CORBA.BAD_INV_ORDER when no call may begin any more."""
         with self._changed:
             if self._ended:
                 raise CORBA.BAD_INV_ORDER(0, CORBA.COMPLETED_NO)
@@ -59,4 +59,4 @@ class Calls:
 
 
 calls = Calls()
-"""Of this process, as the ORB is."""
+"""Of this process, as the ORB is: every call is among them."""

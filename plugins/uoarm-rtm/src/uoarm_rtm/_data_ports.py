@@ -12,16 +12,18 @@ from omniORB import CORBA
 
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Message
+from uoarm_rtm._buffering import says_what_empty_means
 from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import Codec
-from uoarm_rtm._orb import Orb, narrowed
+from uoarm_rtm._orb import Orb, limit, narrowed
 from uoarm_rtm._peer import properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._publisher import Pulled, Pusher, Threaded
+from uoarm_rtm._puller import Puller
 from uoarm_rtm._scalars import Order
 from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
 from uoarm_rtm._types import plain_name
-from uoarm_rtm._wishes import Refusal, Wishes, read_wishes
+from uoarm_rtm._wishes import Refusal, Wishes, read_policies, read_wishes
 
 __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 
@@ -104,15 +106,24 @@ class InPort(_DataPort):
         codec: its data type.
         take: called with each message, in a thread of the ORB; one at a time a connector.
         seconds: limit of calls to other ports.
+        rate: times a second that OutPorts of pull connectors are asked; 0: `fetch` asks.
     """
 
     def __init__(
-        self, orb: Orb, name: str, codec: Codec, take: Callable[[Message], None], seconds: float
+        self,
+        orb: Orb,
+        name: str,
+        codec: Codec,
+        take: Callable[[Message], None],
+        seconds: float,
+        rate: float = 0.0,
     ) -> None:
         super().__init__(orb, name, "DataInPort", codec, seconds)
         self._take = take
+        self._rate = rate
         self._inlets: dict[str, Any] = {}
         self._pulls: dict[str, tuple[Any, Order]] = {}
+        self._pullers: dict[str, Puller] = {}
 
     def fetch(self) -> int:
         """Ask every pull connector for one message; returns how many came."""
@@ -131,6 +142,13 @@ class InPort(_DataPort):
                 count += 1
         return count
 
+    def disconnect(self, connector_id: str) -> Any:
+        """End a connection at all its ports, when nobody is asked any more (CORBA operation)."""
+        puller = self._pullers.get(connector_id)
+        if puller is not None:
+            puller.end(self._seconds)
+        return super().disconnect(connector_id)
+
     def _publish(self, profile: Any) -> None:
         wishes = self._wishes(profile)
         if wishes.push:
@@ -140,12 +158,29 @@ class InPort(_DataPort):
 
     def _subscribe(self, profile: Any) -> None:
         wishes = self._wishes(profile)
-        if not wishes.push:
-            target = self._reach(profile, OUTPORT_IOR, OpenRTM.OutPortCdr)
-            self._pulls[profile.connector_id] = target, wishes.order
+        if wishes.push:
+            return
+        target = self._reach(profile, OUTPORT_IOR, OpenRTM.OutPortCdr)
+        connector = profile.connector_id
+        if not self._rate:
+            self._pulls[connector] = target, wishes.order
+            return
+        properties = properties_of(profile.properties)
+        limit(target, self._seconds + read_policies(properties)[0].longest_read)
+        inlet = _Inlet(self._codec, wishes.order, self._take)
+        self._pullers[connector] = Puller(
+            target,
+            self._rate,
+            repeats=says_what_empty_means(properties),
+            take=inlet.put,
+            lost=lambda _: self.drop(connector),
+        )
 
     def _release(self, connector_id: str) -> None:
         self._pulls.pop(connector_id, None)
+        puller = self._pullers.pop(connector_id, None)
+        if puller is not None:
+            puller.end(0)
         inlet = self._inlets.pop(connector_id, None)
         if inlet is not None:
             self.orb.withdraw(inlet)
@@ -172,11 +207,19 @@ class OutPort(_DataPort):
         super().__init__(orb, name, "DataOutPort", codec, seconds)
         self._outlets: dict[str, _Outlet] = {}
         self._writing = threading.Lock()
+        self._dropped_before = 0
+
+    @property
+    def dropped(self) -> int:
+        """Messages that buffers gave up or did not take, of all connectors there were."""
+        outlets = list(self._outlets.values())
+        return self._dropped_before + sum(each.writer.dropped for each in outlets)
 
     def write(self, message: Message) -> None:
         """Send a message to all connectors.
 
-        Blocks as long as the connectors with `flush` take.
+        Blocks as long as the connectors with `flush` take, and those whose full buffers block.
+        A message that a full buffer does not take is counted in `dropped`.
 
         Raises:
             MessageError: it does not fit the port's type.
@@ -193,7 +236,7 @@ class OutPort(_DataPort):
     def _publish(self, profile: Any) -> None:
         wishes = self._wishes(profile)
         if not wishes.push:
-            buffer = Pulled()
+            buffer = Pulled(read_policies(properties_of(profile.properties))[0])
             reference = self.orb.serve(buffer)
             self._outlets[profile.connector_id] = _Outlet(buffer, wishes.order, reference)
             self._offer(profile, {OUTPORT_IOR: self.orb.text(reference)})
@@ -205,12 +248,16 @@ class OutPort(_DataPort):
         target = self._reach(profile, INPORT_IOR, OpenRTM.InPortCdr)
         connector = profile.connector_id
         pusher = Pusher(target, lambda: self.drop(connector))
-        writer = pusher if wishes.subscription == "flush" else Threaded(pusher, wishes)
+        writer: Pusher | Threaded = pusher
+        if wishes.subscription != "flush":
+            buffer, push = read_policies(properties_of(profile.properties))
+            writer = Threaded(pusher.write, buffer, push, wishes.period)
         self._outlets[connector] = _Outlet(writer, wishes.order)
 
     def _release(self, connector_id: str) -> None:
         outlet = self._outlets.pop(connector_id, None)
         if outlet is not None:
             outlet.writer.close()
+            self._dropped_before += outlet.writer.dropped
             if outlet.reference is not None:
                 self.orb.withdraw(outlet.reference)

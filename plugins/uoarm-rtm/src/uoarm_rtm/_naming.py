@@ -8,7 +8,8 @@ contexts that contain each other.
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import CosNaming
 from attrs import frozen
@@ -23,7 +24,11 @@ __all__ = ["Name", "NamingService", "corbaloc", "path_of"]
 _BATCH = 200
 _MOST_NAMES = 10_000
 _DEEPEST = 16
+_CONNECTIONS = 5  # that omniORB keeps to one server at most
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
+
+
+Answer = TypeVar("Answer")
 
 
 @frozen
@@ -58,6 +63,7 @@ class NamingService:
     """A naming service at one address; nothing is called before it is used.
 
     Every method raises BridgeError when the service is gone, BridgeTimeoutError when it hangs.
+    What they ask may be asked twice, and is, where the service has been restarted meanwhile.
 
     Args:
         orb: the ORB to call through.
@@ -74,10 +80,13 @@ class NamingService:
 
     def names(self) -> list[Name]:
         """Return every object bound below the root, contexts aside."""
-        found: list[Name] = []
-        seen: list[Any] = []
-        self._walk(self._root(), (), found, seen)
-        return found
+
+        def ask() -> list[Name]:
+            found: list[Name] = []
+            self._walk(self._root(), (), found, [])
+            return found
+
+        return _afresh(ask)
 
     def resolve(self, path: str) -> Any:
         """Return the object bound at a path, None when there is none.
@@ -86,35 +95,47 @@ class NamingService:
             BridgeError: BAD_ENDPOINT when the path cannot be read.
         """
         name = self._name(path)
-        with corba_errors(f"{self._what}: resolving {path!r}"):
-            try:
-                return limit(self._root().resolve(name), self._seconds)
-            except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
-                return None
-            except CosNaming.NamingContext.InvalidName:
-                text = f"{self._what}: {path!r} is not a name"
-                raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+        def ask() -> Any:
+            with corba_errors(f"{self._what}: resolving {path!r}"):
+                try:
+                    return limit(self._root().resolve(name), self._seconds)
+                except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
+                    return None
+                except CosNaming.NamingContext.InvalidName:
+                    text = f"{self._what}: {path!r} is not a name"
+                    raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
+
+        return _afresh(ask)
 
     def bind(self, path: str, reference: Any) -> None:
         """Bind an object, in place of whatever is bound there; contexts on the way are made."""
         name = self._name(path)
-        with corba_errors(f"{self._what}: binding {path!r}"):
-            context = self._root()
-            for step in name[:-1]:
-                context = self._inner(context, step)
-            context.rebind(name[-1:], reference)
+
+        def ask() -> None:
+            with corba_errors(f"{self._what}: binding {path!r}"):
+                context = self._root()
+                for step in name[:-1]:
+                    context = self._inner(context, step)
+                context.rebind(name[-1:], reference)
+
+        _afresh(ask)
 
     def unbind(self, path: str, reference: Any) -> None:
         """Remove a name, if it still stands for this object."""
         name = self._name(path)
-        with corba_errors(f"{self._what}: unbinding {path!r}"):
-            try:
-                root = self._root()
-                bound = root.resolve(name)
-                if bound is not None and bound._is_equivalent(reference):
-                    root.unbind(name)
-            except CosNaming.NamingContext.NotFound:
-                return
+
+        def ask() -> None:
+            with corba_errors(f"{self._what}: unbinding {path!r}"):
+                try:
+                    root = self._root()
+                    bound = root.resolve(name)
+                    if bound is not None and bound._is_equivalent(reference):
+                        root.unbind(name)
+                except CosNaming.NamingContext.NotFound:
+                    return
+
+        _afresh(ask)
 
     def _root(self) -> Any:
         # Resolved anew each time: a service that came back empty has another root.
@@ -172,3 +193,18 @@ class NamingService:
                     rest.destroy()
                     break
         return list(bindings)
+
+
+def _afresh(ask: Callable[[], Answer]) -> Answer:
+    """Ask, and ask again where a connection turns out to be stale.
+
+    A connection to a service that was restarted fails with the first call through it, and then
+    gives way to a new one; a service that is gone refuses the new one, which is no COMM_FAILURE.
+    """
+    for _ in range(_CONNECTIONS):
+        try:
+            return ask()
+        except BridgeError as error:
+            if not isinstance(error.__cause__, CORBA.COMM_FAILURE):
+                raise
+    return ask()

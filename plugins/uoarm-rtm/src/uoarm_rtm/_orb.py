@@ -28,11 +28,47 @@ _DESTROY_SECONDS = 5.0
 _log = logging.getLogger("uoarm.rtm")
 
 
+class _Ending:
+    """Ends an ORB when it is told to, in a thread of its own, since that may hang.
+
+    The thread begins with the ORB: none can begin while the process exits.
+    """
+
+    def __init__(self, orb: Any) -> None:
+        self._orb = orb
+        self._told = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="uoarm-rtm-end", daemon=True)
+        self._thread.start()
+
+    def begin(self) -> None:
+        """End the ORB; it waits for calls under way, which have their limits."""
+        self._told.set()
+
+    def join(self) -> None:
+        """Wait until it has ended, at most 5 s."""
+        self._thread.join(_DESTROY_SECONDS)
+
+    def _run(self) -> None:
+        self._told.wait()
+        if not calls.end(_DRAIN_SECONDS):
+            _log.warning("a CORBA call does not come back: the ORB is left as it is")
+            return
+        try:
+            # An ORB that somebody else has shut down cannot be destroyed safely: calls made since
+            # then may have opened connections, at which omniORB aborts the process.
+            self._orb.work_pending()
+            self._orb.destroy()
+        except CORBA.Exception:
+            _log.warning("somebody else has shut down the ORB of this process: it is left so")
+
+
 @frozen
 class _Running:
+    """The ORB of the process; `ending` is None for one that the application has begun."""
+
     orb: Any
     address: str
-    foreign: bool
+    ending: _Ending | None
 
 
 class _Shared:
@@ -42,7 +78,7 @@ class _Shared:
         self.lock = threading.Lock()
         self.users = 0
         self.running: _Running | None = None
-        self.destroying: threading.Thread | None = None
+        self.destroying: _Ending | None = None
 
 
 _shared = _Shared()
@@ -103,18 +139,15 @@ class Orb:
             return self._orb.string_to_object(text)
 
     def close(self) -> None:
-        """Let go; the last user's call ends the ORB, in a thread, and waits at most 5 s for it."""
+        """Let go; the last user's call ends the ORB and waits at most 5 s for it."""
         with _shared.lock:
             if self._closed:
                 return
             self._closed = True
             _shared.users -= 1
-            last = _shared.users == 0
-            running, ending = _shared.running, None
-            if last and running is not None and not running.foreign:
-                ending = _end(running)
+            ending = _end() if _shared.users == 0 else None
         if ending is not None:
-            ending.join(_DESTROY_SECONDS)
+            ending.join()
         else:
             threading.Thread(target=_destroy_poa, args=(self._poa,), daemon=True).start()
 
@@ -144,7 +177,7 @@ def narrowed(reference: Any, interface: Any, seconds: float, what: str) -> Any:
 def _begin(address: str, call_seconds: float) -> Any:
     if _shared.running is None:
         if _shared.destroying is not None:
-            _shared.destroying.join(_DESTROY_SECONDS)
+            _shared.destroying.join()
         calls.begin()
         foreign = omniORB.orb is not None
         arguments = {
@@ -159,9 +192,10 @@ def _begin(address: str, call_seconds: float) -> Any:
         for name, value in arguments.items():
             words += [f"-ORB{name}", value]
         with corba_errors(f"starting the ORB on {address}"):
-            _shared.running = _Running(CORBA.ORB_init(words, CORBA.ORB_ID), address, foreign)
+            orb = CORBA.ORB_init(words, CORBA.ORB_ID)
+        _shared.running = _Running(orb, address, None if foreign else _Ending(orb))
         _shared.users = 0
-    elif _shared.running.address != address and not _shared.running.foreign:
+    elif _shared.running.address != address and _shared.running.ending is not None:
         text = (
             f"the ORB of this process listens on {_shared.running.address}, not on {address}: "
             "give all bridges of the process one address, or this one a bridge host"
@@ -170,14 +204,14 @@ def _begin(address: str, call_seconds: float) -> Any:
     return _shared.running.orb
 
 
-def _end(running: _Running) -> threading.Thread:
-    """Begin to destroy the ORB; it waits for calls under way, which have their limits."""
-    ending = threading.Thread(
-        target=_destroy, args=(running.orb,), name="uoarm-rtm-end", daemon=True
-    )
-    ending.start()
-    _shared.running, _shared.destroying = None, ending
-    return ending
+def _end() -> _Ending | None:
+    """Begin to end the ORB, unless it is the application's own; with the lock held."""
+    running = _shared.running
+    if running is None or running.ending is None:
+        return None
+    running.ending.begin()
+    _shared.running, _shared.destroying = None, running.ending
+    return running.ending
 
 
 def _end_at_exit() -> None:
@@ -187,28 +221,13 @@ def _end_at_exit() -> None:
     the process ("terminate called without an active exception").
     """
     with _shared.lock:
-        running = _shared.running
-        if running is not None and not running.foreign:
-            _end(running)
+        _end()
         ending = _shared.destroying
     if ending is not None:
-        ending.join(_DESTROY_SECONDS)
+        ending.join()
 
 
 atexit.register(_end_at_exit)
-
-
-def _destroy(orb: Any) -> None:
-    if not calls.end(_DRAIN_SECONDS):
-        _log.warning("a CORBA call does not come back: the ORB is left as it is")
-        return
-    try:
-        # An ORB that somebody else has shut down cannot be destroyed safely: calls made since
-        # then may have opened connections, at which omniORB aborts the process.
-        orb.work_pending()
-        orb.destroy()
-    except CORBA.Exception:
-        _log.warning("somebody else has shut down the ORB of this process: it is left so")
 
 
 def _destroy_poa(poa: Any) -> None:

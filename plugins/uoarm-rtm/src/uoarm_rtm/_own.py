@@ -12,6 +12,7 @@ from uoarm_rtm._operations import Interface
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._service_port import ServicePort, servant_of
+from uoarm_rtm._settings import settings_of
 from uoarm_rtm._types import Types
 from uoarm_rtm.component import RtComponent, Sheet
 
@@ -28,7 +29,8 @@ class _OwnSource(Channel):
         self._own = own
         self._delivery = Delivery(deliver)
         self._count = 0
-        self._port = own.component.add_in_port(name, type_id, own.types, self._take)
+        rate = settings_of(endpoint).rate
+        self._port = own.component.add_in_port(name, type_id, own.types, self._take, rate)
 
     def facts(self) -> Mapping[str, object]:
         """Return the count of messages and of connectors."""
@@ -66,8 +68,12 @@ class _OwnSink(Sink):
         self._count += 1
 
     def facts(self) -> Mapping[str, object]:
-        """Return the count of messages and of connectors."""
-        return {"count": self._count, "connectors": len(self._port.get_connector_profiles())}
+        """Return the counts of messages, of those that buffers dropped, and of connectors."""
+        return {
+            "count": self._count,
+            "dropped": self._port.dropped,
+            "connectors": len(self._port.get_connector_profiles()),
+        }
 
     def _close(self) -> None:
         self._own.remove(self._port)

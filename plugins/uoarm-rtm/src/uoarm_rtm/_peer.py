@@ -54,13 +54,18 @@ class Port:
 
 @frozen
 class Peer:
-    """One component, as its profile describes it."""
+    """One component, as its profile describes it.
+
+    Attributes:
+        language: `C++`, `Python`, `Java`, or empty for a component that does not say.
+    """
 
     path: str
     reference: Any
     instance: str
     type_name: str
     ports: tuple[Port, ...]
+    language: str = ""
 
     def port(self, name: str) -> Port:
         """Return a port by its name, with or without the component's before it.
@@ -87,7 +92,8 @@ def peer_at(path: str, reference: Any, seconds: float) -> Peer:
     with corba_errors(f"{what}: reading its profile"):
         profile = component.get_component_profile()
     ports = tuple(_port(each, profile.instance_name, seconds) for each in profile.port_profiles)
-    return Peer(path, component, profile.instance_name, profile.type_name, ports)
+    language = properties_of(profile.properties).get("language", "")
+    return Peer(path, component, profile.instance_name, profile.type_name, ports, language)
 
 
 def _port(profile: Any, instance: str, seconds: float) -> Port:

@@ -1,21 +1,19 @@
-"""How an OutPort of ours hands data to one connector: at once, the newest, or on request."""
+"""How an OutPort of ours hands data to one connector: at once, from a thread, or on request."""
 
 from __future__ import annotations
 
 import threading
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from omniORB import CORBA
 
+from uoarm_rtm._buffer import Buffer
+from uoarm_rtm._buffering import BufferPolicy, PushPolicy
 from uoarm_rtm._calls import calls
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
-from uoarm_rtm._wishes import Wishes
 
 __all__ = ["Pulled", "Pusher", "Threaded"]
-
-_BUFFERED = 8
 
 
 class Pusher:
@@ -26,77 +24,120 @@ class Pusher:
         lost: told once, when the InPort is gone.
     """
 
+    dropped = 0
+
     def __init__(self, target: Any, lost: Callable[[], None]) -> None:
         self._target = target
         self._lost = lost
 
-    def write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> bool:
         """Send one message; a hung InPort costs its time limit."""
         try:
             with calls:
                 self._target.put(data)
         except CORBA.TIMEOUT:
-            return  # it may be back for the next
+            return True  # it may be back for the next
         except CORBA.Exception:
             self._lost()
+        return True
 
     def close(self) -> None:
         """End."""
 
 
 class Threaded:
-    """Sends the newest message from a thread of its own: `new` and `periodic`."""
+    """Sends from a thread of its own, out of a buffer: `new` and `periodic`.
 
-    def __init__(self, pusher: Pusher, wishes: Wishes) -> None:
-        self._pusher = pusher
-        self._period = 1.0 / wishes.rate if wishes.subscription == "periodic" else 0.0
-        self._changed = threading.Condition()
-        self._newest: bytes | None = None
-        self._closed = False
+    Args:
+        put: sends one message; called in that thread, must not raise.
+        buffer: policy of what waits.
+        push: which of the messages that wait are sent.
+        period: seconds from one round to the next; 0 for as soon as something waits.
+    """
+
+    def __init__(
+        self,
+        put: Callable[[bytes], object],
+        buffer: BufferPolicy,
+        push: PushPolicy,
+        period: float = 0.0,
+    ) -> None:
+        self._put = put
+        self._push = push
+        self._period = period
+        self._passed = 0
+        self._buffer = Buffer(buffer)
+        self._ended = threading.Event()
         threading.Thread(target=self._run, name="uoarm-rtm-push", daemon=True).start()
 
-    def write(self, data: bytes) -> None:
-        """Replace what waits to be sent."""
-        with self._changed:
-            self._newest = data
-            self._changed.notify()
+    @property
+    def dropped(self) -> int:
+        """Messages that gave way or were not taken; those left out by policy are not counted."""
+        return self._buffer.dropped
+
+    def write(self, data: bytes) -> bool:
+        """Have a message wait to be sent; returns whether the buffer took it."""
+        return self._buffer.write(data)
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until nothing waits any more; returns whether that came."""
+        return self._buffer.drain(seconds)
 
     def close(self) -> None:
-        """End the thread; what waits is dropped."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
+        """End the thread; what waits is not sent."""
+        self._ended.set()
+        self._buffer.close()
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._newest is not None)
-                if self._closed:
+        most = 1 if self._push.which == "fifo" else None
+        while waiting := self._buffer.take(most):
+            for data in self._chosen(waiting):
+                if self._ended.is_set():
                     return
-                data, self._newest = self._newest, None
-            assert data is not None
-            self._pusher.write(data)
-            if self._period:
-                with self._changed:
-                    self._changed.wait_for(lambda: self._closed, self._period)
+                self._put(data)
+            self._ended.wait(self._period)
+
+    def _chosen(self, waiting: Sequence[bytes]) -> Iterator[bytes]:
+        if self._push.which == "new":
+            waiting = waiting[-1:]
+        every = self._push.skipped + 1 if self._push.which == "skip" else 1
+        for data in waiting:
+            self._passed += 1
+            if self._passed % every == 0:
+                yield data
 
 
 class Pulled(OpenRTM__POA.OutPortCdr):  # type: ignore[misc]  # generated, without annotations
-    """Keeps the last messages until the other side asks for them."""
+    """Keeps messages in a buffer until the other side asks for them.
 
-    def __init__(self) -> None:
-        self._waiting: deque[bytes] = deque(maxlen=_BUFFERED)
+    Args:
+        policy: of the buffer.
+    """
+
+    def __init__(self, policy: BufferPolicy) -> None:
+        self._buffer = Buffer(policy)
+
+    @property
+    def dropped(self) -> int:
+        """Messages that gave way or were not taken."""
+        return self._buffer.dropped
 
     def get(self) -> tuple[Any, bytes]:
-        """Return the oldest message that waits (CORBA operation)."""
-        try:
-            return OpenRTM.PORT_OK, self._waiting.popleft()
-        except IndexError:
-            return OpenRTM.BUFFER_EMPTY, b""
+        """Return the next message, or what the buffer's policy gives (CORBA operation)."""
+        data = self._buffer.read()
+        if data is not None:
+            return OpenRTM.PORT_OK, data
+        waited = self._buffer.policy.empty == "block"
+        return OpenRTM.BUFFER_TIMEOUT if waited else OpenRTM.BUFFER_EMPTY, b""
 
-    def write(self, data: bytes) -> None:
-        """Keep one message; the oldest gives way."""
-        self._waiting.append(data)
+    def write(self, data: bytes) -> bool:
+        """Have a message wait; returns whether the buffer took it."""
+        return self._buffer.write(data)
+
+    def drain(self, seconds: float) -> bool:
+        """Wait until nothing waits any more; returns whether that came."""
+        return self._buffer.drain(seconds)
 
     def close(self) -> None:
-        """End."""
+        """End; whoever waits in `get` or `write` is let go."""
+        self._buffer.close()

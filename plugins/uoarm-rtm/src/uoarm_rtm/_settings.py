@@ -9,6 +9,7 @@ from attrs import field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Options, Role, Schema
+from uoarm_rtm._buffering import POLICY_OPTIONS, buffer_policy, policy_properties, push_policy
 
 __all__ = [
     "BRIDGE_OPTIONS",
@@ -99,7 +100,10 @@ class BridgeSettings:
 
 @frozen
 class Settings:
-    """The options of an endpoint; meaning in docs/rtm.md."""
+    """The options of an endpoint; meaning in docs/rtm.md.
+
+    `properties` holds also what the options for buffers and pushing come to.
+    """
 
     flow: Literal["push", "pull"] = "push"
     subscription: Literal["flush", "new", "periodic"] = "flush"
@@ -109,6 +113,11 @@ class Settings:
     timeout: float | None = None
     stale_after: float | None = None
     properties: Mapping[str, str] = field(factory=dict, hash=False)
+
+    @property
+    def period(self) -> float:
+        """Seconds from one push of ours to the next; 0 for whenever there is something."""
+        return 1.0 / self.rate if self.subscription == "periodic" else 0.0
 
 
 def bridge_settings(name: str, options: Options) -> BridgeSettings:
@@ -178,22 +187,31 @@ def _fits(address: Address, role: Role) -> None:
 
 
 def _settings(options: Options) -> Settings:
-    known = [each.name for each in Settings.__attrs_attrs__]
+    known = [*(each.name for each in Settings.__attrs_attrs__), *POLICY_OPTIONS]
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
     activate = options.get("activate", False)
     if not isinstance(activate, bool):
         raise ValueError(f"activate must be true or false, got {activate!r}")  # noqa: TRY004 - one kind
+    flow = _one_of(options, "flow", ("push", "pull"))
+    subscription = _one_of(options, "subscription", ("flush", "new", "periodic"))
+    if "push_policy" in options and (flow == "pull" or subscription == "flush"):
+        text = "push_policy means nothing without flow: push and subscription: new or periodic"
+        raise ValueError(text)
+    properties = {**policy_properties(options), **_properties(options.get("properties", {}))}
+    for side in ("inport", "outport"):
+        buffer_policy(properties, side)
+    push_policy(properties)
     return Settings(
-        _one_of(options, "flow", ("push", "pull")),  # type: ignore[arg-type]  # checked there
-        _one_of(options, "subscription", ("flush", "new", "periodic")),  # type: ignore[arg-type]  # checked there
+        flow,  # type: ignore[arg-type]  # checked above
+        subscription,  # type: ignore[arg-type]  # checked above
         _seconds(options, "rate") or Settings().rate,
         _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
         activate,
         _seconds(options, "timeout"),
         _seconds(options, "stale_after"),
-        _properties(options.get("properties", {})),
+        properties,
     )
 
 

@@ -1,4 +1,4 @@
-"""InPorts of components as sinks: we push, or they ask us."""
+"""InPorts of components as sinks: we push, at once or from a buffer, or they ask us."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from omniORB import CORBA
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Message
-from uoarm_rtm._calls import calls
+from uoarm_rtm._buffering import buffer_policy, push_policy
+from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
-from uoarm_rtm._publisher import Pulled
+from uoarm_rtm._publisher import Pulled, Threaded
 from uoarm_rtm._stubs import OpenRTM
 
 __all__ = ["InPortSink"]
@@ -31,7 +32,10 @@ _REASONS = {
 
 
 class InPortSink(Sink):
-    """One connector to an InPort. `send` waits for the component's answer (push).
+    """One connector to an InPort.
+
+    `send` waits for the component's answer where we push with `flush`; otherwise it puts the
+    message into our buffer, whose policy may be to wait for room.
 
     Args:
         place: the port.
@@ -45,38 +49,52 @@ class InPortSink(Sink):
         self._place = place
         self._order = BIG if place.settings.endian == "big" else LITTLE
         self.pulse = Pulse(self, place)
-        self._buffer = Pulled() if place.settings.flow == "pull" else None
-        self._outlet = None if self._buffer is None else place.orb.serve(self._buffer)
-        self.blocking = self._buffer is None
-        properties = asked(place.settings, place.codec.name)
-        if self._outlet is not None:
-            properties[OUTPORT_IOR] = place.orb.text(self._outlet)
+        self._policy = buffer_policy(place.settings.properties, "outport")
+        self._buffer: Pulled | Threaded | None = None
+        self._outlet: Any = None
         self._target: Any = None
+        self._gone = ""
+        self._putting = Calls()
+        waits = buffer_policy(place.settings.properties, "inport").longest_write
+        self._longest = place.settings.timeout or place.seconds + waits
+        properties = asked(place.settings, place.codec.name)
+        pulls = place.settings.flow == "pull"
+        if pulls:
+            self._buffer = Pulled(self._policy)
+            self._outlet = place.orb.serve(self._buffer)
+            properties[OUTPORT_IOR] = place.orb.text(self._outlet)
         try:
             self._connector = Connector(place.port, place.where, properties, place.seconds)
-            if self._buffer is None:
+            if not pulls:
                 self._target = self._reach()
         except BridgeError:
             self._withdraw()
             raise
+        if not pulls and place.settings.subscription != "flush":
+            push, period = push_policy(place.settings.properties), place.settings.period
+            self._buffer = Threaded(self._push, self._policy, push, period)
+        self.blocking = self._buffer is None or self._policy.full == "block"
 
     def send(self, message: Message) -> None:
         """Hand one message to the port.
 
         Raises:
             MessageError: it does not fit the data type; the text names the field.
-            BridgeError: the component is gone or refuses the data, or the channel is closed.
+            BridgeError: the component is gone or refuses the data, our buffer is full, or the
+                channel is closed.
             BridgeTimeoutError: the component does not answer in time.
         """
-        if self._closed:
-            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
-            raise BridgeError(text, FailureReason.CLOSED)
+        self._be_open()
         data = self._place.codec.encode(message, self._order)
-        if self._buffer is not None:
-            self._buffer.write(data)
-        else:
+        if self._buffer is None:
             self._put(data)
-        self.pulse.beat()
+            self.pulse.beat()
+        else:
+            self._keep(data)
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until what is in our buffer has been taken, `timeout` seconds at most."""
+        return self._buffer is None or self._buffer.drain(timeout)
 
     def tick(self) -> None:
         """Look after the connection; called about once a second by the bridge's watch."""
@@ -84,17 +102,53 @@ class InPortSink(Sink):
 
     def facts(self) -> Mapping[str, object]:
         """Return counters and the port."""
-        return self.pulse.facts()
+        if self._buffer is None:
+            return self.pulse.facts()
+        return {**self.pulse.facts(), "dropped": self._buffer.dropped}
+
+    def _be_open(self) -> None:
+        if self._closed:
+            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+            raise BridgeError(text, FailureReason.CLOSED)
+        if self._gone:
+            raise BridgeError(self._gone, FailureReason.UNAVAILABLE)
+
+    def _keep(self, data: bytes) -> None:
+        """Have a message wait in our buffer."""
+        assert self._buffer is not None
+        if self._buffer.write(data):
+            if self._outlet is not None:  # what we push counts when it has been put
+                self.pulse.beat()
+            return
+        self._be_open()
+        policy = self._policy
+        stayed = f" and stayed so for {policy.write_seconds:g} s" if policy.full == "block" else ""
+        text = f"{self._place.where}: our buffer of {policy.length} for it is full{stayed}"
+        raise BridgeError(text, FailureReason.REFUSED)
+
+    def _push(self, data: bytes) -> None:
+        """Put one message from the buffer's thread, where nobody takes an error."""
+        try:
+            self._put(data)
+        except BridgeTimeoutError:
+            return  # told; it may be back for the next
+        except BridgeError as error:
+            if error.reason is FailureReason.UNAVAILABLE:
+                self._gone = str(error)
+            self.pulse.tell(Health.DEGRADED, str(error))
+        else:
+            self.pulse.beat()
 
     def _put(self, data: bytes) -> None:
         try:
-            with calls:
+            with calls, self._putting:
                 status = self._target.put(data)
         except CORBA.TIMEOUT as error:
             text = f"{self._place.where} did not take a message within its time limit"
             self.pulse.tell(Health.DEGRADED, text)
             raise BridgeTimeoutError(text) from error
         except CORBA.Exception as error:
+            self._be_open()
             text = f"{self._place.where} is gone ({corba_text(error)})"
             self.pulse.tell(Health.LOST, text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -110,18 +164,22 @@ class InPortSink(Sink):
         try:
             what = f"{place.where}: its InPortCdr"
             target = narrowed(place.orb.reference(ior), OpenRTM.InPortCdr, place.seconds, what)
-            return limit(target, place.settings.timeout or place.seconds)
+            return limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
 
     def _close(self) -> None:
         self._withdraw()
+        # A component in C++ may abort when it is disconnected while it takes a message.
+        self._putting.end(self._longest)
         try:
             self._connector.disconnect()
         finally:
             self._place.ended()
 
     def _withdraw(self) -> None:
+        if self._buffer is not None:
+            self._buffer.close()
         if self._outlet is not None:
             self._place.orb.withdraw(self._outlet)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,13 +11,14 @@ from omniORB import CORBA
 from uoarm.bridge import Channel, Delivery
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
-from uoarm_rtm._calls import calls
+from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import Connector, asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
-from uoarm_rtm._orb import narrowed
+from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
+from uoarm_rtm._puller import Puller
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["Source"]
@@ -55,7 +55,8 @@ class Source(Channel):
         self._place = place
         self._delivery = Delivery(deliver)
         self._order = BIG if place.settings.endian == "big" else LITTLE
-        self._ended = threading.Event()
+        self._puller: Puller | None = None
+        self._longest = place.seconds
         self.pulse = Pulse(self, place, place.settings.stale_after)
         self._inlet = place.orb.serve(_Inlet(self)) if place.settings.flow == "push" else None
         properties = asked(place.settings, place.codec.name)
@@ -92,8 +93,9 @@ class Source(Channel):
         return self.pulse.facts()
 
     def _close(self) -> None:
-        self._ended.set()
         self._delivery.end()
+        if self._puller is not None:
+            self._puller.end(self._longest)
         self._withdraw()
         try:
             self._connector.disconnect()
@@ -110,30 +112,18 @@ class Source(Channel):
         what = f"{place.where}: its OutPortCdr"
         try:
             target = narrowed(place.orb.reference(ior), OpenRTM.OutPortCdr, place.seconds, what)
+            self._longest += buffer_policy(place.settings.properties, "outport").longest_read
+            limit(target, self._longest)
         except BridgeError:
             self._connector.disconnect()
             raise
-        threading.Thread(
-            target=self._pull, args=(target,), name="uoarm-rtm-pull", daemon=True
-        ).start()
+        self._puller = Puller(
+            target,
+            place.settings.rate,
+            repeats=says_what_empty_means(place.settings.properties),
+            take=self.receive,
+            lost=self._lost,
+        )
 
-    def _pull(self, target: Any) -> None:
-        """Ask `rate` times a second; a datum that comes again is left out.
-
-        Components in C++ give their last datum again for ever, unless told otherwise; those in
-        Python raise BAD_PARAM while they are empty (observed).
-        """
-        before = b""
-        while not self._ended.wait(1.0 / self._place.settings.rate):
-            try:
-                with calls:
-                    status, data = target.get()
-            except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
-                continue
-            except CORBA.Exception as error:
-                text = f"{self._place.where} is gone ({corba_text(error)})"
-                self.pulse.tell(Health.LOST, text)
-                return
-            if status == OpenRTM.PORT_OK and data != before:
-                before = data
-                self.receive(data)
+    def _lost(self, error: CORBA.Exception) -> None:
+        self.pulse.tell(Health.LOST, f"{self._place.where} is gone ({corba_text(error)})")

@@ -10,11 +10,12 @@ from collections.abc import Mapping
 
 from attrs import frozen
 
+from uoarm_rtm._buffering import BufferPolicy, PushPolicy, buffer_policy, push_policy
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._scalars import Order
 from uoarm_rtm._stubs import RTC
 
-__all__ = ["Refusal", "Wishes", "read_wishes"]
+__all__ = ["Refusal", "Wishes", "read_policies", "read_wishes"]
 
 _ORDERS: dict[str, Order] = {"little": LITTLE, "big": BIG}
 _SUBSCRIPTIONS = ("flush", "new", "periodic")
@@ -36,7 +37,7 @@ class Wishes:
     Attributes:
         push: whether the OutPort calls the InPort, rather than being asked.
         subscription: when an OutPort pushes: `flush` at once in the writing thread, `new` from
-            a thread of its own, `periodic` at `rate` a second. The two last send the newest.
+            a thread of its own, `periodic` at `rate` a second.
         order: byte order of the data.
         data_type: as the profile writes it, empty when it says nothing.
     """
@@ -46,6 +47,11 @@ class Wishes:
     rate: float
     order: Order
     data_type: str
+
+    @property
+    def period(self) -> float:
+        """Seconds from one push to the next; 0 for whenever there is something."""
+        return 1.0 / self.rate if self.subscription == "periodic" else 0.0
 
 
 def read_wishes(properties: Mapping[str, str]) -> Wishes:
@@ -70,6 +76,18 @@ def read_wishes(properties: Mapping[str, str]) -> Wishes:
         order=_order(properties.get("dataport.serializer.cdr.endian", "little")),
         data_type=properties.get("dataport.data_type", "").strip(),
     )
+
+
+def read_policies(properties: Mapping[str, str]) -> tuple[BufferPolicy, PushPolicy]:
+    """Read how an OutPort is to keep what waits, and which of it to push.
+
+    Raises:
+        Refusal: a policy is unknown here.
+    """
+    try:
+        return buffer_policy(properties, "outport"), push_policy(properties)
+    except ValueError as error:
+        raise Refusal(str(error), RTC.BAD_PARAMETER) from None
 
 
 def _rate(properties: Mapping[str, str]) -> float:

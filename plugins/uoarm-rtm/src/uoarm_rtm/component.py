@@ -100,9 +100,16 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
             return tuple(self._ports)
 
     def add_in_port(
-        self, name: str, type_id: str, types: Types, take: Callable[[Message], None]
+        self,
+        name: str,
+        type_id: str,
+        types: Types,
+        take: Callable[[Message], None],
+        rate: float = 0.0,
     ) -> InPort:
         """Add a port that takes messages; `take` gets them while the component is ACTIVE.
+
+        With a `rate`, OutPorts that wait to be asked are asked so often a second.
 
         Raises:
             BridgeError: the type is not known.
@@ -113,7 +120,8 @@ class RtComponent(OpenRTM__POA.DataFlowComponent):  # type: ignore[misc]  # gene
                 take(message)
 
         codec = types.codec(type_id)
-        port = InPort(self._orb, f"{self.sheet.name}.{name}", codec, taken, self._seconds)
+        full = f"{self.sheet.name}.{name}"
+        port = InPort(self._orb, full, codec, taken, self._seconds, rate)
         self.add_port(port)
         return port
 

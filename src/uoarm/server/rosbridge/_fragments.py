@@ -1,18 +1,20 @@
-"""Messages that come in pieces, put together within limits."""
+"""Messages in pieces: put together within limits, and taken apart."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+import orjson
 from attrs import define, field
 
 from uoarm.errors import ControlMessageError
 
-__all__ = ["Fragments"]
+__all__ = ["Fragments", "fragment_size", "split"]
 
 _UNFINISHED = 8
 _PIECES = 100_000
+_SMALLEST = 64
 
 
 @define
@@ -65,3 +67,23 @@ class Fragments:
             return None
         del self._messages[identity]
         return "".join(message.pieces[place] for place in range(total))
+
+
+def fragment_size(fields: Mapping[str, Any]) -> int:
+    """Return the longest text of one frame that a client asks for; 0: any length."""
+    size = int(fields.get("fragment_size") or 0)
+    return max(size, _SMALLEST) if size else 0
+
+
+def split(frame: bytes, size: int, identity: str) -> list[bytes]:
+    """Return a frame as it is, or as fragments with at most `size` characters of it each."""
+    if not size or len(frame) <= size:
+        return [frame]
+    text = frame.decode()
+    pieces = [text[at : at + size] for at in range(0, len(text), size)]
+    return [
+        orjson.dumps(
+            {"op": "fragment", "id": identity, "data": piece, "num": place, "total": len(pieces)}
+        )
+        for place, piece in enumerate(pieces)
+    ]

@@ -1,4 +1,4 @@
-"""Topics and services that clients offer to one another, without any framework behind them."""
+"""What clients offer to one another, without any framework behind it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Message
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Listener, Parcel
+from uoarm.server.rosbridge._action_hub import ActionHub
 
 __all__ = ["Hub", "Provider", "Topic"]
 
@@ -39,13 +40,18 @@ class Topic:
 
 
 class Hub:
-    """All topics and services between the clients of one server, in the loop's thread."""
+    """All topics and services between the clients of one server, in the loop's thread.
+
+    Attributes:
+        actions: all actions.
+    """
 
     def __init__(self) -> None:
         self._topics: dict[str, Topic] = {}
         self._services: dict[str, tuple[str, Provider]] = {}
         self._numbers = itertools.count(1)
         self._waiting: dict[str, tuple[Provider, asyncio.Future[Message]]] = {}
+        self.actions = ActionHub()
 
     @property
     def topics(self) -> dict[str, str]:

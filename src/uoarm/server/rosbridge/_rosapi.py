@@ -6,6 +6,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeAlias
 
+from uoarm._version import __version__
 from uoarm.errors import UsageError
 from uoarm.model import Component, Function, MessageStructure
 from uoarm.server._desk import Desk
@@ -13,13 +14,15 @@ from uoarm.server._failures import UnknownError
 from uoarm.server._role import Operation, Role
 from uoarm.server.rosbridge._hub import Hub
 from uoarm.server.rosbridge._names import find_place, topic_of
-from uoarm.server.rosbridge._typedefs import type_name, typedefs
+from uoarm.server.rosbridge._stream_runner import is_action
+from uoarm.server.rosbridge._typedefs import full_text, type_name, typedefs
 
 __all__ = ["PREFIX", "Rosapi"]
 
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
 _NANOSECONDS = 1_000_000_000
+_NO_PARAMETERS = "there are no parameters here: a component's are in the configuration"
 
 
 class Rosapi:
@@ -34,6 +37,7 @@ class Rosapi:
         self._role = role
         self._services: Mapping[str, Callable[[Arguments], Awaitable[dict[str, Any]]]] = {
             "topics": self._topics,
+            "topics_and_raw_types": self._topics_and_raw_types,
             "services": self._list_services,
             "nodes": self._nodes,
             "topic_type": self._topic_type,
@@ -41,6 +45,7 @@ class Rosapi:
             "service_type": self._service_type,
             "services_for_type": self._services_for_type,
             "service_node": self._service_node,
+            "service_providers": self._service_providers,
             "publishers": self._publishers,
             "subscribers": self._subscribers,
             "node_details": self._node_details,
@@ -48,6 +53,8 @@ class Rosapi:
             "service_request_details": self._request_details,
             "service_response_details": self._response_details,
             "get_time": self._get_time,
+            "get_ros_version": self._get_version,
+            "get_param": self._get_param,
             "get_param_names": self._no_names,
             "has_param": self._has_param,
             "action_servers": self._action_servers,
@@ -63,14 +70,24 @@ class Rosapi:
         answer = self._services.get(name)
         if answer is not None:
             return await answer(arguments)
-        if name in {"get_param", "set_param", "delete_param"}:
-            raise UsageError("there are no parameters here: a component's are in the configuration")
+        if name in {"set_param", "delete_param"}:
+            raise UsageError(_NO_PARAMETERS)
         raise UnknownError(f"rosapi has no service {name!r:.100}")
 
     async def _topics(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
         found = {**await self._streams(), **self._visible(self._hub.topics)}
         return {"topics": list(found), "types": list(found.values())}
+
+    async def _topics_and_raw_types(self, arguments: Arguments) -> dict[str, Any]:
+        told = await self._topics(arguments)
+        texts = {
+            type_name(structure, function.name): full_text(typedefs(structure, function.name))
+            for function in self._functions()
+            for port, structure in (await self._structures(function.name)).items()
+            if port.startswith("output.")
+        }
+        return {**told, "typedefs_full_text": [texts.get(kind, "") for kind in told["types"]]}
 
     async def _list_services(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
@@ -101,6 +118,14 @@ class Rosapi:
         place = find_place(_text(arguments, "service"))
         nodes = [f"/{one.name}" for one in self._components(place.function)]
         return {"node": nodes[0] if nodes else ""}
+
+    async def _service_providers(self, arguments: Arguments) -> dict[str, Any]:
+        kind, services = _text(arguments, "service"), await self._all_services()
+        names = (
+            [kind] if kind in services else [name for name in services if services[name] == kind]
+        )
+        found = [one for name in names for one in self._components(find_place(name).function)]
+        return {"providers": [f"/{one.name}" for one in found]}
 
     async def _publishers(self, arguments: Arguments) -> dict[str, Any]:
         place = find_place(_text(arguments, "topic"))
@@ -148,6 +173,17 @@ class Rosapi:
         stamp = {"secs": seconds, "nsecs": nanoseconds, "sec": seconds, "nanosec": nanoseconds}
         return {"time": stamp}
 
+    async def _get_version(self, arguments: Arguments) -> dict[str, Any]:
+        """Say that names and messages are those of ROS 2; no distribution stands behind them."""
+        del arguments
+        return {"version": 2, "distro": f"uoarm {__version__}"}
+
+    async def _get_param(self, arguments: Arguments) -> dict[str, Any]:
+        default = arguments.get("default_value") or arguments.get("default")
+        if not isinstance(default, str):
+            raise UsageError(_NO_PARAMETERS)
+        return {"value": default}
+
     async def _no_names(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
         return {"names": []}
@@ -157,8 +193,14 @@ class Rosapi:
         return {"exists": False}
 
     async def _action_servers(self, arguments: Arguments) -> dict[str, Any]:
+        """Name what takes goals: actions, and services as actions without feedback."""
         del arguments
-        return {"action_servers": []}
+        taking = [
+            topic_of(function.name)
+            for function in self._functions()
+            if any(is_action(one) or one.service is not None for one in function.components)
+        ]
+        return {"action_servers": [*taking, *self._visible(self._hub.actions.actions)]}
 
     async def _details(self, kind: str, part: str) -> dict[str, Any]:
         for function in self._functions():

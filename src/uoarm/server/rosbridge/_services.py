@@ -6,20 +6,21 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.errors import BridgeError, UsageError
-from uoarm.model import Message, MessageStructure
+from uoarm.model import Message
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError
 from uoarm.server._role import Operation
-from uoarm.server._sending import read_message
+from uoarm.server.rosbridge._arguments import read_arguments
+from uoarm.server.rosbridge._fragments import fragment_size
 from uoarm.server.rosbridge._hub import Hub
-from uoarm.server.rosbridge._names import find_place
+from uoarm.server.rosbridge._names import Place, find_place
 from uoarm.server.rosbridge._rosapi import PREFIX, Rosapi
-from uoarm.wire import TEXT_FORM
 
 __all__ = ["Services"]
 
 Fields = Mapping[str, Any]
+_CANCEL = "/_action/cancel_goal"
 
 
 class Services:
@@ -30,7 +31,8 @@ class Services:
         desk: where functions are called.
         hub: where clients call one another.
         require: raises DeniedError for what the client may not do.
-        tell: sends one message to the client.
+        tell: sends one message to the client, in fragments of a size, 0 for none.
+        cancel_goals: asks for the end of all the client's goals to an action.
     """
 
     def __init__(
@@ -39,13 +41,15 @@ class Services:
         desk: Desk,
         hub: Hub,
         require: Callable[[Operation, str], None],
-        tell: Callable[[Fields], None],
+        tell: Callable[[Fields, int], None],
+        cancel_goals: Callable[[Place], None],
     ) -> None:
         self._limits = client.limits
         self._desk = desk
         self._hub = hub
         self._require = require
         self._tell = tell
+        self._cancel_goals = cancel_goals
         self._rosapi = Rosapi(desk, hub, client.role)
         self._provided: set[str] = set()
 
@@ -63,7 +67,7 @@ class Services:
         }
         if fields.get("id") is not None:
             response["id"] = fields["id"]
-        self._tell(response)
+        self._tell(response, fragment_size(fields))
 
     def advertise(self, fields: Fields) -> None:
         """Provide a service to other clients."""
@@ -98,7 +102,7 @@ class Services:
 
     def ask(self, identity: str, service: str, message: Message) -> None:
         """Send another client's request to this one, which provides the service."""
-        self._tell({"op": "call_service", "id": identity, "service": service, "args": message})
+        self._tell({"op": "call_service", "id": identity, "service": service, "args": message}, 0)
 
     def close(self) -> None:
         """Withdraw everything."""
@@ -109,26 +113,11 @@ class Services:
         if place.name.startswith(PREFIX):
             given = arguments if isinstance(arguments, dict) else {}
             return await self._rosapi.call(place.name.removeprefix(PREFIX), given)
+        if place.name.endswith(_CANCEL):
+            self._cancel_goals(find_place(place.name.removesuffix(_CANCEL)))
+            return {"return_code": 0, "goals_canceling": []}
         self._require(Operation.CALL, place.right)
         if not place.function:
             given = {} if arguments is None else arguments
             return await self._hub.call(place.name, given, timeout)
-        return await self._desk.call(place.wanted, arguments, _read, timeout)
-
-
-def _read(structure: MessageStructure, arguments: Message) -> Message:
-    return read_message(TEXT_FORM, structure, _named(arguments, structure))
-
-
-def _named(arguments: Message, structure: MessageStructure) -> Message:
-    """Return arguments by name; a list stands for the fields in their order."""
-    schema = structure.schema
-    if arguments is None:
-        return {}
-    if isinstance(arguments, list) and isinstance(schema, Mapping):
-        names = schema.get("properties")
-        if isinstance(names, Mapping):
-            if len(arguments) > len(names):
-                raise UsageError(f"expected at most {len(names)} arguments, got {len(arguments)}")
-            return dict(zip(names, arguments, strict=False))
-    return arguments
+        return await self._desk.call(place.wanted, arguments, read_arguments, timeout)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import logging
+import itertools
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 import orjson
 from attrs import frozen
 
-from uoarm.errors import ControlMessageError, UoarmError
+from uoarm.errors import ControlMessageError
 from uoarm.model import Message
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
-from uoarm.server._failures import LimitError, code_of
+from uoarm.server._failures import LimitError, code_of, tell_error
 from uoarm.server._role import Operation
-from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.server.rosbridge._actions import Actions
+from uoarm.server.rosbridge._fragments import Fragments, split
+from uoarm.server.rosbridge._goal import GoalStatus
 from uoarm.server.rosbridge._hub import Hub
 from uoarm.server.rosbridge._services import Services
 from uoarm.server.rosbridge._topics import Topics
@@ -25,19 +27,16 @@ from uoarm.server.rosbridge._wire import check_fields, read_operation, write_ros
 
 __all__ = ["RosbridgeSession"]
 
-_log = logging.getLogger("uoarm.server")
 _LEVELS = ("info", "warning", "error", "none")
 _REFUSED = {
     "png": "png is not served: ask for compression none or cbor",
-    "auth": "auth is not served: show a token in the handshake",
-    **dict.fromkeys(
-        (
-            "send_action_goal", "cancel_action_goal", "advertise_action", "unadvertise_action",
-            "action_feedback", "action_result",
-        ),
-        "actions are not served yet",
-    ),
-}  # fmt: skip
+    "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
+    "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
+}
+_ANSWERED = {
+    "call_service": ("service_response", "service"),
+    "send_action_goal": ("action_result", "action"),
+}
 
 
 @frozen
@@ -57,11 +56,14 @@ class RosbridgeSession:
         self._client = client
         self._audit = audit
         self._level = _LEVELS.index("error")
+        self._numbers = itertools.count(1)
         self._fragments = Fragments(client.limits.message_bytes)
         self._tasks: set[asyncio.Task[None]] = set()
         self._topics = Topics(client, desk, hub, self._require, self._fail)
-        self._services = Services(client, desk, hub, self._require, self.tell)
-        topics, services = self._topics, self._services
+        self._actions = Actions(client, desk, hub.actions, self._require, self._fail)
+        cancel = self._actions.cancel_all
+        self._services = Services(client, desk, hub, self._require, self.tell, cancel)
+        topics, services, actions = self._topics, self._services, self._actions
         self._operations = {
             "advertise": _Operation(("topic", "type"), topics.advertise),
             "unadvertise": _Operation(("topic",), topics.unadvertise),
@@ -72,6 +74,12 @@ class RosbridgeSession:
             "advertise_service": _Operation(("service", "type"), services.advertise),
             "unadvertise_service": _Operation(("service",), services.unadvertise),
             "service_response": _Operation(("id", "result"), services.respond),
+            "send_action_goal": _Operation(("action",), actions.send_goal),
+            "cancel_action_goal": _Operation(("id", "action"), actions.cancel_goal),
+            "advertise_action": _Operation(("action", "type"), actions.advertise),
+            "unadvertise_action": _Operation(("action",), actions.unadvertise),
+            "action_feedback": _Operation(("id", "action", "values"), actions.take_feedback),
+            "action_result": _Operation(("id", "action", "status", "result"), actions.take_result),
             "fragment": _Operation(("id", "data", "num", "total"), self._collect),
             "set_level": _Operation(("level",), self._set_level),
             "status": _Operation((), _ignore),
@@ -92,10 +100,13 @@ class RosbridgeSession:
             task.cancel()
         self._topics.close()
         self._services.close()
+        self._actions.close()
 
-    def tell(self, message: Mapping[str, Any]) -> None:
-        """Send one message; raises MessageError when it has no form."""
-        self._client.outbox.tell(write_ros(message), text=True)
+    def tell(self, message: Mapping[str, Any], size: int = 0) -> None:
+        """Send one message, in fragments of a size; raises MessageError when it has no form."""
+        identity = f"uoarm:{message['op']}:{next(self._numbers)}"
+        for frame in split(write_ros(message), size, identity):
+            self._client.outbox.tell(frame, text=True)
 
     def _act(self, fields: Mapping[str, Any]) -> None:
         op = fields.get("op")
@@ -146,12 +157,14 @@ class RosbridgeSession:
         role.require(operation, name)
 
     def _fail(self, fields: Mapping[str, Any], error: BaseException, level: str = "error") -> None:
-        text = str(error)
-        if not isinstance(error, UoarmError):
-            _log.error("rosbridge client %s failed", self._client.identity, exc_info=error)
-            text = "the server failed; its log says more"
-        if fields.get("op") == "call_service":
-            self._client.outbox.tell(_failed_call(fields, text), text=True)
+        text = tell_error(error)
+        op = fields.get("op")
+        if op == "call_service":
+            self._client.outbox.tell(
+                _failed(fields, "service_response", "service", text), text=True
+            )
+        elif op == "send_action_goal":
+            self._client.outbox.tell(_failed(fields, "action_result", "action", text), text=True)
         elif _LEVELS.index(level) >= self._level:
             status = {"op": "status", "level": level, "msg": f"{code_of(error)}: {text}"}
             if isinstance(fields.get("id"), str):
@@ -159,17 +172,20 @@ class RosbridgeSession:
             self._client.outbox.tell(write_ros(status), text=True)
 
 
-def _failed_call(fields: Mapping[str, Any], text: str) -> bytes:
-    service, identity = fields.get("service"), fields.get("id")
-    response: dict[str, Message] = {
-        "op": "service_response",
-        "service": service if isinstance(service, str) else "",
+def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:
+    """Return the answer to a call or a goal that was not even begun."""
+    name, identity = fields.get(kind), fields.get("id")
+    answer: dict[str, Message] = {
+        "op": op,
+        kind: name if isinstance(name, str) else "",
         "values": text,
         "result": False,
     }
+    if op == "action_result":
+        answer["status"] = int(GoalStatus.UNKNOWN)
     if isinstance(identity, str):
-        response["id"] = identity
-    return orjson.dumps(response)
+        answer["id"] = identity
+    return orjson.dumps(answer)
 
 
 def _ignore(fields: Mapping[str, Any]) -> None:

@@ -9,7 +9,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import orjson
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError, MessageError
@@ -18,12 +17,12 @@ from uoarm.model import QueuePolicy
 from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel
 from uoarm.server._outbox import Lane, Outbox
+from uoarm.server.rosbridge._fragments import fragment_size, split
 from uoarm.server.rosbridge._wire import write_publish, write_publish_cbor
 
 __all__ = ["Subscription", "Wish", "read_wish"]
 
 _COMPRESSIONS = ("none", "cbor")
-_SMALLEST_FRAGMENT = 64
 _MOST = 100_000
 
 
@@ -51,15 +50,19 @@ def read_wish(fields: Mapping[str, Any]) -> Wish:
         ControlMessageError: it asks for a compression that is not served.
     """
     compression = fields.get("compression") or "none"
+    if compression == "cbor-raw":
+        raise ControlMessageError(
+            "subscribe: compression 'cbor-raw' is not served: messages of every framework are "
+            "decoded here, so there is no serialised form to pass on; use cbor"
+        )
     if compression not in _COMPRESSIONS:
         raise ControlMessageError(
             f"subscribe: compression {compression!r:.60} is not served; use none or cbor"
         )
-    fragment = int(fields.get("fragment_size") or 0)
     return Wish(
         every=float(fields.get("throttle_rate") or 0) / 1000,
         length=min(int(fields.get("queue_length") or 0), _MOST),
-        fragment=max(fragment, _SMALLEST_FRAGMENT) if fragment else 0,
+        fragment=fragment_size(fields),
         compression=compression,
     )
 
@@ -92,6 +95,7 @@ class Subscription:
         on_end: Callable[[str, str], None],
     ) -> None:
         self.wishes: dict[str, Wish] = {}
+        self._topic = topic
         self._outbox = outbox
         self._clock = clock
         self._complaints = Complaints(on_refused)
@@ -178,24 +182,10 @@ class Subscription:
 
     def _send(self, parcel: Parcel) -> None:
         frame = parcel.written(self._key, self._write)
-        if self._fragment and len(frame) > self._fragment:
-            self._outbox.put(self.lane, *_fragments(frame, self._fragment, parcel.number))
-        else:
-            self._outbox.put(self.lane, frame)
+        identity = f"uoarm:{self._topic}:{parcel.number}"
+        self._outbox.put(self.lane, *split(frame, self._fragment, identity))
 
 
 def _numberless(write: Callable[[Any], bytes], number: int, message: Any) -> bytes:
     del number
     return write(message)
-
-
-def _fragments(frame: bytes, size: int, number: int) -> list[bytes]:
-    text = frame.decode()
-    pieces = [text[at : at + size] for at in range(0, len(text), size)]
-    return [
-        orjson.dumps(
-            {"op": "fragment", "id": f"uoarm{number}", "data": piece, "num": place,
-             "total": len(pieces)}
-        )
-        for place, piece in enumerate(pieces)
-    ]  # fmt: skip

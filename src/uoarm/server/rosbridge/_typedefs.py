@@ -7,10 +7,11 @@ from typing import Any
 
 from uoarm.model import MessageStructure
 
-__all__ = ["type_name", "typedefs"]
+__all__ = ["full_text", "type_name", "typedefs"]
 
 _MOST = 200
 _VARIABLE, _SINGLE = 0, -1
+_RULE = "=" * 80
 _INTEGERS = (
     ("uint8", 0, 2**8 - 1), ("int8", -(2**7), 2**7 - 1), ("uint16", 0, 2**16 - 1),
     ("int16", -(2**15), 2**15 - 1), ("uint32", 0, 2**32 - 1), ("int32", -(2**31), 2**31 - 1),
@@ -49,6 +50,17 @@ def typedefs(structure: MessageStructure, function: str) -> list[dict[str, Any]]
                 waiting.append((kind, element))
         found.append(definition)
     return found
+
+
+def full_text(definitions: list[dict[str, Any]]) -> str:
+    """Return definitions as the text of a message file and, after rules, of those within it."""
+    texts = []
+    for one in definitions:
+        lengths = ["" if n == _SINGLE else f"[{n or ''}]" for n in one["fieldarraylen"]]
+        fields = zip(one["fieldtypes"], lengths, one["fieldnames"], strict=True)
+        texts.append("".join(f"{kind}{length} {name}\n" for kind, length, name in fields))
+    inner = zip(definitions[1:], texts[1:], strict=True)
+    return "".join(texts[:1] + [f"{_RULE}\nMSG: {one['type']}\n{text}" for one, text in inner])
 
 
 def _field(name: str, schema: object) -> tuple[str, int, object]:

@@ -17,7 +17,9 @@ from uoarm.wire import check_depth, dump_parts, write_binary
 
 __all__ = ["check_fields", "read_operation", "write_publish", "write_publish_cbor", "write_ros"]
 
-_TEXTS = ("op", "id", "topic", "type", "service", "level", "compression")
+_TEXTS = (
+    "op", "id", "topic", "type", "service", "action", "action_type", "level", "compression",
+)  # fmt: skip
 _COUNTS = ("throttle_rate", "queue_length", "fragment_size", "queue_size", "num", "total")
 _MOST = 2**31 - 1
 _MAX_TEXT = 1024

@@ -58,6 +58,8 @@ export interface Change {
 export class Robot {
   /** What the server said first: protocol, server, session, role, limits. */
   readonly hello: Record<string, unknown>;
+  /** How often the connection dropped and the session went on over another. */
+  readonly resumed: number;
   request<T = Message>(name: string, options?: RequestOptions): Promise<Stream<T>>;
   call<T = Message>(name: string, message: Message, options?: { timeout?: number }): Promise<T>;
   functions(): Promise<FunctionInfo[]>;
@@ -73,6 +75,8 @@ export interface ConnectOptions {
   binary?: boolean;
   /** Seconds until connecting is given up. */
   timeout?: number;
+  /** Whether to connect again after a drop and go on with the same session; true by default. */
+  resume?: boolean;
   /** A WebSocket class, where there is no global one. */
   WebSocket?: new (url: string, protocols: string[]) => unknown;
 }

@@ -1,16 +1,14 @@
 // A client of `uoarm serve` for browsers and Node, without dependencies. Types: uoarm.d.ts.
 import { decode, encode } from "./uoarm-cbor.js";
+import { Link, UoarmError } from "./uoarm-link.js";
+
+export { UoarmError };
 
 const HELD = 1024;
-
-/** What the server refused, or why the connection ended; `code` is that of the protocol. */
-export class UoarmError extends Error {
-  constructor(code, text) {
-    super(text);
-    this.name = "UoarmError";
-    this.code = code;
-  }
-}
+const FORMS = {
+  json: { protocol: "uoarm.v1.json", read: JSON.parse, write: JSON.stringify },
+  cbor: { protocol: "uoarm.v1.cbor", read: decode, write: encode },
+};
 
 /** Messages for one reader: waits for the next, ends once, and keeps the newest when it is slow. */
 class Mailbox {
@@ -104,25 +102,28 @@ export class Stream {
 
 /** A robot behind a server; made by `connect`. */
 export class Robot {
-  #socket;
-  #binary;
+  #link;
   #asked = new Map();
   #streams = new Map();
   #watchers = new Set();
   #next = 1;
   #ended = null;
 
-  constructor(socket, binary, greeted) {
-    this.#socket = socket;
-    this.#binary = binary;
+  constructor(open, form, timeout) {
     this.hello = null;
-    socket.binaryType = "arraybuffer";
-    socket.onmessage = ({ data }) => {
-      this.#take(typeof data === "string" ? JSON.parse(data) : decode(data));
-      if (this.hello) greeted(this);
-    };
-    socket.onclose = (event) => this.#finish(
-      new UoarmError("closed", `the connection ended (${event.code}) ${event.reason}`));
+    const take = (told) => this.#take(told);
+    this.#link = new Link({ open, form, timeout, take, ended: (error) => this.#finish(error) });
+  }
+
+  /** How often the connection dropped and the session went on over another. */
+  get resumed() {
+    return this.#link.resumed;
+  }
+
+  /** Connect; `connect` does it. */
+  async start(resume) {
+    await this.#link.start(resume);
+    return this;
   }
 
   /** Open a function, or `function.output`. */
@@ -166,7 +167,7 @@ export class Robot {
   /** End the connection; what waits fails. */
   close() {
     this.#finish(new UoarmError("closed", "the client was closed"));
-    this.#socket.close();
+    this.#link.close();
   }
 
   #ask(fields) {
@@ -174,8 +175,7 @@ export class Robot {
     const id = String(this.#next++);
     return new Promise((resolve, reject) => {
       this.#asked.set(id, { op: fields.op, resolve, reject });
-      const message = { ...fields, id };
-      this.#socket.send(this.#binary ? encode(message) : JSON.stringify(message));
+      this.#link.send({ ...fields, id });
     });
   }
 
@@ -221,30 +221,21 @@ export class Robot {
   }
 }
 
-/** Connect to a server. With `binary` octets come as Uint8Array instead of base64 text. */
-export function connect(url, { token, binary = false, timeout = 10, WebSocket } = {}) {
+/**
+ * Connect to a server. With `binary` octets come as Uint8Array instead of base64 text; with
+ * `resume` a connection that drops is renewed, and the session goes on.
+ */
+export async function connect(
+  url, { token, binary = false, timeout = 10, resume = true, WebSocket } = {},
+) {
   const Socket = WebSocket ?? globalThis.WebSocket;
   if (!Socket) throw new UoarmError("usage", "there is no WebSocket here: hand one over");
-  const protocols = [binary ? "uoarm.v1.cbor" : "uoarm.v1.json"];
+  const form = binary ? FORMS.cbor : FORMS.json;
+  const protocols = [form.protocol];
   if (token !== undefined) protocols.push(`uoarm.token.${token}`);
-  return new Promise((resolve, reject) => {
-    const socket = new Socket(url, protocols);
-    const late = setTimeout(() => fail(`no answer within ${timeout} s`), timeout * 1000);
-    const fail = (text) => {
-      clearTimeout(late);
-      reject(new UoarmError("closed", `${url}: ${text}`));
-      socket.onerror = socket.onclose = null;
-      socket.close();
-    };
-    const robot = new Robot(socket, binary, () => {
-      clearTimeout(late);
-      resolve(robot);
-    });
-    const { onclose } = socket;
-    socket.onclose = (event) => {
-      onclose(event);
-      if (!robot.hello) fail(event.reason || "the server refused, or is not there");
-    };
-    socket.onerror = () => robot.hello ?? fail("the server refused, or is not there");
-  });
+  try {
+    return await new Robot(() => new Socket(url, protocols), form, timeout).start(resume);
+  } catch (error) {
+    throw error instanceof UoarmError ? new UoarmError("closed", `${url}: ${error.message}`) : error;
+  }
 }

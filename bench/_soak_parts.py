@@ -1,0 +1,70 @@
+"""Components of the soak, which keep a journal and do harm to themselves when a file asks for it.
+
+A journal has one octet for each message, so that no death of the process can falsify it. Harms:
+`slow` and `refuse` last as long as their file is there, `hang` is taken by the first that sees it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+__all__ = ["finder", "numbers"]
+
+_PAUSE_SECONDS = 0.02
+_EACH = 10
+
+
+def _folder() -> Path:
+    return Path(os.environ["UOARM_SOAK"])
+
+
+def _journal(name: str) -> int:
+    path = _folder() / f"{name}-{os.getpid()}.journal"
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+
+def numbers() -> Iterator[int]:
+    """Emit some hundred numbers a second, until there are enough."""
+    sent = _journal("sent")
+    number = 0
+    while not (_folder() / "enough").exists():
+        for _ in range(_EACH):
+            os.write(sent, b"x")
+            yield number
+            number += 1
+        time.sleep(_PAUSE_SECONDS)
+    time.sleep(3600)
+
+
+class finder:  # noqa: N801 - a function to the robot
+    """Give back what came, unless a file says otherwise."""
+
+    def __init__(self) -> None:
+        self._refused = _journal("refused")
+
+    def __call__(self, value: int) -> int:
+        """Give back what came.
+
+        Raises:
+            ValueError: the file `refuse` is there.
+        """
+        if (_folder() / "slow").exists():
+            time.sleep(_PAUSE_SECONDS)
+        if (_folder() / "refuse").exists():
+            os.write(self._refused, b"x")
+            raise ValueError(f"{value} is not wanted")
+        if _takes_hang():
+            ctypes.PyDLL(None).sleep(3600)  # keeps the interpreter lock
+        return value
+
+
+def _takes_hang() -> bool:
+    try:
+        (_folder() / "hang").unlink()
+    except FileNotFoundError:
+        return False
+    return True

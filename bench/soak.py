@@ -1,0 +1,179 @@
+"""A soak of hosts, failover and failback: `python -m bench.soak --minutes 30`.
+
+A chain of two hosted functions, each with two candidates in hosts of their own, delivers to this
+process while random hosts are killed, stopped, made to hang, slow or refusing, each at least
+once. It must go on behind its handle; at the end every message must be received or counted, and
+threads, descriptors and memory be where they were after the first part. Exit code 0 when all of
+that held.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import click
+from attrs import Factory, define, evolve
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from bench._soak_faults import FAULTS, Faults
+from bench._soak_watch import Sample, look, sparkline
+from bench.tables import print_table
+from uoarm import Connection, RobotManager
+from uoarm.config import loads
+from uoarm.model import ConnectionState, FailoverPolicy
+from uoarm.testing import Census, losses
+
+HERE = Path(__file__).parent
+PATIENCE_SECONDS = 90.0
+BETWEEN_SECONDS = 1.5
+GROWTH_MEGABYTES = 25.0
+POLICY = FailoverPolicy(wait=PATIENCE_SECONDS, limit=1_000_000, return_after=0.5)
+ROBOT = """
+version: 1
+bridges: {bridges}
+functions:
+  numbers:
+    components:
+      - {{name: first, bridge: one, priority: 2, output: {{endpoint: ["_soak_parts:numbers"]}}}}
+      - {{name: second, bridge: two, priority: 1, output: {{endpoint: ["_soak_parts:numbers"]}}}}
+  found:
+    components:
+      - name: near
+        bridge: three
+        priority: 2
+        input: {{from: numbers, endpoint: ["_soak_parts:finder"]}}
+        output: {{endpoint: ["_soak_parts:finder"]}}
+      - name: far
+        bridge: four
+        priority: 1
+        input: {{from: numbers, endpoint: ["_soak_parts:finder"]}}
+        output: {{endpoint: ["_soak_parts:finder"]}}
+"""
+
+
+@define
+class Soak:
+    """What a soak has seen."""
+
+    arrived: int = 0
+    samples: list[Sample] = Factory(list)
+
+    def take(self, _: object) -> None:
+        """Count a message that arrived."""
+        self.arrived += 1
+
+
+@click.command()
+@click.option("--minutes", type=click.FloatRange(min=0.05), default=30.0, show_default=True)
+@click.option("--seed", default=1, show_default=True, help="Of the choice of faults.")
+def main(minutes: float, seed: int) -> None:
+    """Harm hosts under a connection for some minutes."""
+    logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # every fault is told, in hundreds
+    with tempfile.TemporaryDirectory(prefix="uoarm-soak-") as folder:
+        with RobotManager(evolve(loads(_robot(Path(folder))), failover=POLICY)) as warm:
+            warm.request("found").get(30)
+        for left in Path(folder).glob("*.journal"):
+            left.unlink()
+        before = Census()
+        held = _soak(Path(folder), 60.0 * minutes, seed)
+        before.check(30.0)
+    sys.exit(0 if held else 1)
+
+
+def _robot(folder: Path) -> str:
+    host = {"silence": 0.6, "restarts": 1_000_000, "variables": {"UOARM_SOAK": str(folder)}}
+    one = {"plugin": "python", "host": host, "options": {"path": [str(HERE)]}}
+    return ROBOT.format(bridges=dict.fromkeys(("one", "two", "three", "four"), one))
+
+
+def _soak(folder: Path, seconds: float, seed: int) -> bool:
+    soak = Soak()
+    with RobotManager(evolve(loads(_robot(folder)), failover=POLICY)) as robot:
+        connection = robot.request("found", on_message=soak.take)
+        faults = Faults(robot, folder, seed)
+        begun = time.monotonic()
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+        ) as progress:
+            bar = progress.add_task("soaking", total=seconds)
+            first = list(FAULTS)
+            while (passed := time.monotonic() - begun) < seconds or first:
+                progress.update(bar, completed=passed, description=_told(soak, faults))
+                faults.harm(first.pop(0) if first else None)
+                _wait_for_more(soak, connection)
+                soak.samples.append(look())
+        (folder / "enough").touch()
+        unaccounted = _settle(robot, soak, folder, faults.deaths)
+        return _report(robot, connection, soak, faults, unaccounted)
+
+
+def _told(soak: Soak, faults: Faults) -> str:
+    return f"{soak.arrived} messages, {faults.done.total()} faults"
+
+
+def _wait_for_more(soak: Soak, connection: Connection) -> None:
+    """Wait a while, then for messages that came after it.
+
+    Raises:
+        TimeoutError: nothing came for a long time.
+    """
+    pause = threading.Event()
+    pause.wait(BETWEEN_SECONDS)
+    seen, deadline = soak.arrived, time.monotonic() + PATIENCE_SECONDS
+    while soak.arrived < seen + 20:
+        if connection.state is not ConnectionState.RUNNING or time.monotonic() > deadline:
+            raise TimeoutError(f"nothing comes: {connection.status()}")
+        pause.wait(0.01)
+
+
+def _journal(folder: Path, name: str) -> int:
+    return sum(path.stat().st_size for path in folder.glob(f"{name}-*.journal"))
+
+
+def _settle(robot: RobotManager, soak: Soak, folder: Path, doubts: int) -> int:
+    """Wait until nothing moves; return how many messages are neither received nor counted."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    pause = threading.Event()
+    while True:
+        counted = soak.arrived + _journal(folder, "refused") + losses(robot.status()).total()
+        unaccounted = _journal(folder, "sent") - counted
+        if abs(unaccounted) <= doubts or time.monotonic() > deadline:
+            return unaccounted
+        pause.wait(0.1)
+
+
+def _report(
+    robot: RobotManager, connection: Connection, soak: Soak, faults: Faults, unaccounted: int
+) -> bool:
+    gaps = connection.gaps
+    counted = losses(robot.status())
+    by_reason = ", ".join(f"{reason} {count}" for reason, count in sorted(counted.items()))
+    spans = sorted(gap.seconds for gap in gaps) or [0.0]
+    steady = soak.samples[len(soak.samples) // 3 :]
+    growth = steady[-1].memory_megabytes - steady[0].memory_megabytes
+    rows = [
+        ("faults", ", ".join(f"{fault} {count}" for fault, count in faults.done.items())),
+        ("changes of plan", f"{len(gaps)}, median gap {1000 * spans[len(spans) // 2]:.0f} ms"),
+        ("messages received", f"{soak.arrived:,}"),
+        ("messages counted as lost", f"{counted.total():,} ({by_reason})"),
+        ("neither, one in doubt a death", f"{unaccounted} of {faults.deaths}"),
+        ("memory, MB", _drawn([one.memory_megabytes for one in soak.samples])),
+        ("threads", _drawn([one.threads for one in soak.samples])),
+        ("descriptors", _drawn([one.descriptors for one in soak.samples])),
+        ("growth after the first third", f"{growth:.1f} MB"),
+    ]
+    print_table("Soak", ("what", "figures"), rows)
+    return abs(unaccounted) <= faults.deaths and growth < GROWTH_MEGABYTES
+
+
+def _drawn(values: list[float]) -> str:
+    return f"{min(values):.0f} to {max(values):.0f} {sparkline(values)}"
+
+
+if __name__ == "__main__":
+    main()

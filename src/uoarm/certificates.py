@@ -1,0 +1,188 @@
+"""Certificates for bridge hosts on other machines: a small authority of the robot's own.
+
+A folder holds the authority (`ca.pem`, `ca.key`) and for every name `NAME.pem` and `NAME.key`.
+The manager's certificate is good for listening only, a machine's for joining only, so that no
+machine can stand in for the manager.
+
+Needs the extra `uoarm[certificates]`.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import ipaddress
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from attrs import frozen
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from uoarm.errors import UsageError
+
+__all__ = ["MANAGER", "Authority"]
+
+MANAGER = "manager"
+"""The name of the manager's certificate."""
+
+_AUTHORITY = "ca"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
+_AUTHORITY_DAYS = 3650
+_CLOCKS_DIFFER = dt.timedelta(hours=1)
+
+
+@frozen
+class Authority:
+    """Who signs the certificates of one robot.
+
+    Attributes:
+        folder: where all its files are.
+        certificate: its own.
+        key: signs; whoever has it can make machines and managers.
+    """
+
+    folder: Path
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+    @classmethod
+    def of(cls, folder: Path) -> Authority:
+        """Return the authority of a folder; make both where there is none.
+
+        Raises:
+            UsageError: the folder cannot be used, or its authority not be read.
+        """
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if (folder / f"{_AUTHORITY}.pem").exists():
+                return cls._read(folder)
+            return cls._make(folder)
+        except (OSError, ValueError, TypeError) as error:
+            raise UsageError(f"{folder} cannot hold certificates: {error}") from error
+
+    def certify_manager(self, addresses: Sequence[str], days: int) -> Path:
+        """Make the manager's certificate, for the addresses under which machines reach it.
+
+        Raises:
+            UsageError: there is one already.
+        """
+        names: list[x509.GeneralName] = [_general_name(one) for one in addresses]
+        return self._certify(MANAGER, names, ExtendedKeyUsageOID.SERVER_AUTH, days)
+
+    def certify_machine(self, name: str, days: int) -> Path:
+        """Make the certificate of a machine.
+
+        Raises:
+            UsageError: there is one already, or no machine can have this name.
+        """
+        if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
+            raise UsageError(
+                f"a machine cannot be called {name!r}: letters, digits, _ and -, a letter or _ "
+                f"first, 64 at most, and neither {_AUTHORITY!r} nor {MANAGER!r}"
+            )
+        return self._certify(name, [x509.DNSName(name)], ExtendedKeyUsageOID.CLIENT_AUTH, days)
+
+    def _certify(
+        self, name: str, names: list[x509.GeneralName], usage: x509.ObjectIdentifier, days: int
+    ) -> Path:
+        place = self.folder / f"{name}.pem"
+        if place.exists():
+            raise UsageError(f"{place} is there already: remove it and its key to make a new one")
+        key = ec.generate_private_key(ec.SECP256R1())
+        issued = (
+            _builder(name, self.certificate.subject, key.public_key(), days)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(x509.SubjectAlternativeName(names), critical=False)
+            .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
+            .add_extension(_key_usage(signs_certificates=False), critical=True)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()),
+                critical=False,
+            )
+            .sign(self.key, hashes.SHA256())
+        )
+        _write(self.folder, name, issued, key)
+        return place
+
+    @classmethod
+    def _read(cls, folder: Path) -> Authority:
+        certificate = (folder / f"{_AUTHORITY}.pem").read_bytes()
+        key = (folder / f"{_AUTHORITY}.key").read_bytes()
+        signs = serialization.load_pem_private_key(key, None)
+        if not isinstance(signs, ec.EllipticCurvePrivateKey):
+            raise UsageError(f"{folder / _AUTHORITY}.key is no key of an elliptic curve")
+        return cls(folder, x509.load_pem_x509_certificate(certificate), signs)
+
+    @classmethod
+    def _make(cls, folder: Path) -> Authority:
+        key = ec.generate_private_key(ec.SECP256R1())
+        public = key.public_key()
+        subject = _subject("uoarm robot")
+        certificate = (
+            _builder("uoarm robot", subject, public, _AUTHORITY_DAYS)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(_key_usage(signs_certificates=True), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
+            .sign(key, hashes.SHA256())
+        )
+        _write(folder, _AUTHORITY, certificate, key)
+        return cls(folder, certificate, key)
+
+
+def _subject(name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+
+
+def _builder(
+    name: str, issuer: x509.Name, public: ec.EllipticCurvePublicKey, days: int
+) -> x509.CertificateBuilder:
+    now = dt.datetime.now(dt.timezone.utc)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(_subject(name))
+        .issuer_name(issuer)
+        .public_key(public)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCKS_DIFFER)
+        .not_valid_after(now + dt.timedelta(days=days))
+    )
+
+
+def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=signs_certificates,
+        crl_sign=signs_certificates,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _general_name(address: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(address))
+    except ValueError:
+        return x509.DNSName(address)
+
+
+def _write(
+    folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
+) -> None:
+    """Write a pair; the key first, and never readable for others."""
+    secret = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    place = os.open(folder / f"{name}.key", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(place, "wb") as file:
+        file.write(secret)
+    (folder / f"{name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))

@@ -1,0 +1,154 @@
+"""The connection to a server: one WebSocket, and after a drop another one with the same session."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+
+from uoarm.errors import ConnectionClosedError
+from uoarm.wire import Form
+
+__all__ = ["Link", "Open"]
+
+_DEPTH = 512
+_KEEP, _RESUME = "keep", "resume"
+_MOST_WAITING = 4096
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 5.0
+
+Open = Callable[[], Awaitable[ClientConnection]]
+Take = Callable[[Mapping[str, Any]], None]
+
+
+class Link:
+    """Sends and receives control messages; all methods in one loop.
+
+    Args:
+        opening: makes a WebSocket.
+        form: in which messages are.
+        take: gets each message of the server but those about resuming.
+    """
+
+    def __init__(self, opening: Open, form: Form, take: Take) -> None:
+        self._open = opening
+        self._form = form
+        self._take = take
+        self._socket: ClientConnection | None = None
+        self._ready = asyncio.Event()
+        self._unanswered: dict[str, None] = {}
+        self._key = ""
+        self._seconds = 0.0
+        self.resumed = 0
+        self.closed = ""
+
+    async def start(self, *, resume: bool) -> None:
+        """Connect; with `resume` ask the server to keep the session over drops."""
+        self._socket = await self._open()
+        self._ready.set()
+        if resume:
+            await self._write(self._socket, {"op": "Resume", "id": _KEEP})
+
+    async def send(self, fields: Mapping[str, Any]) -> None:
+        """Send one message that will be answered; waits while the connection is renewed.
+
+        Raises:
+            ConnectionClosedError: it has ended for good.
+        """
+        await self._ready.wait()
+        if self.closed or self._socket is None:
+            raise ConnectionClosedError(self.closed)
+        self._unanswered[fields["id"]] = None
+        try:
+            await self._write(self._socket, fields)
+        except ConnectionClosed as error:
+            if not self._key:
+                raise ConnectionClosedError(f"the server is gone: {error}") from error
+            # Whether it arrived is known when the session goes on: then it has its answer.
+
+    async def run(self) -> None:
+        """Read until the connection has ended for good; `closed` then says why."""
+        try:
+            while not self.closed:
+                self.closed = await self._read()
+        finally:
+            self.closed = self.closed or "the client was closed"
+            self._ready.set()
+
+    async def close(self) -> None:
+        """Say goodbye, so that the server keeps nothing."""
+        if self._socket is not None:
+            await self._socket.close()
+
+    async def _read(self) -> str:
+        """Read one connection to its end; returns why nothing follows it, or nothing."""
+        assert self._socket is not None, "start comes first"
+        try:
+            async for frame in self._socket:
+                self._hear(self._form.read(frame, _DEPTH))
+        except ConnectionClosed as error:
+            if error.rcvd is not None or not self._key:
+                return f"the connection to the server ended: {error}"
+            return await self._renew(f"the connection to the server dropped: {error}")
+        return "the server closed the connection"
+
+    async def _renew(self, cause: str) -> str:
+        """Go on with the session over a new connection; returns why that failed, or nothing."""
+        self._ready.clear()
+        loop = asyncio.get_running_loop()
+        deadline, pause = loop.time() + self._seconds, _FIRST_PAUSE
+        why = cause
+        while loop.time() < deadline:
+            try:
+                refused = await asyncio.wait_for(self._go_on(), deadline - loop.time())
+            except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
+                why = f"{cause}; connecting again failed: {error}"
+                await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
+                pause = min(2 * pause, _LONGEST_PAUSE)
+            else:
+                if refused:
+                    return f"{cause}; {refused}"
+                self.resumed += 1
+                self._ready.set()
+                return ""
+        return why
+
+    async def _go_on(self) -> str:
+        """Take the session up over a new connection; returns the server's refusal, or nothing."""
+        socket = await self._open()
+        try:
+            refused = await self._take_up(socket)
+        except BaseException:
+            socket.transport.abort()
+            raise
+        if refused:
+            await socket.close()
+        else:
+            self._socket = socket
+        return refused
+
+    async def _take_up(self, socket: ClientConnection) -> str:
+        waiting = list(self._unanswered)[:_MOST_WAITING]
+        await socket.recv()  # the greeting of a new session
+        options = {"key": self._key, "waiting": waiting}
+        await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
+        while (told := self._form.read(await socket.recv(), _DEPTH)).get("id") != _RESUME:
+            self._hear(told)
+        return "" if told["op"] == "Reply" else str(told["jsonMessage"]["text"])
+
+    def _hear(self, told: Mapping[str, Any]) -> None:
+        identity = told.get("id")
+        if identity == _KEEP:
+            if told["op"] == "Reply":
+                self._key = told["jsonMessage"]["key"]
+                self._seconds = told["jsonMessage"]["seconds"]
+            return
+        if identity is not None:
+            self._unanswered.pop(identity, None)
+        self._take(told)
+
+    async def _write(self, socket: ClientConnection, fields: Mapping[str, Any]) -> None:
+        await socket.send(self._form.write(fields), text=self._form.text)

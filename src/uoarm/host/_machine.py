@@ -1,0 +1,191 @@
+"""One bridge on another machine, from the time its host takes it up until it is let go or lost."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from uoarm.bridge import CONTRACT_VERSION
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
+from uoarm.host import _keys
+from uoarm.host._desk import MachineDesk
+from uoarm.host._link import ANSWER_SECONDS, Link
+from uoarm.host._pulse import Pulse
+from uoarm.host._settings import HostSettings
+from uoarm.host._tally import Tally
+from uoarm.model import BridgeSpec
+
+__all__ = ["MachineConnection"]
+
+_MARGIN_SECONDS = 0.5
+_NEWS_SECONDS = 0.3
+_JOIN_SECONDS = 2.0
+_LEAST_SECONDS = 1.0
+
+
+class MachineConnection:
+    """Has a host on another machine take up a bridge, and returns when it has.
+
+    The host was started there and stays there: nothing here starts, kills or restarts it. What it
+    is told to do with `close` is to let the bridge go.
+
+    Args:
+        desk: knows which hosts are there.
+        machine: its name.
+        spec: the bridge.
+        settings: of the host; `silence` and `start` count.
+        heard: told what every answer of its pulse holds.
+        doubted: told that it does not answer, or does again, and the cause.
+        died: told once why it was lost; `dead` is set already.
+
+    Raises:
+        UoarmError: what making the bridge there raised.
+        BridgeError: no such host has joined, or one with another version.
+        BridgeTimeoutError: the bridge was not ready in time.
+    """
+
+    def __init__(
+        self,
+        desk: MachineDesk,
+        machine: str,
+        spec: BridgeSpec,
+        settings: HostSettings,
+        *,
+        heard: Callable[[Any], None],
+        doubted: Callable[[bool, str], None],
+        died: Callable[[str], None],
+    ) -> None:
+        self._place = f"machine {machine!r}"
+        self._doubted = doubted
+        self._died = died
+        self._state = threading.Condition()
+        self._alive = False
+        self._closing = False
+        self._pulse: Pulse | None = None
+        self.dead = ""
+        self.tally: Tally | None = None  # no memory is shared with another machine
+        host = desk.find(machine, spec.name, settings.start)
+        if host is None:
+            text = f"no host of {self._place} is there for bridge {spec.name!r}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        try:
+            desk.meet(machine, host, min(settings.silence, settings.start))
+        except BridgeError as error:
+            text = f"the host of {self._place} does not answer"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        deadline = time.monotonic() + settings.start
+        prefix = _keys.talk(machine, spec.name, uuid.uuid4().hex[:12])
+        self.link: Link = desk.part(prefix)
+        self.link.ahead = lambda: desk.offset(machine).nanoseconds
+        try:
+            self.link.show_alive(_keys.MANAGED)
+            self.link.watch_alive(_keys.ALIVE, self._seen)
+            orders = {
+                "link": _keys.LINK_VERSION,
+                "contract": CONTRACT_VERSION,
+                "prefix": prefix,
+                "name": spec.name,
+                "plugin": spec.plugin,
+                "options": dict(spec.options),
+            }
+            desk.attach(machine, host, orders, settings.start)
+            self.greeting = self._greet(deadline)
+        except BaseException:
+            self.close(None)
+            raise
+        self._pulse = Pulse(
+            spec.name,
+            self.link,
+            silence=settings.silence,
+            heard=heard,
+            doubted=self._doubt,
+            given_up=lambda silent: self._die(f"has not answered for {silent:.1f} s"),
+        )
+        self._pulse.start()
+
+    @property
+    def process(self) -> int:
+        """Refuse: the process belongs to the other machine.
+
+        Raises:
+            BridgeError: always.
+        """
+        text = f"the host is a process of {self._place}: it is not started or killed from here"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
+
+    def ask(self, operation: str, values: Mapping[str, Any]) -> Any:
+        """Ask the host for one operation of the contract; waits two minutes at most.
+
+        Raises:
+            UoarmError: what the bridge raised.
+            BridgeError: UNAVAILABLE when the host is lost; the text says why.
+        """
+        self._refuse_dead(operation)
+        limit = ANSWER_SECONDS
+        if "timeout" in values:
+            limit = min(limit, values["timeout"] + _MARGIN_SECONDS)
+        try:
+            return self.link.ask(_keys.ASK, {"op": operation, **values}, timeout=limit)
+        except BridgeError as error:
+            if error.reason is not FailureReason.UNAVAILABLE:
+                raise
+            with self._state:
+                self._state.wait_for(lambda: bool(self.dead), _NEWS_SECONDS)
+            self._refuse_dead(operation, error)
+            raise
+
+    def close(self, say_close: Callable[[], object] | None) -> None:
+        """Let the bridge go: the host closes it, and waits for the next manager.
+
+        Raises:
+            UoarmError: the bridge failed while closing; it was let go all the same.
+        """
+        with self._state:
+            self._closing = True
+        if self._pulse is not None:
+            self._pulse.stop()
+        try:
+            if say_close is not None and not self.dead:
+                say_close()
+        finally:
+            if self._pulse is not None:
+                self._pulse.join(_JOIN_SECONDS)
+            self.link.close()
+
+    def _greet(self, deadline: float) -> Mapping[str, Any]:
+        """Wait for the token, which comes after all that the host declares; then say hello."""
+        with self._state:
+            left = max(_LEAST_SECONDS, deadline - time.monotonic())
+            self._state.wait_for(lambda: self._alive or bool(self.dead), left)
+            self._refuse_dead("hello")
+            if not self._alive:
+                raise BridgeTimeoutError(f"{self._place} was not ready in time")
+        left = max(_LEAST_SECONDS, deadline - time.monotonic())
+        greeting: Mapping[str, Any] = self.link.ask(_keys.ASK, {"op": "hello"}, timeout=left)
+        return greeting
+
+    def _refuse_dead(self, operation: str, cause: UoarmError | None = None) -> None:
+        if self.dead:
+            text = f"{self.dead}, {operation!r} is not possible"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from cause
+
+    def _seen(self, alive: bool) -> None:  # noqa: FBT001 - told, not asked
+        with self._state:
+            self._alive = alive
+            self._state.notify_all()
+        if not alive:
+            self._die("has left, or the link to it is cut")
+
+    def _doubt(self, in_doubt: bool) -> None:  # noqa: FBT001 - told, not asked
+        self._doubted(in_doubt, f"{self._place} {'does not answer' if in_doubt else 'answers'}")
+
+    def _die(self, how: str) -> None:
+        with self._state:
+            if self.dead or self._closing:
+                return
+            self.dead = f"{self._place} {how}"
+            self._state.notify_all()
+        self._died(self.dead)

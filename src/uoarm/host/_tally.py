@@ -1,0 +1,74 @@
+"""Tallies: how far each flow is, in memory that both processes map, so that no death hides it."""
+
+from __future__ import annotations
+
+import mmap
+import threading
+from array import array
+from collections import deque
+from pathlib import Path
+
+__all__ = ["Counter", "Tally"]
+
+_SLOTS = 4096
+_WIDTH = 8
+
+
+class Tally:
+    """A page of counters in a file, which may be removed once both ends have opened it.
+
+    Args:
+        path: of the file.
+        make: whether this end makes it; then it gives out the counters.
+    """
+
+    def __init__(self, path: Path, *, make: bool) -> None:
+        if make:
+            path.write_bytes(bytes(_SLOTS * _WIDTH))
+        with path.open("r+b") as file:
+            shared = mmap.mmap(file.fileno(), _SLOTS * _WIDTH)
+        self.numbers: memoryview | array[int] = memoryview(shared).cast("q")
+        self._free = deque(range(_SLOTS) if make else ())
+        self._lock = threading.Lock()
+
+    def counter(self) -> Counter | None:
+        """Give out a counter that stands at nought; None when there is none left."""
+        with self._lock:
+            if not self._free:
+                return None
+            counter = Counter(self, self._free.popleft())
+        counter.set(0)
+        return counter
+
+    def take_back(self, counter: Counter | None) -> None:
+        """Have a counter given out again, after all those that are free now."""
+        if counter is not None:
+            with self._lock:
+                self._free.append(counter.slot)
+
+    def close(self) -> None:
+        """Let go of the memory; counters stand still from now on."""
+        self.numbers = array("q", self.numbers)  # the map ends with its last reader
+
+
+class Counter:
+    """One number of a tally: written by one end, read by either.
+
+    Args:
+        tally: that it is part of.
+        slot: where; the end that gave it out has told the other.
+    """
+
+    __slots__ = ("_tally", "slot")
+
+    def __init__(self, tally: Tally, slot: int) -> None:
+        self._tally = tally
+        self.slot = slot
+
+    def set(self, value: int) -> None:
+        """Write the number."""
+        self._tally.numbers[self.slot] = value
+
+    def read(self) -> int:
+        """Return the number as it is now, or was when its tally closed."""
+        return self._tally.numbers[self.slot]

@@ -1,0 +1,160 @@
+"""Sessions that outlive a short drop of their connection, until their client comes back."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from attrs import define, field
+
+from uoarm.errors import UsageError
+from uoarm.model import ControlMessage
+from uoarm.server._admission import Pass
+from uoarm.server._client import Client, Session
+from uoarm.server._failures import LimitError, UnknownError
+from uoarm.server._limits import Limits
+from uoarm.server._role import Role
+from uoarm.server._tokens import hash_token
+
+__all__ = ["Kept", "Lobby", "Resumable"]
+
+_KEY_BYTES = 32
+
+
+class Resumable(Session, Protocol):
+    """A session that can go on over another connection."""
+
+    form: str
+
+    def go_on(self, asked: ControlMessage) -> None:
+        """Answer the Resume that took the session up, and what its client did not hear."""
+
+
+@define(eq=False)
+class Kept:
+    """A session that its client asked to keep.
+
+    Attributes:
+        client: its transport, with everything that waits for the client.
+        session: what it holds.
+        since: when its connection dropped; None while it is connected.
+        free: set while no connection serves it.
+    """
+
+    client: Client
+    session: Resumable
+    since: float | None = None
+    free: asyncio.Event = field(factory=asyncio.Event)
+
+
+class Lobby:
+    """All sessions that are kept, by the hash of their key; in the loop's thread.
+
+    Args:
+        limits: how long, and how many.
+        end: called for a session that nobody takes up in time.
+    """
+
+    def __init__(self, limits: Limits, end: Callable[[Client, Session], None]) -> None:
+        self._limits = limits
+        self._end = end
+        self._kept: dict[str, Kept] = {}
+        self._keys: dict[Client, str] = {}
+        self._successors: dict[Client, tuple[Kept, ControlMessage]] = {}
+
+    @property
+    def waiting(self) -> int:
+        """Sessions without a connection."""
+        return sum(kept.since is not None for kept in self._kept.values())
+
+    def keep(self, client: Client, session: Resumable) -> str:
+        """Keep a session from now on; returns the key that takes it up again.
+
+        Raises:
+            UsageError: it is kept already, or this server keeps none.
+        """
+        if not self._limits.resume_seconds:
+            raise UsageError("this server keeps no sessions")
+        if client in self._keys:
+            raise UsageError("this session is kept already")
+        key = secrets.token_urlsafe(_KEY_BYTES)
+        client.is_kept = True
+        self._keys[client] = hash_token(key)
+        self._kept[self._keys[client]] = Kept(client, session)
+        return key
+
+    def claim(self, key: str, client: Client, form: str, asked: ControlMessage) -> None:
+        """Let a client's connection go on with a kept session, also one that has not dropped yet.
+
+        Raises:
+            UnknownError: there is none of this key for this client; or its time is over.
+            UsageError: it speaks another form.
+        """
+        kept = self._kept.get(hash_token(key))
+        if kept is None or (kept.client.shown, kept.client.role) != (client.shown, client.role):
+            raise UnknownError("there is no such session, or its time is over; begin anew")
+        if kept.session.form != form:
+            raise UsageError(f"that session speaks {kept.session.form}, not {form}")
+        if any(one is kept for one, _ in self._successors.values()):
+            raise LimitError("another connection takes this session up")
+        self._successors[client] = kept, asked
+        client.is_leaving = True
+        kept.client.release()
+
+    async def successor(self, client: Client) -> Kept | None:
+        """Return the session that a leaving client's connection goes on with, once it is free."""
+        if client not in self._successors:
+            return None
+        kept, asked = self._successors[client]
+        try:
+            await asyncio.wait_for(kept.free.wait(), self._limits.stop_seconds)
+        except asyncio.TimeoutError:
+            return None
+        finally:
+            del self._successors[client]
+        if kept.client not in self._keys:
+            return None
+        kept.since = None
+        kept.free.clear()
+        kept.session.go_on(asked)
+        return kept
+
+    def park(self, client: Client) -> bool:
+        """Keep the session of a client whose connection has ended, if it dropped."""
+        key = self._keys.get(client)
+        if key is None:
+            return False
+        kept = self._kept[key]
+        kept.free.set()
+        if client.has_dropped and self.waiting < self._limits.connections:
+            kept.since = time.monotonic()
+            return True
+        self._forget(kept)
+        return False
+
+    def refresh(self, now: float, roles: Callable[[Pass], Role | None]) -> None:
+        """End sessions that waited too long, for which too much waits, or whose rights changed."""
+        for kept in list(self._kept.values()):
+            client, since = kept.client, kept.since
+            if since is not None and (
+                now - since > self._limits.resume_seconds
+                or client.outbox.overflowed
+                or roles(client.shown) != client.role
+            ):
+                self._finish(kept)
+
+    def close(self) -> None:
+        """End all that wait."""
+        for kept in list(self._kept.values()):
+            if kept.since is not None:
+                self._finish(kept)
+
+    def _finish(self, kept: Kept) -> None:
+        self._forget(kept)
+        self._end(kept.client, kept.session)
+
+    def _forget(self, kept: Kept) -> None:
+        del self._kept[self._keys.pop(kept.client)]

@@ -1,0 +1,144 @@
+"""Hosts that join from "another machine": processes of this one, over loopback or a namespace."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from tests.host import hosted
+from typing_extensions import Self
+
+from uoarm.certificates import Authority
+
+ROBOT = """
+version: 1
+hosts: {{listen: "tls/{address}:{port}", certificates: certificates, silence: {silence}}}
+failover: {failover}
+bridges:
+  far: {{plugin: python, host: {{machine: arm, silence: {silence}}}}}
+  near: {{plugin: python}}
+functions:
+  ticks:
+    components:
+      - {{name: ticker, bridge: far, priority: 2, output: {{endpoint: ["hosted_parts:forever"]}}}}
+{others}
+  numbers:
+    components: [{{name: counter, bridge: far, output: {{endpoint: ["hosted_parts:count"]}}}}]
+  doubled:
+    components:
+      - name: doubler
+        bridge: far
+        input: {{from: numbers, endpoint: ["hosted_parts:double"]}}
+        output: {{endpoint: ["hosted_parts:double"]}}
+  where:
+    components:
+      - {{name: asker, bridge: far, service: {{endpoint: ["hosted_parts:process_id"]}}}}
+"""
+SPARE = """
+      - {name: spare, bridge: near, priority: 1, output: {endpoint: ["hosted_parts:forever"]}}
+"""
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        port: int = one.getsockname()[1]
+        return port
+
+
+def robot(
+    folder: Path,
+    port: int,
+    *,
+    address: str = "127.0.0.1",
+    spare: bool = False,
+    failover: str = "{}",
+    silence: float = 3.0,
+) -> Path:
+    """Write a robot with bridges on machine `arm`, its components, and certificates."""
+    (folder / "hosted_parts.py").write_text(hosted.COMPONENTS)
+    authority = Authority.of(folder / "certificates")
+    authority.certify_manager([address], 1)
+    authority.certify_machine("arm", 1)
+    authority.certify_machine("leg", 1)
+    text = ROBOT.format(
+        port=port,
+        address=address,
+        failover=failover,
+        silence=silence,
+        others=SPARE if spare else "",
+    )
+    file = folder / "robot.yaml"
+    file.write_text(text)
+    return file
+
+
+class Joined:
+    """A process of `uoarm host --join`, ended with the block."""
+
+    def __init__(
+        self,
+        folder: Path,
+        place: str,
+        *more: str,
+        machine: str = "arm",
+        certificates: Path | None = None,
+        within: Sequence[str] = (),
+    ) -> None:
+        self._log = folder / f"host-{machine}.log"
+        command = ["uoarm", "host", "--join", place, "--machine", machine, *more]
+        places = ["--certificates", str(certificates or folder / "certificates")]
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [*within, sys.executable, "-m", *command, *places, "--modules", str(folder)],
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+            )
+
+    @property
+    def log(self) -> str:
+        return self._log.read_text()
+
+    @property
+    def runs(self) -> bool:
+        return self._process.poll() is None
+
+    def holdings(self) -> tuple[int, int]:
+        """Return how many threads of Python's it has, and how many descriptors. Linux."""
+        home = Path(f"/proc/{self._process.pid}")
+        names = [(one / "comm").read_text() for one in (home / "task").iterdir()]
+        main = (home / "comm").read_text()
+        return names.count(main), sum(1 for _ in (home / "fd").iterdir())
+
+    def signal(self, number: signal.Signals) -> None:
+        os.kill(self._process.pid, number)
+
+    def end(self) -> int:
+        """Ask it to end, and return its exit status."""
+        if self.runs:
+            self.signal(signal.SIGCONT)
+            self._process.terminate()
+        try:
+            return self._process.wait(20)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(20)
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.end()

@@ -1,0 +1,185 @@
+"""Who may join a manager from another machine, and that each touches what is its own only."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.host.hosted import wait
+from tests.host.joined import Joined, free_port
+
+from uoarm.certificates import Authority
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.host import Identity, JoinedHost, MachineDesk, _keys
+from uoarm.host._link import Link
+from uoarm.model import Listening
+
+_numbers = itertools.count(1)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Certificates of a manager and of two machines."""
+    made = tmp_path / "certificates"
+    authority = Authority.of(made)
+    authority.certify_manager(["127.0.0.1"], 1)
+    authority.certify_machine("arm", 1)
+    authority.certify_machine("leg", 1)
+    return made
+
+
+@pytest.fixture
+def place() -> str:
+    return f"tls/127.0.0.1:{free_port()}"
+
+
+@pytest.fixture
+def came() -> list[tuple[str, str | None]]:
+    return []
+
+
+@pytest.fixture
+def desk(folder: Path, place: str, came: list[tuple[str, str | None]]) -> Iterator[MachineDesk]:
+    made = MachineDesk(
+        Listening(place, str(folder)), ["arm", "leg"], lambda *news: came.append(news)
+    )
+    yield made
+    made.close()
+
+
+def _join(place: str, identity: Identity, timeout: float = 10.0) -> Link:
+    return Link(place, listen=False, timeout=timeout, more=identity.settings(listen=False))
+
+
+def _settle(desk: MachineDesk, link: Link, machine: str) -> None:
+    """Wait until what was declared before under a machine's own name has reached the desk."""
+    bridge = f"settled{next(_numbers)}"
+    link.show_alive(f"{_keys.MACHINES}/{_keys.here(machine, bridge, 'x')}")
+    wait(lambda: desk.here(machine, bridge))
+
+
+def test_a_machine_with_its_certificate_is_seen(
+    desk: MachineDesk, folder: Path, place: str, came: list[tuple[str, str | None]]
+) -> None:
+    link = _join(place, Identity.find(folder, "arm"))
+    _settle(desk, link, "arm")
+    ((machine, bridge),) = came
+    assert machine == "arm"
+    assert bridge is not None
+    link.close()
+    wait(lambda: not desk.here("arm", bridge))
+    assert came == [("arm", bridge)] * 2
+
+
+def test_a_certificate_of_another_authority_is_refused(
+    desk: MachineDesk, folder: Path, place: str, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    Authority.of(other).certify_machine("arm", 1)
+    shutil.copy(folder / "ca.pem", other / "ca.pem")  # it believes the manager; not so reversed
+    with pytest.raises(BridgeError, match="opening the link"):
+        _join(place, Identity.find(other, "arm"), 1.0)
+
+
+def test_who_shows_no_certificate_is_refused(desk: MachineDesk, folder: Path, place: str) -> None:
+    trusts = {"transport/link/tls": {"root_ca_certificate": str(folder / "ca.pem")}}
+    with pytest.raises(BridgeError, match="opening the link"):
+        Link(place, listen=False, timeout=1.0, more=trusts)
+
+
+def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
+    desk: MachineDesk, folder: Path, place: str
+) -> None:
+    arm = _join(place, Identity.find(folder, "arm"))
+    leg = _join(place, Identity.find(folder, "leg"))
+    as_arm = leg.part(f"{_keys.MACHINES}/arm")
+    heard: list[bytes] = []
+    as_arm.listen("talk/**", heard.append)
+    leg.listen("uoarm/**", heard.append)
+    leg.listen("**", heard.append)
+    as_arm.answer("attach/thief", lambda _, reply: reply("stolen"))
+    as_arm.show_alive("here/-/thief")
+    got: list[bytes] = []
+    desk.part("arm").listen("talk/**", got.append)
+    arm.part(f"{_keys.MACHINES}/arm").answer("attach/owner", lambda _, reply: reply(None))
+    _settle(desk, leg, "leg")
+    _settle(desk, arm, "arm")
+
+    assert not desk.here("arm", "any")
+    with pytest.raises(BridgeError, match="nobody answers"):
+        desk.attach("arm", "thief", None, 10.0)
+    with pytest.raises(BridgeError) as refused:
+        as_arm.ask("attach/owner", None, timeout=10.0)
+    assert refused.value.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}
+
+    as_arm.publish("talk/far/1", b"", b"from the thief", must_arrive=True)
+    desk.part("arm").publish("talk/far/2", b"", b"for the arm", must_arrive=True)
+    arm.part(f"{_keys.MACHINES}/arm").publish("talk/far/3", b"", b"mine", must_arrive=True)
+    wait(lambda: b"mine" in got)
+    marked = threading.Event()
+    leg.part(f"{_keys.MACHINES}/leg").listen("talk/mark", lambda _: marked.set())
+    _settle(desk, leg, "leg")
+    desk.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
+    assert marked.wait(10)  # whatever was on its way to the thief is there by now
+    assert set(heard) == {b"mark", b"from the thief"}  # of what it sent, only its own echo
+    assert b"from the thief" not in got
+    arm.close()
+    leg.close()
+
+
+def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so(
+    desk: MachineDesk,
+    folder: Path,
+    place: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr("uoarm.host._join._UNASKED_SECONDS", 0.2)
+    host = JoinedHost(place, "arm", identity=Identity.find(folder, "leg"))
+    running = threading.Thread(target=host.run)
+    running.start()
+    wait(lambda: "does not ask" in caplog.text, 20)
+    assert desk.find("arm", "far", 0.0) is None
+    host.close()
+    running.join(20)
+    assert not running.is_alive()
+
+
+def test_a_machine_cannot_stand_in_for_the_manager(folder: Path, place: str) -> None:
+    arm = Identity.find(folder, "arm")
+    false = Link(place, listen=True, more=arm.settings(listen=True))
+    with pytest.raises(BridgeError, match="opening the link"):
+        _join(place, Identity.find(folder, "leg"), 1.0)
+    false.close()
+
+
+def test_a_manager_is_believed_at_its_own_addresses_only(
+    desk: MachineDesk, folder: Path, place: str
+) -> None:
+    with pytest.raises(BridgeError, match="opening the link"):
+        _join(place.replace("127.0.0.1", "localhost"), Identity.find(folder, "arm"), 1.0)
+
+
+def test_a_host_with_a_strange_certificate_says_what_is_in_the_way(
+    desk: MachineDesk, folder: Path, place: str, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    Authority.of(other).certify_machine("arm", 1)
+    with Joined(tmp_path, place, certificates=other) as host:
+        wait(lambda: "waiting for the manager at" in host.log, 20)
+        assert not desk.here("arm", "any")
+
+
+def test_a_key_that_others_may_read_is_not_used(folder: Path) -> None:
+    (folder / "arm.key").chmod(0o640)
+    with pytest.raises(BridgeError, match=r"others may read the private key .*chmod 600"):
+        Identity.find(folder, "arm")
+
+
+def test_a_missing_certificate_is_named(folder: Path) -> None:
+    with pytest.raises(BridgeError, match=r"there is no .*/tail\.pem"):
+        Identity.find(folder, "tail")

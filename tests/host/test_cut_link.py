@@ -1,0 +1,173 @@
+"""A cable that is pulled and put back, in network namespaces that the test makes itself."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.host.hosted import wait
+from tests.host.joined import Joined, free_port, robot
+
+from uoarm import RobotManager
+from uoarm.model import ConnectionState, Health, QueuePolicy, StatusEvent
+
+
+def _ip(*words: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["ip", *words], capture_output=True, text=True, timeout=20, check=check)
+
+
+class Cable:
+    """A cable between this machine and a network namespace; both are this test's own."""
+
+    def __init__(self) -> None:
+        network = f"10.213.{os.getpid() % 250}"
+        self.here, self._address = f"{network}.1", f"{network}.2"
+        self.namespace = f"uoarm-{os.getpid()}"
+        self._near, self._far = f"ua{os.getpid()}a"[-15:], f"ua{os.getpid()}b"[-15:]
+
+    def lay(self) -> str:
+        """Make it; return what is in the way, "" when it stands."""
+        if shutil.which("ip") is None:
+            return "the command ip is not installed"
+        made = _ip("netns", "add", self.namespace, check=False)
+        if made.returncode != 0:
+            return f"no network namespace can be made: {made.stderr.strip()}"
+        made = _ip(
+            "link", "add", self._near, "type", "veth", "peer", "name", self._far, check=False
+        )
+        if made.returncode != 0:
+            return f"no pair of interfaces can be made: {made.stderr.strip()}"
+        _ip("link", "set", self._far, "netns", self.namespace)
+        _ip("addr", "add", f"{self.here}/30", "dev", self._near)
+        _ip("link", "set", self._near, "up")
+        _ip("-n", self.namespace, "addr", "add", f"{self._address}/30", "dev", self._far)
+        self.mend()
+        return ""
+
+    def cut(self) -> None:
+        """Have no packet pass, and nobody told."""
+        _ip("-n", self.namespace, "link", "set", self._far, "down")
+
+    def mend(self) -> None:
+        _ip("-n", self.namespace, "link", "set", self._far, "up")
+
+    def remove(self) -> None:
+        _ip("link", "del", self._near, check=False)
+        _ip("netns", "del", self.namespace, check=False)
+
+
+@pytest.fixture
+def cable() -> Iterator[Cable]:
+    made = Cable()
+    try:
+        problem = made.lay()
+        if problem:
+            pytest.skip(problem)
+        yield made
+    finally:
+        made.remove()
+
+
+class Tale:
+    """What a manager tells, and how long after the cable was touched."""
+
+    def __init__(self, manager: RobotManager) -> None:
+        self.all: list[tuple[float, StatusEvent]] = []
+        manager.listen(lambda event: self.all.append((time.monotonic(), event)))
+
+    def told(self, subject: str, change: str, *, after: float) -> float | None:
+        """Return the seconds from `after` to the first such event, None when there is none."""
+        return next(
+            (
+                at - after
+                for at, event in self.all
+                if at > after and (event.subject, event.change) == (subject, change)
+            ),
+            None,
+        )
+
+
+def _host(cable: Cable, folder: Path, port: int, *more: str) -> Joined:
+    return Joined(
+        folder, f"tls/{cable.here}:{port}", *more, within=["ip", "netns", "exec", cable.namespace]
+    )
+
+
+def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
+    tmp_path: Path, cable: Cable
+) -> None:
+    port = free_port()
+    file = robot(tmp_path, port, address=cable.here, spare=True, failover="{return_after: 0.2}")
+    with RobotManager.from_file(file) as manager, _host(cable, tmp_path, port) as host:
+        tale = Tale(manager)
+        connection = manager.request("ticks")
+        assert connection.get(10) == 0
+        cut = time.monotonic()
+        cable.cut()
+        wait(lambda: connection.gaps, 30)
+        assert connection.gaps[0].after == ("spare",)
+        assert "machine 'arm'" in connection.gaps[0].cause
+        noticed = tale.told("bridge far", Health.LOST.value, after=cut)
+        assert noticed is not None
+        assert noticed > 0.5  # nobody told us: it took the silence
+        wait(lambda: not manager.status().machines[0].present, 30)
+        assert manager.status().machines[0].cause == "waiting for machine 'arm': far"
+        wait(lambda: "bridge far is let go" in host.log, 30)
+        mended = time.monotonic()
+        cable.mend()
+        wait(lambda: len(connection.gaps) == 2, 60)
+        assert connection.gaps[1].after == ("ticker",)
+        assert tale.told("bridge far", Health.OK.value, after=mended) is not None
+        assert connection.get(10) is not None
+        assert connection.state is ConnectionState.RUNNING
+
+
+def test_a_connection_without_another_candidate_waits_for_the_link_to_heal(
+    tmp_path: Path, cable: Cable
+) -> None:
+    port = free_port()
+    file = robot(tmp_path, port, address=cable.here, failover="{wait: 100}")
+    with RobotManager.from_file(file) as manager, _host(cable, tmp_path, port):
+        tale = Tale(manager)
+        connection = manager.request("ticks")
+        assert connection.get(10) == 0
+        cut = time.monotonic()
+        cable.cut()
+        wait(lambda: tale.told("bridge far", Health.LOST.value, after=cut), 30)
+        assert connection.state is ConnectionState.RUNNING
+        cable.mend()
+        wait(lambda: connection.gaps, 60)
+        (gap,) = connection.gaps
+        assert gap.before == gap.after == ("ticker",)
+        assert gap.seconds > 0
+        numbers = list(iter(lambda: connection.get(10), 0))  # until the component begins anew
+        assert numbers == list(range(1, len(numbers) + 1))  # what came before the cut is whole
+
+
+def test_what_a_short_cut_loses_is_counted_and_nothing_else_happens(
+    tmp_path: Path, cable: Cable
+) -> None:
+    port = free_port()
+    file = robot(tmp_path, port, address=cable.here, silence=30.0)
+    with (
+        RobotManager.from_file(file) as manager,
+        _host(cable, tmp_path, port, "--silence", "30") as host,
+    ):
+        connection = manager.request("ticks", queue=QueuePolicy(length=100_000))
+        got = [connection.get(10)]
+        cable.cut()
+        wait(lambda: "a message is lost" in host.log, 30)  # the window was full for a second
+        cable.mend()
+        while len(got) < 300 or got[-1] - got[-100] > 99:  # until nothing is missing any more
+            got.append(connection.get(30))
+        missing = got[-1] - got[0] + 1 - len(got)
+        assert missing > 0
+        ((channel,),) = (one.channels for one in manager.status().components)
+        assert dict(channel.facts)["lost_on_link"] == missing
+        assert got == sorted(got)
+        assert not connection.gaps

@@ -1,0 +1,132 @@
+"""A link that stays open and carries nothing any more: the socket lives, nobody is heard."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.host import hosted
+from tests.host.hosted import ANY, Events, at, lives, wait
+
+from uoarm.errors import BridgeError
+from uoarm.host._process import HostProcess
+from uoarm.model import Health, Role
+
+pytestmark = pytest.mark.usefixtures("nothing_is_left")
+
+
+class Middleman:
+    """Stands between a host and its manager; passes everything on until it is told to stall."""
+
+    def __init__(self, behind: str, folder: str) -> None:
+        self.place = f"{folder}/middle"
+        self._stall = threading.Event()
+        self._stalled = threading.Event()
+        self._behind = behind
+        self._ended = threading.Event()
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(self.place)
+        self._listener.listen()
+        self._thread = threading.Thread(target=self._run, name="middleman")
+        self._thread.start()
+
+    def _run(self) -> None:
+        host, _ = self._listener.accept()
+        manager = socket.socket(socket.AF_UNIX)
+        manager.connect(self._behind)
+        ends = {host: manager, manager: host}
+        while not self._ended.is_set():
+            readable = [] if self._stall.is_set() else list(ends)
+            if not readable:
+                self._stalled.set()
+            for one in select.select(readable, [], [], 0.02)[0]:
+                octets = one.recv(65536)
+                if not octets:
+                    return self._close(host, manager)
+                ends[one].sendall(octets)
+        return self._close(host, manager)
+
+    def _close(self, *sockets: socket.socket) -> None:
+        for one in (*sockets, self._listener):
+            one.close()
+
+    def stall(self) -> None:
+        """Carry nothing from now on."""
+        self._stall.set()
+        assert self._stalled.wait(10)
+
+    def go_on(self) -> None:
+        self._stall.clear()
+
+    def end(self) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterator[list[Middleman]]:
+    """Have every host connect to a middleman, who listens in the same private folder."""
+    made: list[Middleman] = []
+    tell = HostProcess.tell
+
+    def tell_detour(process: HostProcess, orders: Mapping[str, Any]) -> None:
+        scheme, _, behind = str(orders["place"]).partition("/")
+        made.append(Middleman(behind, str(orders["folder"])))
+        tell(process, {**orders, "place": f"{scheme}/{made[-1].place}"})
+
+    monkeypatch.setattr(HostProcess, "tell", tell_detour)
+    yield made
+    for one in made:
+        one.end()
+
+
+def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
+    middlemen: list[Middleman], tmp_path: Path
+) -> None:
+    bridge = hosted.bridge(tmp_path, silence=1.0)
+    process, events, got = bridge.process, Events(), list[int]()
+    bridge.watch(events)
+    source = bridge.open_source(at("forever"), ANY, got.append)
+    sink = bridge.open_sink(at("double", Role.INPUT), ANY)
+    sink.send(1)
+    wait(lambda: len(got) > 10 and sink.facts()["under_way"] == 0)
+    middlemen[0].stall()
+    for number in range(5):
+        sink.send(number)
+    wait(lambda: any(one.health is Health.LOST for one in events.all), 10)
+    assert "has not answered" in events.all[-1].cause
+    with pytest.raises(BridgeError, match="died"):
+        sink.send(1)
+    assert sink.facts()["under_way"] == 5
+    held = source.facts()["under_way"]
+    assert isinstance(held, int)
+    assert held > 10  # it went on for a second, and nothing of that arrived
+    assert got == list(range(len(got)))
+    bridge.close()
+    wait(lambda: not lives(process))
+
+
+def test_a_link_that_stalls_for_a_moment_goes_on_and_counts_what_it_dropped(
+    middlemen: list[Middleman], tmp_path: Path
+) -> None:
+    bridge = hosted.bridge(tmp_path, silence=6.0)
+    events, got = Events(), list[int]()
+    bridge.watch(events)
+    source = bridge.open_source(at("forever"), ANY, got.append)
+    wait(lambda: len(got) > 10)
+    middlemen[0].stall()
+    wait(lambda: events.all)
+    assert events.all[0].health is Health.DEGRADED
+    middlemen[0].go_on()
+    seen = len(got)
+    wait(lambda: len(got) > seen + 100)
+    lost = source.facts()["lost_on_link"]
+    assert isinstance(lost, int)
+    bridge.close()
+    assert len(set(got)) == len(got)
+    assert got[-1] + 1 - len(got) == lost

@@ -1,0 +1,49 @@
+"""`uoarm host` says what it needs before it does anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.host.joined import robot
+
+from uoarm.cli import main
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "",
+        "far",
+        "--machine arm",
+        "--join tls/127.0.0.1:7447",
+        "one two --xmlrpc 0",
+        "far --xmlrpc 0 --join tls/127.0.0.1:7447 --machine arm",
+    ],
+)
+def test_half_of_what_it_needs_is_not_enough(words: str) -> None:
+    done = CliRunner().invoke(main, ["host", *words.split()])
+    assert done.exit_code == 2
+    assert "give --join PLACE and --machine NAME, or one BRIDGE and --xmlrpc PORT" in done.output
+
+
+def test_it_joins_nobody_elsewhere_without_tls() -> None:
+    words = ["--join", "tcp/192.0.2.1:7447", "--machine", "arm"]
+    done = CliRunner().invoke(main, ["host", *words])
+    assert done.exit_code == 1
+    assert "--join tcp/192.0.2.1:7447: without TLS only on loopback" in done.output
+
+
+def test_a_certificate_that_is_not_there_is_named(tmp_path: Path) -> None:
+    words = ["--join", "tls/192.0.2.1:7447", "--machine", "arm", "--certificates", str(tmp_path)]
+    done = CliRunner().invoke(main, ["host", *words])
+    assert done.exit_code == 4
+    assert f"there is no {tmp_path}/ca.pem" in done.output
+
+
+def test_a_bridge_of_another_machine_has_no_xml_rpc_here(tmp_path: Path) -> None:
+    file = robot(tmp_path, 7447)
+    done = CliRunner().invoke(main, ["host", "far", "--xmlrpc", "0", "-f", str(file)])
+    assert done.exit_code == 4
+    assert "bridge 'far' is on machine 'arm': ask its manager" in done.output

@@ -1,0 +1,49 @@
+"""The python bridge passes the same suite behind a host that joined by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.host.hosted import wait
+from tests.host.joined import Joined, free_port
+from tests.host.test_hosted_conformance import TESTS, HostedWorld
+
+from uoarm.bridge import Bridge
+from uoarm.host import MachineDesk, RemoteBridge
+from uoarm.model import BridgeSpec, Listening
+from uoarm.testing.conformance import BridgeConformance, World
+
+
+class JoinedWorld(HostedWorld):
+    """The same components, on a machine that is reached over loopback without TLS."""
+
+    def __init__(self, folder: Path, desk: MachineDesk) -> None:
+        super().__init__(folder)
+        self._desk = desk
+
+    def bridge(self) -> Bridge:
+        path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
+        spec = BridgeSpec("python", "python", {"path": path}, {"machine": "arm"})
+        return RemoteBridge(spec, self._desk)
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineDesk]:
+    place = f"tcp/127.0.0.1:{free_port()}"
+    made = MachineDesk(Listening(place), ["arm"], lambda *_: None)
+    with Joined(tmp_path_factory.mktemp("arm"), place):
+        wait(lambda: made.here("arm", "python"), 30)
+        yield made
+    made.close()
+
+
+class TestJoinedPythonBridge(BridgeConformance):
+    """The whole suite."""
+
+    kinds = ("Numbers", "Texts", "Pixels", "Everything")
+
+    @pytest.fixture
+    def world(self, tmp_path: Path, desk: MachineDesk) -> World:
+        return JoinedWorld(tmp_path, desk)

@@ -1,0 +1,247 @@
+"""Bridges on another machine: they join by themselves, leave, come back, and are never killed."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.host.hosted import wait
+from tests.host.joined import Joined, free_port, robot
+
+from uoarm import BridgeError, ResolutionError, RobotManager
+from uoarm.cli import main
+from uoarm.config import loads
+from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
+from uoarm.testing import Census
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+def _place(port: int) -> str:
+    return f"tls/127.0.0.1:{port}"
+
+
+def _machine(manager: RobotManager) -> MachineStatus:
+    (found,) = manager.status().machines
+    return found
+
+
+def test_a_bridge_on_another_machine_works_as_one_here(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)), RobotManager.from_file(file) as manager:
+        got = list(manager.request("doubled"))
+        assert got[-1] == 1998
+        assert got == sorted(got)
+        assert manager.call("where", 0) > 0
+
+
+def test_the_clock_of_a_machine_is_known(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)), RobotManager.from_file(file) as manager:
+        assert _machine(manager).clock_offset is None
+        manager.call("where", 0)
+        status = _machine(manager)
+        assert status.present
+        assert status.clock_offset is not None
+        assert status.clock_error is not None
+        assert abs(status.clock_offset) <= status.clock_error + 1e-6  # it is our own clock
+
+
+def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    events: list[StatusEvent] = []
+    with RobotManager.from_file(file) as manager:
+        manager.listen(events.append)
+        (status,) = (one for one in manager.status().bridges if one.name == "far")
+        assert status.health is Health.DEGRADED
+        assert status.cause == "waiting for machine 'arm': far"
+        assert _machine(manager).cause == "waiting for machine 'arm': far"
+        answers: list[int] = []
+        asking = threading.Thread(target=lambda: answers.append(manager.call("where", 0)))
+        asking.start()
+        with Joined(tmp_path, _place(port)):
+            asking.join(20)
+            assert answers
+            assert _machine(manager).present
+            wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
+
+
+def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with socket.create_server(("127.0.0.1", port)):
+        manager = RobotManager.from_file(file)
+        assert "cannot join: opening the link" in _machine(manager).cause
+        with pytest.raises(ResolutionError, match="opening the link"):
+            manager.resolve("where")
+    with Joined(tmp_path, _place(port)), manager:
+        assert manager.call("where", 0) > 0
+        assert _machine(manager).cause == ""
+
+
+def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    file.write_text(file.read_text().replace("machine: arm", "machine: arm, start: 0.1"))
+    with RobotManager.from_file(file) as manager:
+        for _ in range(2):
+            with pytest.raises(
+                Exception, match="no host of machine 'arm' is there for bridge 'far'"
+            ):
+                manager.call("where", 0)
+
+
+def test_when_a_machine_leaves_the_next_candidate_takes_over(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, spare=True, failover="{return_after: 0.2}")
+    with RobotManager.from_file(file) as manager:
+        with Joined(tmp_path, _place(port)) as host:
+            connection = manager.request("ticks")
+            assert connection.get(10) == 0
+            host.signal(signal.SIGKILL)
+            wait(lambda: connection.gaps)
+        assert connection.gaps[0].after == ("spare",)
+        assert "machine 'arm' has left" in connection.gaps[0].cause
+        with Joined(tmp_path, _place(port)):
+            wait(lambda: len(connection.gaps) == 2, 20)
+            assert connection.gaps[1].after == ("ticker",)
+            assert connection.get(10) is not None
+        assert connection.state is ConnectionState.RUNNING
+
+
+def test_a_machine_that_comes_back_goes_on_behind_the_handle(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, failover="{wait: 60}")
+    with RobotManager.from_file(file) as manager:
+        with Joined(tmp_path, _place(port)) as host:
+            connection = manager.request("ticks")
+            connection.get(10)
+            assert host.end() == 0
+        wait(lambda: not _machine(manager).present)
+        with Joined(tmp_path, _place(port)):
+            wait(lambda: connection.gaps, 20)
+            assert connection.gaps[0].after == ("ticker",)
+            assert connection.get(10) is not None
+
+
+def test_structures_are_asked_for_anew_when_a_machine_comes_back(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with RobotManager.from_file(file) as manager:
+        with Joined(tmp_path, _place(port)):
+            manager.request("doubled").kill()
+        wait(lambda: not _machine(manager).present)
+        parts = tmp_path / "hosted_parts.py"
+        parts.write_text(parts.read_text().replace("double(value: int)", "double(value: str)"))
+        with Joined(tmp_path, _place(port)):
+            wait(lambda: _machine(manager).present, 20)
+            with pytest.raises(ResolutionError, match="string"):
+                manager.request("doubled")
+
+
+def test_a_bridge_that_cannot_be_made_there_says_so_here(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    file.write_text(file.read_text().replace("far: {plugin: python", "far: {plugin: nothing"))
+    with Joined(tmp_path, _place(port)):
+        robot_there = loads(file.read_text(), origin=str(file))
+        with RobotManager(robot_there) as manager:
+            for _ in range(2):  # and the host goes on
+                with pytest.raises(ResolutionError, match="nothing"):
+                    manager.resolve("where")
+
+
+def test_the_command_line_shows_machines(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, spare=True)
+    with Joined(tmp_path, _place(port)):
+        shown = CliRunner().invoke(main, ["status", "-f", str(file)]).output
+    assert re.search(r"machine arm  present, its clock is [+-]\d+\.\d{3} ms from ours", shown)
+
+
+def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port, silence=1.0)
+    with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
+        manager.call("where", 0)
+        host.signal(signal.SIGSTOP)
+        with pytest.raises(BridgeError, match="machine 'arm' has not answered for"):
+            manager.call("where", 0)
+        with pytest.raises(Exception, match=r"host of machine 'arm' (does not|is there)"):
+            manager.call("where", 0)
+        assert host.runs
+        host.signal(signal.SIGCONT)
+        answers: list[int] = []
+
+        def again() -> bool:
+            try:
+                answers.append(manager.call("where", 0))
+            except Exception:  # noqa: BLE001 - until it answers
+                return False
+            return True
+
+        wait(again, 20)
+        assert answers
+        bridge = manager._bridges.get("far")
+        with pytest.raises(BridgeError, match="not started or killed from here"):
+            bridge.process  # type: ignore[attr-defined] # noqa: B018 - a RemoteBridge has it
+
+
+def test_a_host_outlives_its_managers_and_keeps_nothing_of_them(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)) as host:
+        found: set[int] = set()
+        held: list[tuple[int, int]] = []
+        for number in range(3):
+            with RobotManager.from_file(file) as manager:
+                connection = manager.request("ticks")
+                assert connection.get(10) == 0  # the component begins anew with each manager
+                found.add(manager.call("where", 0))
+            expected = number + 1
+            wait(lambda: host.log.count("bridge far is let go") == expected)  # noqa: B023 - at once
+            wait(lambda: not held or host.holdings() <= held[0])
+            held.append(host.holdings())
+        assert len(found) == 1
+        assert host.end() == 0
+
+
+def test_a_host_closes_its_bridges_when_the_manager_is_killed(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)) as host:
+        command = [sys.executable, "-m", "uoarm", "request", "ticks", "-f", str(file)]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as manager:
+            wait(lambda: "bridge far is taken up" in host.log, 20)
+            manager.kill()
+        wait(lambda: "bridge far is let go" in host.log, 20)
+        assert host.runs
+
+
+def test_two_hosts_share_the_bridges_of_a_machine(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    text = file.read_text().replace(
+        "  near: {plugin: python}", "  near: {plugin: python, host: {machine: arm}}"
+    )
+    there = """  there:
+    components:
+      - {name: there, bridge: near, service: {endpoint: ["hosted_parts:process_id"]}}
+"""
+    file.write_text(text + there)
+    with (
+        Joined(tmp_path, _place(port), "far"),
+        Joined(tmp_path, _place(port), "near"),
+        RobotManager.from_file(file) as manager,
+    ):
+        assert manager.call("where", 0) != manager.call("there", 0)
+
+
+def test_a_manager_leaves_nothing_behind(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    with Joined(tmp_path, _place(port)):
+        with RobotManager.from_file(file) as manager:
+            manager.call("where", 0)
+        before = Census()
+        with RobotManager.from_file(file) as manager:
+            manager.request("ticks").get(10)
+        before.check()

@@ -1,0 +1,47 @@
+"""A host that may have so much memory and no more."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from tests.host import hosted
+from tests.host.hosted import Events, at, lives, wait
+
+from uoarm.errors import BridgeError
+from uoarm.model import Health, Role
+
+pytestmark = [
+    pytest.mark.usefixtures("nothing_is_left"),
+    pytest.mark.skipif(sys.platform != "linux", reason="the kernel's limit is Linux's"),
+]
+
+
+def test_a_component_that_asks_for_too_much_gets_an_error_and_the_host_goes_on(
+    tmp_path: Path,
+) -> None:
+    bridge = hosted.bridge(tmp_path, memory="512 MiB")
+    assert bridge.call(at("grow", Role.SERVICE), 100) == 1
+    with pytest.raises(BridgeError, match="MemoryError"):
+        bridge.call(at("grow", Role.SERVICE), 450)
+    assert bridge.call(at("double", Role.SERVICE), 2) == 4
+    bridge.close()
+
+
+def test_a_host_that_leaks_till_it_can_do_nothing_is_ended(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path, memory="256 MiB", silence=1.0)
+    process, events = bridge.process, Events()
+    bridge.watch(events)
+    with pytest.raises(BridgeError):
+        bridge.call(at("leak", Role.SERVICE), 20, timeout=30)
+    wait(lambda: any(one.health is Health.LOST for one in events.all), 30)
+    with pytest.raises(BridgeError, match=r"is dead|256 MiB"):
+        bridge.call(at("double", Role.SERVICE), 2)
+    bridge.close()
+    wait(lambda: not lives(process))
+
+
+def test_a_host_that_cannot_start_within_its_memory_says_so(tmp_path: Path) -> None:
+    with pytest.raises(BridgeError, match="it might have 1 MiB of memory"):
+        hosted.bridge(tmp_path, memory="1 MiB")

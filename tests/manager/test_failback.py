@@ -1,0 +1,201 @@
+"""A connection returns to better components, also where one that stays must be fed by others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from attrs import evolve
+
+from uoarm import Connection, RobotManager
+from uoarm.config import loads
+from uoarm.manager._failback import Failback
+from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
+from uoarm.testing import Census, ManualClock, MemoryBridge
+
+NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
+PATIENCE = 1000.0
+
+ROBOT = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - name: finder
+        bridge: two
+        input: {from: camera, endpoint: [finder]}
+        output: {endpoint: [finder]}
+  name:
+    components:
+      - name: namer
+        bridge: one
+        input: {from: face, endpoint: [namer]}
+        output: {endpoint: [namer]}
+"""
+
+
+class Stage:
+    """A robot whose clock stands still, so that it returns only when a test looks."""
+
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+        self.one, self.two = MemoryBridge("one", {}), MemoryBridge("two", {})
+        self.best = self.one.emitter("best", NUMBER)
+        self.spare = self.two.emitter("spare", NUMBER)
+        self.finder = self.two.loop("finder", NUMBER)
+        self.namer = self.one.loop("namer", NUMBER)
+        robot = evolve(loads(ROBOT), failover=FailoverPolicy(return_after=PATIENCE))
+        bridges = {"one": self.one, "two": self.two}
+        self.robot = RobotManager(robot, bridges=bridges, clock=self.clock)
+
+    @property
+    def failback(self) -> Failback:
+        found = self.robot._failover.failback
+        assert found is not None
+        return found
+
+    def lose_best(self, *users: Connection) -> None:
+        """Let the better camera die, and wait until its users go on."""
+        self.one.die("best", "it was unplugged")
+        wait(lambda: all(one.gaps for one in users))
+
+    def revive_best(self) -> None:
+        self.best = self.one.emitter("best", NUMBER)
+
+    def look_twice(self) -> None:
+        """Look when the better camera is seen again, and when patience is over."""
+        self.failback.look()
+        self.clock.advance(PATIENCE)
+        self.failback.look()
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    before = Census()
+    made = Stage()
+    yield made
+    made.robot.close()
+    before.check()
+
+
+def wait(ready: Callable[[], object], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    pause = threading.Event()
+    while not ready():
+        assert time.monotonic() < deadline, "it did not come to pass"
+        pause.wait(0.005)
+
+
+def cameras(stage: Stage) -> list[str]:
+    open_now = stage.robot.status().components
+    return [live.name for live in open_now if live.function == "camera"]
+
+
+def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) -> None:
+    connection = stage.robot.request("face")
+    stage.lose_best(connection)
+    stage.spare.emit(1)
+    assert connection.get(5) == 1
+    stage.revive_best()
+    stage.look_twice()
+    assert [gap.after for gap in connection.gaps] == [("spare", "finder"), ("best", "finder")]
+    assert connection.gaps[1].lost == 0
+    assert cameras(stage) == ["best"]
+    stage.spare.emit(2)
+    stage.best.emit(3)
+    assert connection.get(5) == 3
+    assert stage.two.open_channels == 2  # the finder's own
+
+
+def test_it_does_not_return_before_its_patience_is_over(stage: Stage) -> None:
+    connection = stage.robot.request("face")
+    stage.lose_best(connection)
+    stage.revive_best()
+    assert stage.failback.look()
+    stage.clock.advance(PATIENCE - 1)
+    assert stage.failback.look()
+    assert len(connection.gaps) == 1
+    stage.one.die("best")
+    assert stage.failback.look()  # gone again: patience begins anew
+    stage.revive_best()
+    stage.clock.advance(1)
+    assert stage.failback.look()
+    assert len(connection.gaps) == 1
+    assert cameras(stage) == ["spare"]
+
+
+def test_all_that_share_what_is_fed_return_together(stage: Stage) -> None:
+    moved = stage.robot.request("face")
+    stage.lose_best(moved)
+    later, deeper = stage.robot.request("face"), stage.robot.request("name")
+    stage.revive_best()
+    stage.look_twice()
+    assert [len(one.gaps) for one in (moved, later, deeper)] == [2, 1, 1]
+    assert cameras(stage) == ["best"]
+    stage.best.emit(4)
+    assert [one.get(5) for one in (moved, later, deeper)] == [4, 4, 4]
+    assert not stage.failback.look()  # nothing is left to look for
+
+
+def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
+    connection = stage.robot.request("face")
+    stage.lose_best(connection)
+    stage.revive_best()
+    (joined,) = stage.robot._pool.edges()
+    joined.users["c99"] = ValidationMode.OFF  # a stranger who is fed by the spare, and stays
+    stage.look_twice()
+    assert len(connection.gaps) == 1
+    assert cameras(stage) == ["spare"]
+    assert stage.one.open_channels == 0  # what was opened of the better one is closed again
+    stage.spare.emit(5)
+    assert connection.get(5) == 5
+    del joined.users["c99"]
+    stage.look_twice()
+    assert [gap.after[0] for gap in connection.gaps] == ["spare", "best"]
+
+
+def test_every_message_is_received_or_counted_through_death_and_return(stage: Stage) -> None:
+    got: list[int] = []
+    connection = stage.robot.request("name", on_message=got.append)
+    emitted = 0
+
+    def emit(camera: str, count: int) -> None:
+        nonlocal emitted
+        for _ in range(count):
+            getattr(stage, camera).emit(emitted)
+            emitted += 1
+
+    emit("best", 500)
+    stage.lose_best(connection)
+    emit("spare", 500)
+    stage.revive_best()
+    stage.failback.look()
+    stage.clock.advance(PATIENCE)
+    returning = threading.Thread(target=stage.failback.look)
+    returning.start()
+    while returning.is_alive():
+        emit("spare", 1)
+    emit("best", 500)
+    status = connection.status
+    fed = sum(
+        route.received
+        for route in (*stage.robot.status().routes, *status().ended)
+        if route.consumer == "finder.default"
+    )
+    assert 1500 <= fed <= emitted  # once its edge has ended, the spare is heard no more
+
+    def accounted() -> int:
+        routes = (*stage.robot.status().routes, *status().ended)
+        return len(got) + sum(sum(dict(one.dropped).values()) for one in routes)
+
+    wait(lambda: accounted() == fed)
+    assert status().lost <= emitted - fed  # what the spare emitted until it was closed
+    assert got == sorted(set(got))
+    assert connection.state is ConnectionState.RUNNING
