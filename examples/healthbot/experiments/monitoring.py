@@ -121,7 +121,7 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> D
 async def robot_row(scene: Stage) -> Death:
     """Kill the robot manager's own process; its users must come again."""
     url, seen = scene.places.robot_url, Observed()
-    user = asyncio.create_task(use(url, "pulseRate", seen))
+    user = asyncio.create_task(use(url, "pulseRate", seen, resume=False))
 
     async def flows() -> bool:
         return len(seen.arrivals) > 1

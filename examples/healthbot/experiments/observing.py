@@ -41,9 +41,9 @@ class Observed:
         return max((later - earlier for earlier, later in pairs), default=None)
 
 
-async def use(url: str, name: str, seen: Observed) -> None:
-    """Be the application that uses a stream."""
-    async with connect(url) as robot:
+async def use(url: str, name: str, seen: Observed, *, resume: bool = True) -> None:
+    """Be the application that uses a stream; without `resume` a drop of its link ends it."""
+    async with connect(url, resume=resume) as robot:
         try:
             async for _ in await robot.request(name):
                 seen.arrivals.append(time.monotonic())
