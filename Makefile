@@ -8,10 +8,13 @@ NAMESERVICE ?= localhost:2809
 FIGURES ?= build/healthbot
 
 .DELETE_ON_ERROR:
-.PHONY: demo healthbot healthbot-tables plots test test-long lint types docs check bench mutation interop-rtm clean
+.PHONY: demo live healthbot healthbot-tables plots test test-long lint types docs check bench mutation interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py
+
+live: $(VENV)/.live  ## the same chain without an end, with pictures at http://127.0.0.1:9080/
+	$(BIN)/python examples/vision/live.py
 
 healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications
 	$(BIN)/python examples/healthbot/scene.py
@@ -62,6 +65,11 @@ $(BIN)/python:
 $(VENV)/.demo: pyproject.toml | $(BIN)/python
 	@echo "Installing uoarm with its vision packages into $(VENV) (about 200 MB, once) ..."
 	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib]'
+	@touch $@
+
+$(VENV)/.live: pyproject.toml | $(BIN)/python
+	@echo "Installing uoarm with its vision and server packages into $(VENV) (about 210 MB, once) ..."
+	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib,server]'
 	@touch $@
 
 $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python

@@ -29,7 +29,10 @@ also_copy = ["src", "README.md", "LICENSE"]
 pytest_add_cli_args_test_selection = {tests}
 pytest_add_cli_args = ["-p", "no:cacheprovider", "-k", {selected}]
 """
-_SELECTED = "not sizes and not table_tells and not counterexample_is_one and not hostile"
+_SELECTED = (
+    "not sizes and not table_tells and not counterexample_is_one and not hostile"
+    " and not nested_a_hundred"  # mutmut calls each function through three of its own
+)
 _OUTCOMES = {
     0: "survived",
     1: "killed",
@@ -53,8 +56,11 @@ def main() -> None:
     chosen = names
     if options.sample is not None and options.sample < len(names):
         chosen = random.Random(options.seed).sample(names, options.sample)
-    _mutmut(copy, options.children, *chosen)
-    _show(len(names), chosen, _outcomes(copy))
+    said = _mutmut(copy, options.children, *chosen)
+    outcomes = _outcomes(copy)
+    if all(outcomes[name] == "not run" for name in chosen):
+        sys.exit(f"mutmut ran no mutant:\n{said}")
+    _show(len(names), chosen, outcomes)
 
 
 def _copy() -> Path:
@@ -76,11 +82,12 @@ def _copy() -> Path:
     return copy
 
 
-def _mutmut(copy: Path, children: int, *names: str) -> None:
+def _mutmut(copy: Path, children: int, *names: str) -> str:
     command = [sys.executable, "-m", "mutmut", "run", "--max-children", str(children), *names]
     done = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
     if not any(copy.glob("mutants/**/*.meta")):
         sys.exit(f"mutmut made no mutants:\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+    return f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
 
 
 def _outcomes(copy: Path) -> dict[str, str]:

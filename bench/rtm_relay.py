@@ -17,6 +17,7 @@ from bench.tables import print_table, row
 
 DOMAIN = str(20 + os.getpid() % 80)
 ROUNDS = 2000
+PAPER_US = 1000.0
 CONFIGURATION = """
 version: 1
 bridges:
@@ -70,8 +71,10 @@ def main() -> int:
             samples = _round_trips()
             for process in (moving, component):
                 process.communicate(timeout=20)
-    rows = [row("topic, InPort, OutPort, topic", samples)]
-    print_table("ROS 2 to an RT-Component and back (us)", ("way", "median", "p99", ""), rows)
+    share = sum(each < PAPER_US for each in samples) / len(samples)
+    rows = [row("topic, InPort, OutPort, topic", samples, f"{share:.1%}")]
+    head = ("way", "median", "p99", "below the paper's 1 ms")
+    print_table("ROS 2 to an RT-Component and back (us)", head, rows)
     return 0
 
 

@@ -1,8 +1,6 @@
-"""The WebSocket front end under load; any rosbridge server can be measured in the same way.
+"""The WebSocket front end under load: `python -m bench.serve_clients` measures a server of its own.
 
-`python -m bench.serve_clients` measures a server of its own. With `--rosbridge ws://HOST:PORT` it
-measures the server there too, through topics between clients of the type std_msgs/String, which
-every rosbridge server has.
+For its rosbridge endpoint beside other servers see `bench.serve_rosbridge`.
 """
 
 from __future__ import annotations
@@ -77,20 +75,27 @@ async def own_server() -> AsyncIterator[tuple[str, int]]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "robot.yaml"
         file.write_text(text, encoding="utf-8")
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
-            stdout=asyncio.subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(HERE.parent),
-                                                 "PYTHONUNBUFFERED": "1"},
-        )  # fmt: skip
-        assert process.stdout is not None
-        try:
-            line = (await asyncio.wait_for(process.stdout.readline(), 30)).decode()
-            found = re.search(r"(ws://[^ ]+/) ", line)
-            assert found is not None, line
-            yield found.group(1), process.pid
-        finally:
-            process.send_signal(signal.SIGTERM)
-            await asyncio.wait_for(process.wait(), 10)
+        async with serving(file) as served:
+            yield served
+
+
+@asynccontextmanager
+async def serving(file: Path) -> AsyncIterator[tuple[str, int]]:
+    """Run `uoarm serve` with a configuration; yields its address and process id."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
+        stdout=asyncio.subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(HERE.parent), "PYTHONUNBUFFERED": "1"},
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        line = (await asyncio.wait_for(process.stdout.readline(), 30)).decode()
+        found = re.search(r"(ws://[^ ]+/) ", line)
+        assert found is not None, line
+        yield found.group(1), process.pid
+    finally:
+        process.send_signal(signal.SIGTERM)
+        await asyncio.wait_for(process.wait(), 10)
 
 
 def resident(process: int) -> float:
@@ -103,7 +108,7 @@ async def round_trips(url: str, *, binary: bool) -> tuple[Row, Row]:
     form = "CBOR" if binary else "JSON"
     async with native(url, binary=binary) as speaker:
         call = {"op": "Call", "type": "add", "jsonMessage": {"a": 1, "b": 2}}
-        calls = [await _timed(speaker.ask(**call)) for _ in range(2000)][100:]
+        calls = [await timed(speaker.ask(**call)) for _ in range(2000)][100:]
         name = (await speaker.ask(op="Request", type="echo"))["connection"]
         message = speaker.dump(
             {"op": "Data", "type": name, "id": "e", "jsonMessage": {"data": "x"}}
@@ -114,11 +119,12 @@ async def round_trips(url: str, *, binary: bool) -> tuple[Row, Row]:
             while speaker.load(await speaker.socket.recv())["op"] != "Data":
                 pass
 
-        echoes = [await _timed(echo()) for _ in range(2000)][100:]
+        echoes = [await timed(echo()) for _ in range(2000)][100:]
     return row(f"service call, {form}", sorted(calls)), row(f"echo, {form}", sorted(echoes))
 
 
-async def _timed(step: Any) -> float:
+async def timed(step: Any) -> float:
+    """Return the microseconds that a step took."""
     start = time.perf_counter_ns()
     await step
     return (time.perf_counter_ns() - start) / 1000
@@ -182,59 +188,12 @@ async def idle(url: str, process: int, clients: int) -> Row:
     each = (resident(process) - before) * 1000 / clients
     async with native(url) as speaker:
         calls = [
-            await _timed(speaker.ask(op="Call", type="add", jsonMessage={"a": 1, "b": 2}))
+            await timed(speaker.ask(op="Call", type="add", jsonMessage={"a": 1, "b": 2}))
             for _ in range(200)
         ]
     await asyncio.gather(*(socket.close() for socket in sockets))
     note = f"all in {took:.1f} s; a call takes {at(sorted(calls), 0.5):,.0f} us beside them"
     return f"{clients} idle clients", f"{each:.0f} KB each", note
-
-
-async def rosbridge(url: str, name: str) -> list[Row]:
-    """Measure a rosbridge server through topics between two clients."""
-    topic = f"/bench_{os.getpid()}"
-    options: dict[str, Any] = {"max_size": None, "compression": None, "ping_interval": None}
-    async with connect(url, **options) as reader, connect(url, **options) as writer:
-        kind = {"topic": topic, "type": "std_msgs/String"}
-        await writer.send(json.dumps({"op": "advertise", **kind}))
-        await reader.send(json.dumps({"op": "subscribe", **kind}))
-        await asyncio.sleep(1)  # rosbridge never says when a topic is ready
-
-        async def echo(text: str) -> None:
-            message = {"op": "publish", "topic": topic, "msg": {"data": text}}
-            await writer.send(json.dumps(message))
-            await asyncio.wait_for(reader.recv(), 10)
-
-        trips = sorted([await _timed(echo("x")) for _ in range(1000)][50:])
-        large = sorted([await _timed(echo("x" * 921_600)) for _ in range(30)][2:])
-        count = await _pumped(reader, writer, topic)
-    return [
-        (name, f"{at(trips, 0.5):,.0f}", f"{at(trips, 0.99):,.0f}", f"{count / SECONDS:,.0f}",
-         f"{1e6 / at(large, 0.5):,.1f}"),
-    ]  # fmt: skip
-
-
-async def _pumped(reader: ClientConnection, writer: ClientConnection, topic: str) -> int:
-    """Return how many messages of 1 KB come through while as many as possible are written."""
-    frame = json.dumps({"op": "publish", "topic": topic, "msg": {"data": "x" * 1000}})
-    stop = time.perf_counter() + SECONDS
-
-    async def write() -> None:
-        while time.perf_counter() < stop:
-            await writer.send(frame)
-
-    async def read() -> int:
-        count = 0
-        while (left := stop - time.perf_counter()) > 0:
-            try:
-                await asyncio.wait_for(reader.recv(), left)
-            except asyncio.TimeoutError:
-                break
-            count += 1
-        return count
-
-    _, count = await asyncio.gather(write(), read())
-    return count
 
 
 async def measure_own(clients: int) -> None:
@@ -259,24 +218,12 @@ async def measure_own(clients: int) -> None:
         print_table("uoarm serve, messages a second to one client", ("what", "", ""), rates)
 
 
-async def measure_rosbridge(other: str | None) -> None:
-    rows: list[Row] = []
-    async with own_server() as (url, _):
-        rows += await rosbridge(f"{url}rosbridge", "uoarm serve")
-    if other is not None:
-        rows += await rosbridge(other, other)
-    head = ("server", "echo, median us", "p99 us", "1 KB messages/s", "921,600 B texts/s")
-    print_table("rosbridge v2 between two clients", head, rows)
-
-
 def main() -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rosbridge", help="address of another rosbridge server to compare with")
     parser.add_argument("--idle", type=int, default=2000, help="idle clients")
     chosen = parser.parse_args()
     asyncio.run(measure_own(chosen.idle))
-    asyncio.run(measure_rosbridge(chosen.rosbridge))
     return 0
 
 

@@ -54,6 +54,12 @@ def test_bridges_of_one_installation_share_theirs() -> None:
     assert islands(one, two, f"c: {{plugin: isles, {HUMBLE}}}") == {"a": 64, "b": 64, "c": 65}
 
 
+def test_a_bridge_on_another_machine_keeps_what_that_machine_has() -> None:
+    one, two = f"a: {{plugin: isles, {JAZZY}}}", f"b: {{plugin: isles, {HUMBLE}}}"
+    there = "c: {plugin: isles, host: {machine: arm}}\nhosts: {listen: 'tcp/127.0.0.1:7447'}"
+    assert islands(one, two, there) == {"a": 64, "b": 65, "c": None}
+
+
 def test_one_installation_alone_keeps_its_default() -> None:
     assert islands(f"a: {{plugin: isles, {JAZZY}}}") == {"a": None}
 

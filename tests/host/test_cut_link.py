@@ -147,6 +147,7 @@ def test_a_connection_without_another_candidate_waits_for_the_link_to_heal(
         assert gap.seconds > 0
         numbers = list(iter(lambda: connection.get(10), 0))  # until the component begins anew
         assert numbers == list(range(1, len(numbers) + 1))  # what came before the cut is whole
+        assert gap.position == 1 + len(numbers)
 
 
 def test_what_a_short_cut_loses_is_counted_and_nothing_else_happens(

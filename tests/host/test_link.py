@@ -138,3 +138,9 @@ def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
     end()
     thread.join(5)
     assert not thread.is_alive()
+
+
+def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:
+    with pytest.raises(BridgeError, match="opening the link") as caught:
+        Link("tcp/127.0.0.1:1", listen=False, timeout=0.1)
+    assert ".rs" not in str(caught.value)

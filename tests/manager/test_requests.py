@@ -20,7 +20,8 @@ from uoarm import (
     StatusEvent,
     UsageError,
 )
-from uoarm.model import ConnectionState, StatusMap
+from uoarm.manager._live import LiveComponent
+from uoarm.model import ConnectionState, StatusMap, Step
 
 Make = Callable[[str], RobotManager]
 HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
@@ -141,6 +142,22 @@ def test_a_bridge_that_hangs_while_opening_is_given_up_and_named(make_robot: Mak
     with robot.request("narrow") as other:
         stage.script.put({"value": 5})
         assert other.get(10) == {"value": 5}
+
+
+def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(
+    make_robot: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = make_robot(HEAD + source())
+    enter, seen = robot._pool.enter, list[ConnectionState]()
+
+    def enter_watched(step: Step, user: str) -> LiveComponent:
+        seen.extend(one.state for one in robot.status().connections)
+        return enter(step, user)
+
+    monkeypatch.setattr(robot._pool, "enter", enter_watched)
+    with robot.request("narrow") as connection:
+        assert seen == [ConnectionState.OPENING]
+        assert connection.flush(0)
 
 
 def test_a_component_that_hangs_in_send_stalls_nobody_else(make_robot: Make) -> None:

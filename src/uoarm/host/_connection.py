@@ -6,16 +6,16 @@ import atexit
 import logging
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.bridge import CONTRACT_VERSION
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.host import _keys
 from uoarm.host._folders import link_folder
-from uoarm.host._link import ANSWER_SECONDS, Link
+from uoarm.host._lifeline import Lifeline
+from uoarm.host._link import Link
 from uoarm.host._process import HostProcess, host_command
 from uoarm.host._pulse import Pulse
 from uoarm.host._settings import HostSettings
@@ -25,8 +25,6 @@ from uoarm.model import BridgeSpec
 __all__ = ["HostConnection"]
 
 _log = logging.getLogger("uoarm")
-_MARGIN_SECONDS = 0.5
-_NEWS_SECONDS = 0.3
 _POLITE_SECONDS = 1.5
 _JOIN_SECONDS = 2.0
 _LEASE_SECONDS = 10.0
@@ -58,15 +56,10 @@ class HostConnection:
         died: Callable[[str], None],
     ) -> None:
         self._name = spec.name
-        self._died = died
-        self._doubted = doubted
         self._memory = settings.memory
-        self._state = threading.Condition()
-        self._alive = False
-        self._closing = False
+        self._life = Lifeline(spec.name, doubted, died)
         self._link: Link | None = None
         self._started: HostProcess | None = None
-        self.dead = ""
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter())
         variables = settings.process_variables(os.environ)
@@ -77,7 +70,7 @@ class HostConnection:
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
             shared = settings.shared_memory
             self._link = Link(place, listen=True, lease=lease, shared_memory=shared)
-            self._link.watch_alive(_keys.ALIVE, self._seen)
+            self._link.watch_alive(_keys.ALIVE, self._life.seen)
             self._started = HostProcess(spec.name, command, variables, self._exited)
             self._started.tell(
                 {
@@ -105,11 +98,16 @@ class HostConnection:
             self._link,
             silence=settings.silence,
             heard=heard,
-            doubted=self._doubt,
+            doubted=self._life.doubt,
             given_up=self._give_up,
         )
         self._pulse.start()
         atexit.register(self._end_with_python)
+
+    @property
+    def dead(self) -> str:
+        """Why the host died, "" while it lives."""
+        return self._life.dead
 
     @property
     def link(self) -> Link:
@@ -130,19 +128,7 @@ class HostConnection:
             UoarmError: what the bridge raised.
             BridgeError: UNAVAILABLE when the host is dead; the text says of what it died.
         """
-        self._refuse_dead(operation)
-        limit = ANSWER_SECONDS
-        if "timeout" in values:
-            limit = min(limit, values["timeout"] + _MARGIN_SECONDS)
-        try:
-            return self.link.ask(_keys.ASK, {"op": operation, **values}, timeout=limit)
-        except BridgeError as error:
-            if error.reason is not FailureReason.UNAVAILABLE:
-                raise
-            with self._state:
-                self._state.wait_for(lambda: bool(self.dead), _NEWS_SECONDS)
-            self._refuse_dead(operation, error)
-            raise
+        return self._life.ask(self.link, operation, values)
 
     def close(self, say_close: Callable[[], object] | None) -> None:
         """End the host: with `say_close` when it is given and the host lives, else at once.
@@ -152,8 +138,7 @@ class HostConnection:
             BridgeError: its process does not end.
         """
         atexit.unregister(self._end_with_python)
-        with self._state:
-            self._closing = True
+        self._life.give_back()
         pulse: Pulse | None = getattr(self, "_pulse", None)
         if pulse is not None:
             pulse.stop()
@@ -180,20 +165,17 @@ class HostConnection:
             _log.warning("%s", error)
 
     def _await_token(self, deadline: float) -> None:
-        with self._state:
-            self._state.wait_for(
-                lambda: self._alive or bool(self.dead), deadline - time.monotonic()
-            )
-        if self.dead:
-            assert self._started is not None, "only a process can have ended"
-            text = f"bridge host {self._name!r} did not start: {self.dead}"
-            raise BridgeError(f"{text}\n{self._started.last_words}", FailureReason.UNAVAILABLE)
-        if not self._alive:
-            raise BridgeTimeoutError(f"bridge host {self._name!r} was not ready in time")
+        """Wait for the token; where the process ended instead, say what it printed last."""
+        try:
+            self._life.await_token(deadline)
+        except BridgeError as error:
+            if not self.dead or self._started is None:
+                raise
+            text = f"{error}\n{self._started.last_words}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
     def _greet(self, deadline: float) -> Mapping[str, Any]:
-        limit = max(0.1, deadline - time.monotonic())
-        greeting: Mapping[str, Any] = self.link.ask(_keys.ASK, {"op": "hello"}, timeout=limit)
+        greeting = self._life.greet(self.link, deadline)
         ours = {"link": _keys.LINK_VERSION, "contract": CONTRACT_VERSION}
         for what, version in ours.items():
             if greeting.get(what) != version:
@@ -205,31 +187,10 @@ class HostConnection:
                 )
         return greeting
 
-    def _refuse_dead(self, operation: str, cause: UoarmError | None = None) -> None:
-        if self.dead:
-            text = f"bridge host {self._name!r} is dead, {operation!r} is not possible"
-            raise BridgeError(f"{text}: {self.dead}", FailureReason.UNAVAILABLE) from cause
-
-    def _seen(self, alive: bool) -> None:  # noqa: FBT001 - told, not asked
-        with self._state:
-            self._alive = alive
-            self._state.notify_all()
-
     def _exited(self, how: str) -> None:
-        self._die(f"{how}; it might have {self._memory} of memory" if self._memory else how)
-
-    def _doubt(self, in_doubt: bool) -> None:  # noqa: FBT001 - told, not asked
-        self._doubted(in_doubt, "its bridge host does not answer" if in_doubt else "it answers")
+        self._life.die(f"{how}; it might have {self._memory} of memory" if self._memory else how)
 
     def _give_up(self, silent: float) -> None:
-        self._die(f"it has not answered for {silent:.1f} s")
+        self._life.die(f"it has not answered for {silent:.1f} s")
         if self._started is not None:
             self._started.kill()
-
-    def _die(self, cause: str) -> None:
-        with self._state:
-            if self.dead or self._closing:
-                return
-            self.dead = cause
-            self._state.notify_all()
-        self._died(cause)

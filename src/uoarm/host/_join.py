@@ -13,11 +13,11 @@ from typing import Any
 
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
-from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.host import _keys
 from uoarm.host._link import Link, Reply
 from uoarm.host._security import Identity
-from uoarm.host._serving import Serving
+from uoarm.host._served import Served
 from uoarm.host._workers import Workers
 from uoarm.model import BridgeSpec
 
@@ -26,7 +26,6 @@ __all__ = ["JoinedHost"]
 _TRY_SECONDS = 2.0
 _AGAIN_SECONDS = 0.3
 _UNASKED_SECONDS = 10.0
-_CLOSE_SECONDS = 5.0
 _log = logging.getLogger("uoarm")
 
 Orders = Mapping[str, Any]
@@ -69,7 +68,7 @@ class JoinedHost:
         self._name = uuid.uuid4().hex[:12]
         self._workers = Workers("uoarm-attach")
         self._lock = threading.Lock()
-        self._served: list[_Served] = []
+        self._served: list[Served] = []
         self._asked = Event()
         self._closed = Event()
 
@@ -150,7 +149,7 @@ class JoinedHost:
             leaving = [one for one in self._served if one.name == name and one.is_leaving]
         for one in leaving:
             one.end()
-        served = _Served(
+        served = Served(
             self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
         )
         with self._lock:
@@ -165,59 +164,6 @@ class JoinedHost:
         if not prefix.startswith(expected):
             raise BridgeError(f"orders behind {prefix!r}, expected {expected}...")
         return self._link.part(prefix)
-
-
-class _Served:
-    """One bridge while one manager uses it.
-
-    Raises:
-        UoarmError: the bridge could not be made.
-    """
-
-    def __init__(self, registry: Registry, spec: BridgeSpec, link: Link) -> None:
-        self.name = spec.name
-        self._link = link
-        self._ended = Event()
-        link.watch_alive(_keys.MANAGED, self._managed)
-        try:
-            self._bridge = registry.create(spec)
-        except BaseException:
-            link.close()
-            raise
-        self._serving = Serving(self._bridge, link, self._ended)
-        self._serving.begin()
-        self._thread = threading.Thread(target=self._wait, name=f"uoarm-served-{spec.name}")
-        self._thread.start()
-        _log.info("bridge %s is taken up", self.name)
-
-    @property
-    def is_leaving(self) -> bool:
-        """Whether its manager has gone, or let it go."""
-        return self._ended.is_set()
-
-    @property
-    def has_left(self) -> bool:
-        """Whether it is closed."""
-        return not self._thread.is_alive()
-
-    def end(self) -> None:
-        """Close the bridge and wait until that is done, five seconds at most."""
-        self._ended.set()
-        self._thread.join(_CLOSE_SECONDS)
-
-    def _managed(self, present: bool) -> None:  # noqa: FBT001 - told, not asked
-        if not present:
-            self._ended.set()
-
-    def _wait(self) -> None:
-        self._ended.wait()
-        try:
-            self._bridge.close()
-        except UoarmError as error:
-            _log.warning("%s", error)
-        self._serving.end()
-        self._link.close()
-        _log.info("bridge %s is let go", self.name)
 
 
 def _require_same_version(orders: Orders) -> None:

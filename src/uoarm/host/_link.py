@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import json
 import logging
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -32,6 +33,7 @@ _RETRY_MILLISECONDS = 200
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
 
+_PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
@@ -266,7 +268,8 @@ def _wrapped(step: str) -> Iterator[None]:
     try:
         yield
     except zenoh.ZError as error:
-        raise BridgeError(f"{step} failed: {error}", FailureReason.UNAVAILABLE) from error
+        text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
+        raise BridgeError(f"{step} failed: {text}", FailureReason.UNAVAILABLE) from error
 
 
 def configuration(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.bridge import CONTRACT_VERSION
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.host import _keys
 from uoarm.host._desk import MachineDesk
-from uoarm.host._link import ANSWER_SECONDS, Link
+from uoarm.host._lifeline import Lifeline
+from uoarm.host._link import Link
 from uoarm.host._pulse import Pulse
 from uoarm.host._settings import HostSettings
 from uoarm.host._tally import Tally
@@ -20,10 +20,7 @@ from uoarm.model import BridgeSpec
 
 __all__ = ["MachineConnection"]
 
-_MARGIN_SECONDS = 0.5
-_NEWS_SECONDS = 0.3
 _JOIN_SECONDS = 2.0
-_LEAST_SECONDS = 1.0
 
 
 class MachineConnection:
@@ -59,13 +56,8 @@ class MachineConnection:
         died: Callable[[str], None],
     ) -> None:
         self._place = f"machine {machine!r}"
-        self._doubted = doubted
-        self._died = died
-        self._state = threading.Condition()
-        self._alive = False
-        self._closing = False
+        self._life = Lifeline(spec.name, doubted, died)
         self._pulse: Pulse | None = None
-        self.dead = ""
         self.tally: Tally | None = None  # no memory is shared with another machine
         host = desk.find(machine, spec.name, settings.start)
         if host is None:
@@ -92,7 +84,8 @@ class MachineConnection:
                 "options": dict(spec.options),
             }
             desk.attach(machine, host, orders, settings.start)
-            self.greeting = self._greet(deadline)
+            self._life.await_token(deadline)
+            self.greeting = self._life.greet(self.link, deadline)
         except BaseException:
             self.close(None)
             raise
@@ -101,10 +94,15 @@ class MachineConnection:
             self.link,
             silence=settings.silence,
             heard=heard,
-            doubted=self._doubt,
-            given_up=lambda silent: self._die(f"has not answered for {silent:.1f} s"),
+            doubted=self._life.doubt,
+            given_up=self._give_up,
         )
         self._pulse.start()
+
+    @property
+    def dead(self) -> str:
+        """Why the host was lost, "" while it is there."""
+        return self._life.dead
 
     @property
     def process(self) -> int:
@@ -123,19 +121,7 @@ class MachineConnection:
             UoarmError: what the bridge raised.
             BridgeError: UNAVAILABLE when the host is lost; the text says why.
         """
-        self._refuse_dead(operation)
-        limit = ANSWER_SECONDS
-        if "timeout" in values:
-            limit = min(limit, values["timeout"] + _MARGIN_SECONDS)
-        try:
-            return self.link.ask(_keys.ASK, {"op": operation, **values}, timeout=limit)
-        except BridgeError as error:
-            if error.reason is not FailureReason.UNAVAILABLE:
-                raise
-            with self._state:
-                self._state.wait_for(lambda: bool(self.dead), _NEWS_SECONDS)
-            self._refuse_dead(operation, error)
-            raise
+        return self._life.ask(self.link, operation, values)
 
     def close(self, say_close: Callable[[], object] | None) -> None:
         """Let the bridge go: the host closes it, and waits for the next manager.
@@ -143,8 +129,7 @@ class MachineConnection:
         Raises:
             UoarmError: the bridge failed while closing; it was let go all the same.
         """
-        with self._state:
-            self._closing = True
+        self._life.give_back()
         if self._pulse is not None:
             self._pulse.stop()
         try:
@@ -155,37 +140,10 @@ class MachineConnection:
                 self._pulse.join(_JOIN_SECONDS)
             self.link.close()
 
-    def _greet(self, deadline: float) -> Mapping[str, Any]:
-        """Wait for the token, which comes after all that the host declares; then say hello."""
-        with self._state:
-            left = max(_LEAST_SECONDS, deadline - time.monotonic())
-            self._state.wait_for(lambda: self._alive or bool(self.dead), left)
-            self._refuse_dead("hello")
-            if not self._alive:
-                raise BridgeTimeoutError(f"{self._place} was not ready in time")
-        left = max(_LEAST_SECONDS, deadline - time.monotonic())
-        greeting: Mapping[str, Any] = self.link.ask(_keys.ASK, {"op": "hello"}, timeout=left)
-        return greeting
+    def _seen(self, present: bool) -> None:  # noqa: FBT001 - told, not asked
+        self._life.seen(present)
+        if not present:
+            self._life.die(f"{self._place} has left, or the link to it is cut")
 
-    def _refuse_dead(self, operation: str, cause: UoarmError | None = None) -> None:
-        if self.dead:
-            text = f"{self.dead}, {operation!r} is not possible"
-            raise BridgeError(text, FailureReason.UNAVAILABLE) from cause
-
-    def _seen(self, alive: bool) -> None:  # noqa: FBT001 - told, not asked
-        with self._state:
-            self._alive = alive
-            self._state.notify_all()
-        if not alive:
-            self._die("has left, or the link to it is cut")
-
-    def _doubt(self, in_doubt: bool) -> None:  # noqa: FBT001 - told, not asked
-        self._doubted(in_doubt, f"{self._place} {'does not answer' if in_doubt else 'answers'}")
-
-    def _die(self, how: str) -> None:
-        with self._state:
-            if self.dead or self._closing:
-                return
-            self.dead = f"{self._place} {how}"
-            self._state.notify_all()
-        self._died(self.dead)
+    def _give_up(self, silent: float) -> None:
+        self._life.die(f"{self._place} has not answered for {silent:.1f} s")

@@ -112,9 +112,7 @@ class Connection:
 
         `kill` discards what a slower component has not taken yet; call this before it.
         """
-        return all(
-            sender.flush(timeout) for sender in tuple(self.course.opened.ends.senders.values())
-        )
+        return self.course.opened.flush(timeout)
 
     def subscribe(self, callback: Deliver) -> Callable[[], None]:
         """Give messages to a callback from now on, first those that wait; returns what ends it.

@@ -9,7 +9,7 @@ from uoarm.errors import ConnectionClosedError
 from uoarm.flow import Route
 from uoarm.manager._history import History
 from uoarm.manager._life import Life
-from uoarm.manager._live import LiveComponent, lost_with
+from uoarm.manager._live import LiveComponent
 from uoarm.manager._opening import OpenPlan
 from uoarm.manager._reception import MakeRoute, Reception
 from uoarm.model import ConnectionState, Plan, QueuePolicy, RouteStatus
@@ -107,7 +107,8 @@ class Course:
             return
         try:
             self.opened.close()
-            self.history.settle(lost_with(dead), self.opened.ended_edges())
+            lost = self.history.lost_with(dead)
+            self.history.settle(lost, self.history.ended_edges(self.opened))
         finally:
             self.life.finish(state)
             self._changed()  # before the reader hears of the end, so that its status agrees
@@ -131,7 +132,7 @@ class Course:
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of the routes that belong to this connection alone."""
-        return self.opened.ends.routes()
+        return tuple(route.status() for route in self.opened.routes())
 
     def _changed(self) -> None:
         if self._tell is not None:

@@ -8,7 +8,7 @@ from uoarm.errors import UsageError
 from uoarm.flow import Clock, Route
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._sender import Sender
-from uoarm.model import RouteStatus, ValidationMode
+from uoarm.model import ValidationMode
 
 __all__ = ["Ends"]
 
@@ -67,10 +67,10 @@ class Ends:
         """Wait until the component has taken what was sent; False when time ran out."""
         return all(sender.flush(timeout) for sender in tuple(self.senders.values()))
 
-    def routes(self) -> tuple[RouteStatus, ...]:
-        """Return the counters of the routes at these ends."""
-        received = () if self.route is None else (self.route.status(),)
-        return (*received, *(sender.status() for sender in tuple(self.senders.values())))
+    def routes(self) -> tuple[Route | Sender, ...]:
+        """Return the routes at these ends."""
+        received = () if self.route is None else (self.route,)
+        return (*received, *tuple(self.senders.values()))
 
     def close(self) -> None:
         """Send and receive nothing more. May be called again."""

@@ -3,49 +3,90 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Protocol, TypeAlias
+from weakref import WeakSet
 
 from attrs import evolve
 
+from uoarm.manager._live import LiveComponent
+from uoarm.manager._live_edge import LiveEdge
+from uoarm.manager._opening import OpenPlan
 from uoarm.model import Gap, RouteStatus
 
-__all__ = ["History", "dropped_by_reason"]
+__all__ = ["Counting", "History", "dropped_by_reason"]
+
+Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 
 _GAPS = 1000
+
+
+class Counting(Protocol):
+    """A route, whichever end it is at."""
+
+    def status(self) -> RouteStatus:
+        """Return its counters."""
 
 
 class History:
     """The gaps of a connection, and the counters of its routes that ended.
 
-    Bounded: the newest thousand gaps, and one row for each pair of ends, of which a
-    configuration has only so many.
+    Routes that ended last are still asked for their counters, since a thread that was about to
+    use one may do so late; earlier ones are added up. Bounded: the newest thousand gaps, and one
+    row for each pair of ends, of which a configuration has only so many.
     """
 
     def __init__(self) -> None:
         self.gaps: tuple[Gap, ...] = ()
         self.changes = 0
         self.lost = 0
-        self._ended: dict[tuple[str, str], RouteStatus] = {}
+        self._ended: tuple[Sums, tuple[Counting, ...]] = ({}, ())
+        self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
     @property
     def ended(self) -> tuple[RouteStatus, ...]:
         """The routes that ended, those between the same ends as one."""
-        return tuple(self._ended.values())
+        return tuple(_added(*self._ended).values())
 
-    def add(self, gap: Gap, routes: Iterable[RouteStatus]) -> None:
-        """Take in one change of plan and what the routes that ended with it had counted."""
+    def lost_with(self, lives: Iterable[LiveComponent]) -> int:
+        """Close components that died or were let go; return what was lost with them, once each."""
+        lost = 0
+        for live in lives:
+            live.close()
+            if live not in self._counted:
+                self._counted.add(live)
+                lost += live.lost + live.unheard
+        return lost
+
+    def ended_edges(self, plan: OpenPlan) -> Iterator[Counting]:
+        """Yield the routes of the edges of a plan that have ended, once each."""
+        for joined in plan.edges:
+            if joined.route is not None and joined.route.closed and joined not in self._counted:
+                self._counted.add(joined)
+                yield joined.route
+
+    def add(self, gap: Gap, routes: Iterable[Counting]) -> None:
+        """Take in one change of plan and the routes that ended with it."""
         self.settle(gap.lost, routes)
         self.changes += 1
         self.gaps = (*self.gaps, gap)[-_GAPS:]
 
-    def settle(self, lost: int, routes: Iterable[RouteStatus]) -> None:
-        """Take in what was lost with components, and what routes that ended had counted."""
+    def settle(self, lost: int, routes: Iterable[Counting]) -> None:
+        """Take in what was lost with components, and routes that ended."""
         self.lost += lost
-        for route in routes:
-            ends = route.producer, route.consumer
-            settled = _settled(route)
-            before = self._ended.get(ends)
-            self._ended[ends] = settled if before is None else _sum(before, settled)
+        ended = tuple(routes)
+        if ended:
+            self._ended = _added(*self._ended), ended
+
+
+def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
+    added = dict(sums)
+    for route in routes:
+        status = _settled(route.status())
+        ends = status.producer, status.consumer
+        before = added.get(ends)
+        added[ends] = status if before is None else _sum(before, status)
+    return added
 
 
 def dropped_by_reason(routes: Iterable[RouteStatus]) -> tuple[tuple[str, int], ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from uoarm.bridge import Bridge, Channel, Sink
@@ -12,7 +12,7 @@ from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
 from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
 
-__all__ = ["LiveComponent", "connection_of", "facts_of", "lost_with"]
+__all__ = ["LiveComponent", "connection_of", "facts_of"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -156,15 +156,6 @@ class LiveComponent:
                 except BridgeError as error:
                     _log.warning("%s", error)
                 self.lost += _lost(channel)
-
-
-def lost_with(dead: Iterable[LiveComponent]) -> int:
-    """Return how many messages were under way in components that died, which are closed."""
-    lost = 0
-    for live in dead:
-        live.close()
-        lost += live.lost + live.unheard
-    return lost
 
 
 def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:

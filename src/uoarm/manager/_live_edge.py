@@ -53,6 +53,11 @@ class LiveEdge:
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
 
+    @property
+    def is_stale(self) -> bool:
+        """Whether a component at one of its ends was closed: nobody can use it any more."""
+        return self.producer.is_closed or self.consumer.is_closed
+
     def open(self, clock: Clock) -> None:
         """Open it where it is not open yet; a native link that is held is left for `release`.
 

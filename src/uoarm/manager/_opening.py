@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from attrs import define, field
 
@@ -11,7 +11,8 @@ from uoarm.manager._ends import Ends
 from uoarm.manager._live import LiveComponent, connection_of
 from uoarm.manager._live_edge import LiveEdge
 from uoarm.manager._pool import Pool
-from uoarm.model import Edge, Plan, RouteStatus, ValidationMode
+from uoarm.manager._sender import Sender
+from uoarm.model import Edge, Plan, ValidationMode
 
 __all__ = ["OpenPlan"]
 
@@ -83,9 +84,13 @@ class OpenPlan:
         if self._owns_ends:
             ends.feed(connection_of(self.user), self.validate, self.clock)
 
+    def shares_ends(self, other: OpenPlan) -> bool:
+        """Say whether the application touches both plans at the same provider."""
+        return self._ends is not None and self._ends is other._ends
+
     def inherit(self, before: OpenPlan) -> None:
         """Take over the ends that the plan so far has in common with this one."""
-        if before._ends is self._ends:
+        if self.shares_ends(before):
             before._owns_ends, self._owns_ends = False, True
 
     def close(self) -> None:
@@ -117,11 +122,13 @@ class OpenPlan:
                 joined.route.drain(timeout)
                 joined.consumer.drain(timeout)
 
-    def ended_edges(self) -> Iterator[RouteStatus]:
-        """Yield the counters of its edges that have ended, for good."""
-        for joined in self.edges:
-            if joined.route is not None and joined.route.closed:
-                yield joined.route.status()
+    def routes(self) -> tuple[Route | Sender, ...]:
+        """Return the routes at its ends; none before it is being opened."""
+        return () if self._ends is None else self._ends.routes()
+
+    def flush(self, timeout: float) -> bool:
+        """Wait until what the application sent was taken; False when time ran out."""
+        return self._ends is None or self._ends.flush(timeout)
 
     def uses(self, live: LiveComponent) -> bool:
         """Say whether the connection depends on this open component."""

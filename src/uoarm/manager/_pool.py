@@ -170,16 +170,21 @@ class Pool:
     def _place(
         self, edge: Edge, producer: LiveComponent, consumer: LiveComponent, *, beside: bool
     ) -> LiveEdge:
-        """Return the edge that is there already, or a new one in its place or beside it."""
+        """Return the edge that is there already, or a new one in its place or beside it.
+
+        One that an opening given up has left behind is replaced.
+        """
         key = edge.consumer, edge.input
         standing = self._edges.get(key)
-        if standing is None:
+        if standing is None or standing.is_stale:
             joined = self._edges[key] = LiveEdge(edge, producer, consumer)
             return joined
         origin = edge.producer, edge.output
         if standing.origin == origin:
             return standing
         waiting = self._beside.get(key)
+        if waiting is not None and waiting.is_stale:
+            waiting = None
         if not beside or (waiting is not None and waiting.origin != origin):
             raise ResolutionError(
                 f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "

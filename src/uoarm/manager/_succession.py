@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from types import TracebackType
 
 from attrs import evolve
@@ -12,10 +11,10 @@ from uoarm.errors import BridgeTimeoutError, ConnectionClosedError
 from uoarm.flow import Clock
 from uoarm.manager._course import Course
 from uoarm.manager._heirs import names
-from uoarm.manager._history import dropped_by_reason
-from uoarm.manager._live import LiveComponent, lost_with
+from uoarm.manager._history import Counting, dropped_by_reason
+from uoarm.manager._live import LiveComponent
 from uoarm.manager._opening import OpenPlan
-from uoarm.model import Gap, Plan, RouteStatus
+from uoarm.model import Gap, Plan
 
 __all__ = ["Succession"]
 
@@ -58,7 +57,7 @@ class Succession:
             self._opened = self.course.successor(plan, beside=not self._is_dead)
             self.course.open_plan(self._opened, self._before, is_heard=self._is_dead)
         except BaseException:
-            self._opened.close()
+            self._abandon()
             self.course.reception.hear(self._before.ends.route)
             self.course.succeeding.release()
             raise
@@ -71,7 +70,7 @@ class Succession:
         trace: TracebackType | None,
     ) -> None:
         if self._taken is None:
-            self._opened.close()
+            self._abandon()
         self.course.succeeding.release()
 
     @property
@@ -122,13 +121,24 @@ class Succession:
         assert self._taken is not None, "only what was taken is finished"
         self._before.run_out(_RUN_OUT_SECONDS)
         self._before.close()
-        let_go = [one for one in self._before.components if one.is_closed and one not in dead]
-        lost = lost_with((*dead, *let_go))
-        ended = tuple(self._ended())
-        gap = evolve(self._taken, lost=lost, dropped=dropped_by_reason(ended))
+        lost = self.course.history.lost_with((*dead, *_closed(self._before)))
+        ended = self._ended_with(self._before)
+        dropped = dropped_by_reason(route.status() for route in ended)
+        gap = evolve(self._taken, lost=lost, dropped=dropped)
         self.course.history.add(gap, ended)
 
-    def _ended(self) -> Iterator[RouteStatus]:
-        if self._before.ends is not self._opened.ends:
-            yield from self._before.ends.routes()
-        yield from self._before.ended_edges()
+    def _abandon(self) -> None:
+        """Close a plan that was opened in vain, and count what went with it."""
+        self._opened.close()
+        history = self.course.history
+        lost = history.lost_with(_closed(self._opened))
+        history.settle(lost, self._ended_with(self._opened))
+
+    def _ended_with(self, plan: OpenPlan) -> tuple[Counting, ...]:
+        """Return the routes that ended with one of the two plans."""
+        ends = () if self._opened.shares_ends(self._before) else plan.routes()
+        return (*ends, *self.course.history.ended_edges(plan))
+
+
+def _closed(plan: OpenPlan) -> list[LiveComponent]:
+    return [live for live in plan.components if live.is_closed]

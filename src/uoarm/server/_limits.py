@@ -30,6 +30,7 @@ class Limits:
         stall_seconds: without a sign of life, or without reading, before a client is cut off.
         resume_seconds: how long a session that its client asked to keep outlives a drop of its
             connection; 0: no session is kept.
+        kept_sessions: sessions that wait for their client at one time.
         request_seconds: for resolving and opening what a client asked for.
         call_seconds: for a service call that names no limit of its own; also the longest.
         stop_seconds: for closing when the server is stopped.
@@ -51,6 +52,7 @@ class Limits:
     ping_seconds: float = field(default=5.0, validator=gt(0))
     stall_seconds: float = field(default=10.0, validator=gt(0))
     resume_seconds: float = field(default=30.0, validator=ge(0))
+    kept_sessions: int = field(default=256, validator=ge(0))
     request_seconds: float = field(default=30.0, validator=gt(0))
     call_seconds: float = field(default=60.0, validator=gt(0))
     stop_seconds: float = field(default=1.5, validator=gt(0))

@@ -129,7 +129,7 @@ class Lobby:
             return False
         kept = self._kept[key]
         kept.free.set()
-        if client.has_dropped and self.waiting < self._limits.connections:
+        if client.has_dropped and self.waiting < self._limits.kept_sessions:
             kept.since = time.monotonic()
             return True
         self._forget(kept)

@@ -11,6 +11,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from uoarm.model import StatusMap
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
+from uoarm.server._lobby import Lobby
 
 __all__ = ["Metrics", "Totals"]
 
@@ -41,9 +42,13 @@ class Metrics:
         desk: feeds and workers.
         totals: of clients that have gone.
         clients: those connected now.
+        lobby: sessions that are kept.
     """
 
-    def __init__(self, desk: Desk, totals: Totals, clients: Callable[[], Iterable[Client]]) -> None:
+    def __init__(
+        self, desk: Desk, totals: Totals, clients: Callable[[], Iterable[Client]], lobby: Lobby
+    ) -> None:
+        self._lobby = lobby
         self._desk = desk
         self._totals = totals
         self._clients = clients
@@ -59,6 +64,8 @@ class Metrics:
         clients = list(self._clients())
         totals = self._totals
         yield _gauge("clients", "clients connected", len(clients))
+        kept = self._lobby.waiting
+        yield _gauge("kept_sessions", "sessions that wait for their client", kept)
         yield _count("arrivals", "clients that connected", totals.clients)
         yield _count("refused", "handshakes that were refused", totals.refused)
         yield _count("cut_off", "clients that were cut off", totals.cut_off)

@@ -86,7 +86,7 @@ class Server:
             OSError: a port is taken.
         """
         desk = self._desk = Desk(self._robot, self._limits)
-        metrics = Metrics(desk, self._totals, lambda: self._clients)
+        metrics = Metrics(desk, self._totals, lambda: self._clients, self._lobby)
         try:
             await self._listen(self._settings.port, desk, metrics.text, only_rosbridge=False)
             if self._settings.rosbridge_port is not None:

@@ -65,7 +65,7 @@ def show_plan(plan: Plan, form: Form) -> dict[str, Any]:
 def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any]:
     """Return the part of the status map that concerns functions which a role may see.
 
-    Other machines are shown where such a function has a component there, open or not.
+    Bridges and other machines are shown where such a function has a component there, open or not.
     """
     components = [one for one in status.components if role.allows(Operation.SEE, one.function)]
     connections = [one for one in status.connections if role.allows(Operation.SEE, one.function)]
@@ -75,12 +75,11 @@ def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any
         for one in status.routes
         if one.producer.rpartition(".")[0] in names or one.producer in names
     ]
-    bridges = {one.bridge for one in components}
     possible = {
         one.bridge for one in robot.components() if role.allows(Operation.SEE, one.function)
     }
     shown = StatusMap(
-        bridges=tuple(one for one in status.bridges if one.name in bridges),
+        bridges=tuple(one for one in status.bridges if one.name in possible),
         components=tuple(components),
         connections=tuple(connections),
         routes=tuple(routes),

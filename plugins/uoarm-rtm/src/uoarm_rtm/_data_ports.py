@@ -30,6 +30,8 @@ __all__ = ["INPORT_IOR", "OUTPORT_IOR", "InPort", "OutPort"]
 INPORT_IOR = "dataport.corba_cdr.inport_ior"
 OUTPORT_IOR = "dataport.corba_cdr.outport_ior"
 
+_PUT_SECONDS = 0.5  # a reader may be ending the connection from within the very `put`
+
 _log = logging.getLogger("uoarm.rtm")
 
 
@@ -142,13 +144,6 @@ class InPort(_DataPort):
                 count += 1
         return count
 
-    def disconnect(self, connector_id: str) -> Any:
-        """End a connection at all its ports, when nobody is asked any more (CORBA operation)."""
-        puller = self._pullers.get(connector_id)
-        if puller is not None:
-            puller.end(self._seconds)
-        return super().disconnect(connector_id)
-
     def _publish(self, profile: Any) -> None:
         wishes = self._wishes(profile)
         if wishes.push:
@@ -176,6 +171,11 @@ class InPort(_DataPort):
             lost=lambda _: self.drop(connector),
         )
 
+    def _quiesce(self, connector_id: str) -> None:
+        puller = self._pullers.get(connector_id)
+        if puller is not None:
+            puller.end(self._seconds)
+
     def _release(self, connector_id: str) -> None:
         self._pulls.pop(connector_id, None)
         puller = self._pullers.pop(connector_id, None)
@@ -191,6 +191,7 @@ class _Outlet:
     writer: Pusher | Threaded | Pulled
     order: Order
     reference: Any = None
+    pusher: Pusher | None = None
 
 
 class OutPort(_DataPort):
@@ -252,7 +253,14 @@ class OutPort(_DataPort):
         if wishes.subscription != "flush":
             buffer, push = read_policies(properties_of(profile.properties))
             writer = Threaded(pusher.write, buffer, push, wishes.period)
-        self._outlets[connector] = _Outlet(writer, wishes.order)
+        self._outlets[connector] = _Outlet(writer, wishes.order, pusher=pusher)
+
+    def _quiesce(self, connector_id: str) -> None:
+        outlet = self._outlets.get(connector_id)
+        if outlet is not None:
+            outlet.writer.close()
+            if outlet.pusher is not None:
+                outlet.pusher.end(min(_PUT_SECONDS, self._seconds))
 
     def _release(self, connector_id: str) -> None:
         outlet = self._outlets.pop(connector_id, None)

@@ -31,7 +31,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
 
     Calls come from threads of the ORB. No lock is held while another port is called.
 
-    Must implement: `_publish`, `_subscribe`, `_release`.
+    Must implement: `_publish`, `_subscribe`, `_release`. May implement: `_quiesce`.
 
     Args:
         orb: where the port is served.
@@ -121,6 +121,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             profile = self._profiles.get(connector_id)
         if profile is None:
             return RTC.BAD_PARAMETER
+        self._quiesce(connector_id)
         for port in profile.ports:
             try:
                 with calls:
@@ -136,6 +137,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
 
     def notify_disconnect(self, connector_id: str) -> Any:
         """Take part in the end of a connection (CORBA operation)."""
+        self._quiesce(connector_id)
         profile = self._forget(connector_id)
         if profile is None:
             return RTC.BAD_PARAMETER
@@ -159,6 +161,12 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
     def _subscribe(self, profile: Any) -> None:
         """Take what the others offer and begin, or raise Refusal."""
         raise NotImplementedError
+
+    def _quiesce(self, connector_id: str) -> None:
+        """Begin no call to the other side any more, and wait for one that is under way.
+
+        Components in C++ abort when a connector ends under such a call (observed).
+        """
 
     def _release(self, connector_id: str) -> None:
         """End what `_publish` and `_subscribe` began; quick, also for an unknown connector."""

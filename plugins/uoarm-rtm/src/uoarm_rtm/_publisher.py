@@ -10,7 +10,7 @@ from omniORB import CORBA
 
 from uoarm_rtm._buffer import Buffer
 from uoarm_rtm._buffering import BufferPolicy, PushPolicy
-from uoarm_rtm._calls import calls
+from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["Pulled", "Pusher", "Threaded"]
@@ -29,11 +29,12 @@ class Pusher:
     def __init__(self, target: Any, lost: Callable[[], None]) -> None:
         self._target = target
         self._lost = lost
+        self._putting = Calls()
 
     def write(self, data: bytes) -> bool:
         """Send one message; a hung InPort costs its time limit."""
         try:
-            with calls:
+            with calls, self._putting:
                 self._target.put(data)
         except CORBA.TIMEOUT:
             return True  # it may be back for the next
@@ -42,7 +43,11 @@ class Pusher:
         return True
 
     def close(self) -> None:
-        """End."""
+        """Do nothing: nothing waits here."""
+
+    def end(self, seconds: float) -> None:
+        """Send no more, and wait up to `seconds` for what is under way."""
+        self._putting.end(seconds)
 
 
 class Threaded:

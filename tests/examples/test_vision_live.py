@@ -1,0 +1,32 @@
+"""The vision example for browsers: its recordings never end."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from live import RATE, endless
+from uoarm_vision.messages import Frame
+
+from uoarm import RobotManager
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "vision" / "robot.yaml"
+
+
+def test_its_recordings_play_again_and_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    playlist = tmp_path / "playlist"
+    playlist.mkdir()
+    for name in ("a", "b"):
+        cv2.imwrite(str(playlist / f"{name}.png"), np.zeros((8, 8, 3), np.uint8))
+    monkeypatch.setenv("UOARM_VISION", str(tmp_path))
+    robot = endless(EXAMPLE)
+    [camera] = robot.functions["camera"].components
+    assert camera.outputs[0].endpoint.parameters["rate"] == RATE
+    with RobotManager(robot) as manager, manager.request("camera") as frames:
+        played: list[Frame] = list(islice(frames, 5))
+    assert [one["source"] for one in played] == ["a.png", "b.png", "a.png", "b.png", "a.png"]
