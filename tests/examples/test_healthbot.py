@@ -21,8 +21,8 @@ from websockets.sync.client import connect
 for _module in ("rclpy", "omniORB", "uoarm_rocos", "starlette", "dlib", "espeakng_loader"):
     pytest.importorskip(_module, reason=f"{_module} of the HealthBot's parts is not installed")
 
-# One worker, so one scene: it is started once, and its last test ends it.
-pytestmark = [pytest.mark.timeout(900), pytest.mark.xdist_group("healthbot")]
+# tests/conftest.py gives them all to one worker: one scene, which the last of them ends.
+pytestmark = pytest.mark.timeout(900)
 CHROMIUM = find_chromium()
 PROMPT = "(document.getElementById('prompt')?.textContent ?? '')"
 
