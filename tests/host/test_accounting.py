@@ -22,6 +22,8 @@ from uoarm.host import RemoteBridge
 from uoarm.model import FailoverPolicy
 from uoarm.testing import losses
 
+pytestmark = pytest.mark.usefixtures("nothing_is_left")
+
 COMPONENTS = """
 import os, time
 from collections.abc import Iterator
