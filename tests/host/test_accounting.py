@@ -63,9 +63,9 @@ class find:
 ROBOT = """
 version: 1
 bridges:
-  one: {plugin: python, host: true}
-  two: {plugin: python, host: true}
-  three: {plugin: python, host: true}
+  one: {plugin: python, host: {silence: 30}}
+  two: {plugin: python, host: {silence: 30}}
+  three: {plugin: python, host: {silence: 30}}
 functions:
   camera:
     components:
@@ -117,6 +117,12 @@ def kill(robot: RobotManager, name: str) -> None:
 PATIENCE_SECONDS = 60.0  # a generous limit: the machine may be busy
 
 
+def stop(robot: RobotManager, name: str) -> None:
+    bridge = robot._bridges.get(name)
+    assert isinstance(bridge, RemoteBridge)
+    os.kill(bridge.process, signal.SIGSTOP)
+
+
 def journal(folder: Path, name: str) -> int:
     return sum(path.stat().st_size for path in folder.glob(f"{name}-*.journal"))
 
@@ -125,9 +131,17 @@ def test_what_a_killed_source_had_sent_is_received_or_counted(
     robot: RobotManager, tmp_path: Path
 ) -> None:
     got: list[int] = []
-    connection = robot.request("camera", on_message=got.append)
-    wait(lambda: len(got) > 2000, PATIENCE_SECONDS)
+    free = threading.Event()
+
+    def take(number: int) -> None:
+        if len(got) == 2000:
+            free.wait(PATIENCE_SECONDS)  # so that something is under way at the death
+        got.append(number)
+
+    connection = robot.request("camera", on_message=take)
+    wait(lambda: _skipped(robot), PATIENCE_SECONDS)
     kill(robot, "one")
+    free.set()
     wait(lambda: connection.gaps, PATIENCE_SECONDS)
     seen = len(got)
     wait(lambda: len(got) > seen + 2000, PATIENCE_SECONDS)
@@ -136,7 +150,7 @@ def test_what_a_killed_source_had_sent_is_received_or_counted(
     (gap,) = connection.gaps
     before = next(n for n, number in enumerate(got) if n != number)
     assert abs(gap.position - before) <= 1  # one may have been on its way in
-    assert gap.lost < 1000
+    assert gap.lost > 0
 
 
 def _accounted(robot: RobotManager, got: list[int], sent: int) -> bool:
@@ -168,10 +182,15 @@ def test_a_consumer_that_hangs_slows_its_source_and_what_had_no_room_is_counted(
 
 def _skipped(robot: RobotManager) -> bool:
     """Whether more is under way than a window holds: what is beyond it was dropped."""
+    return _under_way(robot) > 300
+
+
+def _under_way(robot: RobotManager) -> int:
     (component,) = robot.status().components
     (channel,) = component.channels
     under_way = dict(channel.facts)["under_way"]
-    return isinstance(under_way, int) and under_way > 100
+    assert isinstance(under_way, int)
+    return under_way
 
 
 def test_hosts_that_die_together_are_waited_for_and_nothing_is_unaccounted(
@@ -204,13 +223,18 @@ def test_what_was_sent_into_a_killed_consumer_is_taken_or_counted(
     robot: RobotManager, tmp_path: Path
 ) -> None:
     connection = robot.request("kept")
-    sent = 0
+    for sent in range(3000):
+        connection.send(sent)
+    sent = 3000
+    wait(lambda: journal(tmp_path, "sink"), PATIENCE_SECONDS)
+    stop(robot, "one")  # so that something is under way at the death
+    while _under_way(robot) < 64:
+        connection.send(sent)
+        sent += 1
+    kill(robot, "one")
     while not connection.gaps:
         connection.send(sent)
         sent += 1
-        if sent == 3000:
-            wait(lambda: journal(tmp_path, "sink"))
-            kill(robot, "one")
     taken = journal(tmp_path, "sink")
     while journal(tmp_path, "sink") < taken + 1000:
         connection.send(sent)
@@ -222,7 +246,7 @@ def test_what_was_sent_into_a_killed_consumer_is_taken_or_counted(
         PATIENCE_SECONDS,
     )
     (gap,) = connection.gaps
-    assert gap.lost <= 200  # a window, and what was tried beyond it
+    assert 64 <= gap.lost <= 200  # a window, and what was tried beyond it
 
 
 def test_what_waited_between_a_killed_source_and_a_slow_consumer_is_counted(
