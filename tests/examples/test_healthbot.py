@@ -21,8 +21,8 @@ from websockets.sync.client import connect
 for _module in ("rclpy", "omniORB", "uoarm_rocos", "starlette", "dlib", "espeakng_loader"):
     pytest.importorskip(_module, reason=f"{_module} of the HealthBot's parts is not installed")
 
-# One worker, so one scene: it is started once, and its last test ends it.
-pytestmark = [pytest.mark.timeout(900), pytest.mark.xdist_group("healthbot")]
+# tests/conftest.py gives them all to one worker: one scene, which the last of them ends.
+pytestmark = pytest.mark.timeout(900)
 CHROMIUM = find_chromium()
 PROMPT = "(document.getElementById('prompt')?.textContent ?? '')"
 
@@ -85,24 +85,23 @@ def test_three_frameworks_feed_one_function(scene: Scene) -> None:
 @pytest.mark.skipif(CHROMIUM is None, reason="the browser application needs chromium")
 def test_both_applications_work_at_once(scene: Scene, tmp_path: Path) -> None:
     assert CHROMIUM is not None
-    terminal = terminal_visit(scene.robot)
-    try:
-        with Browser(CHROMIUM) as browser:
-            browser.show(1280, 800)
-            browser.go(scene.page)
-            shown(browser, "Hello Franck", tmp_path / "1-hello.png")
-            chosen(browser, "Start")
-            shown(browser, "Put your finger", tmp_path / "2-finger.png")
-            chosen(browser, "My finger is in")
-            shown(browser, "Put the cuff", tmp_path / "3-arm.png")
-            chosen(browser, "The cuff is on")
-            shown(browser, "Thank you", tmp_path / "4-results.png")
-            told = browser.js("document.getElementById('values').innerText")
-            assert not browser.complaints
-        said, _ = terminal.communicate(timeout=240)
-    finally:
-        terminal.kill()
-        terminal.wait()
+    with terminal_visit(scene.robot) as terminal:
+        try:
+            with Browser(CHROMIUM) as browser:
+                browser.show(1280, 800)
+                browser.go(scene.page)
+                shown(browser, "Hello Franck", tmp_path / "1-hello.png")
+                chosen(browser, "Start")
+                shown(browser, "Put your finger", tmp_path / "2-finger.png")
+                chosen(browser, "My finger is in")
+                shown(browser, "Put the cuff", tmp_path / "3-arm.png")
+                chosen(browser, "The cuff is on")
+                shown(browser, "Thank you", tmp_path / "4-results.png")
+                told = browser.js("document.getElementById('values').innerText")
+                assert not browser.complaints
+            said, _ = terminal.communicate(timeout=240)
+        finally:
+            terminal.kill()
     assert terminal.returncode == 0, said
     assert "Hello Franck" in said
     assert len(re.findall(r"stored$", said, re.MULTILINE)) == 3

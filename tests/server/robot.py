@@ -174,7 +174,12 @@ def broken(message: Number) -> Number:
 
 
 class Walker:
-    """An action: walks as many steps as its goal says; with none it waits to be cancelled."""
+    """An action: walks as many steps as its goal says; with none it waits to be cancelled.
+
+    Where it is in a hurry, its feedback and result come before the status that accepts the goal.
+    """
+
+    HURRY = 7
 
     def __init__(self) -> None:
         self._goals = 0
@@ -186,11 +191,15 @@ class Walker:
         steps = message["value"]
         self._goals += 1
         goal = {"goal_id": f"goal {self._goals}"}
-        yield Emit("status", {**goal, "status": "rejected" if steps < 0 else "accepted"})
+        accepted = Emit("status", {**goal, "status": "rejected" if steps < 0 else "accepted"})
+        if steps != self.HURRY:
+            yield accepted
         for step in range(steps):
             yield Emit("feedback", {**goal, "feedback": {"step": step}})
         if steps > 0:
             yield Emit("result", {**goal, "status": "succeeded", "result": {"walked": steps}})
+            if steps == self.HURRY:
+                yield accepted
             yield Emit("status", {**goal, "status": "succeeded"})
 
     def cancel(self, message: GoalId) -> Iterator[Emit]:

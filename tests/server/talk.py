@@ -89,6 +89,11 @@ class Talk:
     def data(self, connection: str, count: int) -> list[Any]:
         return [self.next(connection)["jsonMessage"] for _ in range(count)]
 
+    @property
+    def unheard(self) -> list[str | None]:
+        """Ids of answers that came and that nobody asked for yet."""
+        return list(self._answers)
+
     def close(self) -> None:
         self._open.close()
 

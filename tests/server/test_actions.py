@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from tests.server.conftest import Connect, Enter, Serve
-from tests.server.robot import script
+from tests.server.robot import Walker, script
 from tests.server.ros import Ros, url
 from tests.server.talk import eventually
 
@@ -58,6 +58,14 @@ def test_a_goal_is_cancelled_at_once_or_later(enter: Enter) -> None:
         send(client, {"value": 0})
         client.send(op="cancel_action_goal", action="/uoarm/navigate", id="g")
         assert result(client)["status"] == CANCELED
+
+
+def test_what_comes_before_a_goal_is_accepted_is_not_lost(enter: Enter) -> None:
+    client = enter()
+    send(client, {"value": Walker.HURRY}, feedback=True)
+    steps = [client.receive()["values"]["step"] for _ in range(Walker.HURRY)]
+    assert steps == list(range(Walker.HURRY))
+    assert result(client)["values"] == {"walked": Walker.HURRY}
 
 
 def test_all_goals_of_a_client_are_cancelled_by_the_service_of_ros(enter: Enter) -> None:

@@ -144,7 +144,7 @@ def test_an_answer_that_was_lost_on_the_way_is_told_again(server: Server, betwee
 
 def answered(server: Server) -> int:
     """Return how many messages the server has sent."""
-    text = page(server, "/metrics")[1]
+    text = figures(server)
     return int(float(text.partition("\nuoarm_serve_sent_messages_total ")[2].split()[0]))
 
 
@@ -243,7 +243,7 @@ def test_sessions_without_a_connection_are_limited(
             streams = await one.request("numbers"), await other.request("echo")
             first.cut(admit=False)
             await until(lambda: clients(server) == 1)
-            assert "uoarm_serve_kept_sessions 1.0" in page(server, "/metrics")[1]
+            assert "uoarm_serve_kept_sessions 1.0" in figures(server)
             second.cut()
             with pytest.raises(ConnectionClosedError, match="begin anew"):
                 await streams[1].get()
@@ -309,6 +309,68 @@ def test_a_session_is_taken_up_message_by_message(talk: Connect) -> None:
     script.put({"value": 5})
     assert second.data(connection, 1) == [{"value": 5}]
     second.ask("Kill", connection)
+
+
+def test_an_answer_that_waits_is_not_told_twice(server: Server, between: Between) -> None:
+    proxy = between(server)
+    url = f"ws://127.0.0.1:{proxy.port}/"
+    with Talk(url) as first:
+        key = first.ask("Resume")["key"]
+        for _ in range(5):  # so that no id of the second is that of the call
+            first.ask("List")
+        call = first.send("Call", "slow", {"value": 1})
+        first.ask("List")
+        proxy.cut()
+        eventually(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server), "it is kept")
+        script.gate.set()
+        eventually(lambda: "uoarm_serve_workers_busy 0.0" in figures(server), "it is answered")
+    with Talk(url) as second:
+        second.ask("Resume", message={"key": key, "waiting": [call]})
+        assert second.answer(call)["jsonMessage"] == {"value": 1}
+        second.ask("List")
+        assert not second.unheard
+
+
+def figures(server: Server) -> str:
+    return page(server, "/metrics")[1]
+
+
+def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
+    serve: Serve, between: Between
+) -> None:
+    server = serve(Limits(stall_seconds=0.3))
+    proxy = between(server)
+
+    async def work(client: Client) -> None:
+        stream = await client.request("picture", queue=QueuePolicy(length=2))
+        script.put({"width": 0, "data": b""})
+        assert (await stream.get())["width"] == 0
+        proxy.jam()
+        script.put(*({"width": number, "data": bytes(2_000_000)} for number in range(1, 20)))
+        await until(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server))
+        async with resumed(client):
+            proxy.cut()
+        script.put({"width": 20, "data": b""})
+        while (await stream.get())["width"] != 20:
+            pass
+        assert stream.lost > 0
+
+    run(proxy, work)
+
+
+def test_what_was_answered_is_not_told_again(server: Server, between: Between) -> None:
+    proxy = between(server)
+
+    async def work(client: Client) -> None:
+        for number in range(100):
+            await client.call("add", {"a": number, "b": 0})
+        before = answered(server)
+        async with resumed(client):
+            proxy.cut()
+        await client.status()
+        assert answered(server) - before < 20
+
+    run(proxy, work)
 
 
 def test_another_s_session_is_not_taken_up(serve: Serve, tmp_path: Path) -> None:

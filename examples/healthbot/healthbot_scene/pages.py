@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 import threading
@@ -12,16 +13,16 @@ from pathlib import Path
 
 __all__ = ["PageHandler"]
 
-_CLIENT = ("uoarm.js", "uoarm-cbor.js")
+_CLIENT = re.compile(r"uoarm[a-z-]*\.js")
 
 
 class PageHandler(SimpleHTTPRequestHandler):
-    """Files of one folder, and the client's two files from the package."""
+    """Files of one folder, and the client's from the package."""
 
     def translate_path(self, path: str) -> str:
         """Return the file of an address."""
         name = path.partition("?")[0].lstrip("/")
-        if name in _CLIENT:
+        if _CLIENT.fullmatch(name):
             return str(files("uoarm.server") / "static" / name)
         return super().translate_path(path)
 

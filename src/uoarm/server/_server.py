@@ -138,13 +138,12 @@ class Server:
                 self._settings.host,
                 port,
                 ssl=self._tls,
-                ssl_handshake_timeout=None if self._tls is None else limits.handshake_seconds,
                 process_request=doors.process_request,
                 select_subprotocol=doors.select_subprotocol,
                 create_connection=self._make_connection,  # type: ignore[arg-type] # it is only called
                 compression=None,
                 server_header=None,
-                open_timeout=limits.handshake_seconds,
+                open_timeout=limits.handshake_seconds,  # of TLS, and then of HTTP
                 ping_interval=limits.ping_seconds,
                 ping_timeout=limits.stall_seconds,
                 close_timeout=limits.stop_seconds,
