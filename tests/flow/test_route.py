@@ -150,3 +150,16 @@ def test_an_outlet_feeds_its_routes_in_order_until_they_are_detached() -> None:
     outlet.detach(first)
     outlet.deliver(2)
     assert seen == ["first 1", "second 1", "second 2"]
+
+
+def test_a_closed_route_counts_what_is_lost_until_another_takes_its_place() -> None:
+    seen: list[Message] = []
+    outlet = Outlet()
+    dead = Route("a", "b", seen.append, clock=Clock())
+    outlet.attach(dead)
+    dead.stop()
+    outlet.deliver(1)
+    outlet.attach(Route("a", "c", seen.append, clock=Clock()))
+    outlet.deliver(2)
+    assert dict(dead.status().dropped) == {"closed": 1}
+    assert seen == [2]

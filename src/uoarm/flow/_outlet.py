@@ -40,9 +40,13 @@ class Outlet:
             self.unheard += 1
 
     def attach(self, route: Route) -> None:
-        """Feed a route from the next message on."""
+        """Feed a route from the next message on, and no more those that were closed meanwhile.
+
+        A closed route counts what is lost as long as nobody has taken its place; from the message
+        on that another one gets, it would be counted twice.
+        """
         with self._lock:
-            self._routes = (*self._routes, route)
+            self._routes = (*(other for other in self._routes if not other.closed), route)
 
     def detach(self, route: Route) -> None:
         """Feed a route no more; a message under way may still reach it."""
