@@ -267,7 +267,7 @@ def test_what_waited_between_a_killed_source_and_a_slow_consumer_is_counted(
         return sent - taken - losses(robot.status()).total()
 
     wait(lambda: 0 <= unaccounted() <= 1, PATIENCE_SECONDS)
-    assert len(got) == journal(tmp_path, "sink")
+    wait(lambda: len(got) == journal(tmp_path, "sink"), PATIENCE_SECONDS)
     (gap,) = connection.gaps
     assert gap.after == ("second", "finder")
     assert gap.dropped

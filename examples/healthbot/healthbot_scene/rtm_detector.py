@@ -76,7 +76,7 @@ def main() -> None:
     """Serve the component in the naming service named on the command line."""
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, lambda *_: threading.Thread(target=stop.set).start())
     detector = Detector(sys.argv[1])
     print("ready", flush=True)
     try:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import threading
+import time
+from collections.abc import Callable
 
 import click
 
@@ -15,6 +18,9 @@ from uoarm.errors import PluginError, UsageError
 from uoarm.model import Component, Endpoint, place_problem
 
 __all__ = ["host"]
+
+_END_SECONDS = 10
+_log = logging.getLogger("uoarm.host")
 
 
 @click.command()
@@ -89,9 +95,21 @@ def _join(
     joined = JoinedHost(
         place, machine, identity=identity, bridges=bridges, modules=modules, silence=silence
     )
-    signal.signal(signal.SIGTERM, lambda *_: joined.close())
-    signal.signal(signal.SIGINT, lambda *_: joined.close())
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: _begin_end(joined.close))
     joined.run()
+
+
+def _begin_end(close: Callable[[], None]) -> None:
+    """Close in a thread: a handler must not take a lock that the thread it interrupts may hold."""
+
+    def end() -> None:
+        close()
+        time.sleep(_END_SECONDS)
+        _log.error("it does not end within %d s: it is ended hard", _END_SECONDS)
+        os._exit(1)
+
+    threading.Thread(target=end, name="uoarm-end", daemon=True).start()
 
 
 def _answer(bridge: str, port: int, file: str) -> None:

@@ -36,7 +36,8 @@ def main() -> int:
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
     ended = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    # In a thread: a handler must not take the lock that the thread it interrupts may hold.
+    signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=ended.set).start())
     link = Link(
         orders["place"],
         listen=False,

@@ -134,7 +134,7 @@ def _raw(end: End) -> str:
 def _serve(device: Simulated, end: End, url: str, line: dict[str, Any]) -> None:
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, lambda *_: threading.Thread(target=stop.set).start())
     click.echo(url)
     names = ("drop", "garble", "delay", "disconnect", "seed")
     run(device, end, stop, Faults(**{name: line[name] for name in names}))
