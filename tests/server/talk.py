@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 from typing_extensions import Self
+from websockets.exceptions import InvalidMessage
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
@@ -29,6 +30,23 @@ TOLD = {
 }
 
 
+def _connected(url: str, options: dict[str, Any]) -> ClientConnection:
+    """Connect; again where this client lost the answer to a handshake over TLS.
+
+    It reads and writes one SSL object from two threads, and loses one answer in some hundred.
+    Of 1,600 connections with one thread, and 300 with asyncio, none lost it.
+    """
+    for chances in (3, 2, 1, 0):
+        try:
+            made: ClientConnection = connect(url, **options)
+        except InvalidMessage:
+            if not chances or not url.startswith("wss"):
+                raise
+        else:
+            return made
+    raise AssertionError("the last chance returns or raises")
+
+
 class Talk:
     """Speaks the native protocol and checks each message of the server against the schema."""
 
@@ -37,7 +55,7 @@ class Talk:
         protocols = [Subprotocol("uoarm.v1.cbor" if binary else "uoarm.v1.json")]
         options = {"subprotocols": protocols, "max_size": None, "compression": None} | options
         self._open = ExitStack()
-        self.socket: ClientConnection = self._open.enter_context(connect(url, **options))
+        self.socket = self._open.enter_context(_connected(url, options))
         self._ids = itertools.count(1)
         self._answers: dict[str | None, dict[str, Any]] = {}
         self._others: deque[dict[str, Any]] = deque()
