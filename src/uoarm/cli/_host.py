@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import faulthandler
 import logging
-import os
 import signal
 import threading
-import time
 from collections.abc import Callable
 
 import click
@@ -19,8 +18,8 @@ from uoarm.model import Component, Endpoint, place_problem
 
 __all__ = ["host"]
 
-_END_SECONDS = 10
-_log = logging.getLogger("uoarm.host")
+_END_SECONDS = 6
+_GLANCE_SECONDS = 0.2
 
 
 @click.command()
@@ -97,19 +96,30 @@ def _join(
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: _begin_end(joined.close))
-    joined.run()
+    failures: list[BaseException] = []
+
+    def serve() -> None:
+        try:
+            joined.run()
+        except BaseException as error:  # noqa: BLE001 - raised again below
+            failures.append(error)
+
+    serving = threading.Thread(target=serve, name="uoarm-join", daemon=True)
+    serving.start()
+    while serving.is_alive():  # handlers run in this thread, which must not be deep in the link
+        serving.join(_GLANCE_SECONDS)
+    if failures:
+        raise failures[0]
 
 
 def _begin_end(close: Callable[[], None]) -> None:
-    """Close in a thread: a handler must not take a lock that the thread it interrupts may hold."""
+    """Close in a thread: a handler must not take a lock that the thread it interrupts may hold.
 
-    def end() -> None:
-        close()
-        time.sleep(_END_SECONDS)
-        _log.error("it does not end within %d s: it is ended hard", _END_SECONDS)
-        os._exit(1)
-
-    threading.Thread(target=end, name="uoarm-end", daemon=True).start()
+    The process ends within six seconds, whatever hangs, the interpreter's lock included; what hung
+    is then written to stderr.
+    """
+    faulthandler.dump_traceback_later(_END_SECONDS, exit=True)
+    threading.Thread(target=close, name="uoarm-end", daemon=True).start()
 
 
 def _answer(bridge: str, port: int, file: str) -> None:
