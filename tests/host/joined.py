@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -118,7 +119,14 @@ class Joined:
         return names.count(main), sum(1 for _ in (home / "fd").iterdir())
 
     def signal(self, number: signal.Signals) -> None:
+        """Send a signal; for SIGSTOP return when all its threads stand."""
         os.kill(self._process.pid, number)
+        while number == signal.SIGSTOP and not self._stands():
+            time.sleep(0.001)
+
+    def _stands(self) -> bool:
+        tasks = Path(f"/proc/{self._process.pid}/task").iterdir()
+        return all((one / "stat").read_text().rpartition(") ")[2][0] == "T" for one in tasks)
 
     def end(self) -> int:
         """Ask it to end, and return its exit status."""
