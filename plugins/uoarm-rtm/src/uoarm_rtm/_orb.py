@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import logging
 import threading
+import time
 from typing import Any
 
 import omniORB
@@ -24,6 +25,8 @@ __all__ = ["Orb", "limit", "narrowed"]
 _MOST_BYTES = 1 << 28
 _DRAIN_SECONDS = 4.0
 _DESTROY_SECONDS = 5.0
+_WORKERS_SECONDS = 1.0
+_LOOK_SECONDS = 0.001
 
 _log = logging.getLogger("uoarm.rtm")
 
@@ -60,6 +63,8 @@ class _Ending:
             self._orb.destroy()
         except CORBA.Exception:
             _log.warning("somebody else has shut down the ORB of this process: it is left so")
+            return
+        _wait_for_workers()
 
 
 @frozen
@@ -120,7 +125,8 @@ class Orb:
     def withdraw(self, reference: Any) -> None:
         """Make a servant unreachable; does not wait for calls under way, and may come twice."""
         try:
-            self._poa.deactivate_object(self._poa.reference_to_id(reference))
+            with calls:
+                self._poa.deactivate_object(self._poa.reference_to_id(reference))
         except CORBA.Exception:
             return  # it was withdrawn before, or everything has ended
 
@@ -230,8 +236,21 @@ def _end_at_exit() -> None:
 atexit.register(_end_at_exit)
 
 
+def _wait_for_workers() -> None:
+    """Wait until the threads in which omniORB served calls are gone, which `destroy` does not.
+
+    Each goes into Python once more to take itself off the list of threads.
+    """
+    deadline = time.monotonic() + _WORKERS_SECONDS
+    while time.monotonic() < deadline:
+        if not any(isinstance(thread, omniORB.WorkerThread) for thread in threading.enumerate()):
+            return
+        time.sleep(_LOOK_SECONDS)
+
+
 def _destroy_poa(poa: Any) -> None:
     try:
-        poa.destroy(True, False)  # etherealise, do not wait
+        with calls:
+            poa.destroy(True, False)  # etherealise, do not wait
     except CORBA.Exception:
         return
