@@ -97,7 +97,7 @@ def _write_private(path: Path, data: bytes) -> None:
 
 def _maker() -> ModuleType:
     try:
-        from uoarm.server import _self_signed  # noqa: PLC0415 - its package is slow to import
+        from uoarm.certificates import _self_signed  # noqa: PLC0415 - its package is slow to import
     except ImportError as error:
         raise ConfigurationError(
             f"making a certificate needs the package {error.name!r}: pip install 'uoarm[server]'"

@@ -1,16 +1,8 @@
-"""Certificates for bridge hosts on other machines: a small authority of the robot's own.
-
-A folder holds the authority (`ca.pem`, `ca.key`) and for every name `NAME.pem` and `NAME.key`.
-The manager's certificate is good for listening only, a machine's for joining only, so that no
-machine can stand in for the manager.
-
-Needs the extra `uoarm[certificates]`.
-"""
+"""The authority of a robot, in a folder."""
 
 from __future__ import annotations
 
 import datetime as dt
-import ipaddress
 import os
 import re
 from collections.abc import Sequence
@@ -20,8 +12,9 @@ from attrs import frozen
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from uoarm.certificates._parts import begun, common_name, key_usage, leaf, new_key, secret_pem
 from uoarm.errors import UsageError
 
 __all__ = ["MANAGER", "Authority"]
@@ -30,6 +23,7 @@ MANAGER = "manager"
 """The name of the manager's certificate."""
 
 _AUTHORITY = "ca"
+_SUBJECT = "uoarm robot"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
 _AUTHORITY_DAYS = 3650
 _CLOCKS_DIFFER = dt.timedelta(hours=1)
@@ -70,8 +64,7 @@ class Authority:
         Raises:
             UsageError: there is one already.
         """
-        names: list[x509.GeneralName] = [_general_name(one) for one in addresses]
-        return self._certify(MANAGER, names, ExtendedKeyUsageOID.SERVER_AUTH, days)
+        return self._certify(MANAGER, addresses, ExtendedKeyUsageOID.SERVER_AUTH, days)
 
     def certify_machine(self, name: str, days: int) -> Path:
         """Make the certificate of a machine.
@@ -84,28 +77,18 @@ class Authority:
                 f"a machine cannot be called {name!r}: letters, digits, _ and -, a letter or _ "
                 f"first, 64 at most, and neither {_AUTHORITY!r} nor {MANAGER!r}"
             )
-        return self._certify(name, [x509.DNSName(name)], ExtendedKeyUsageOID.CLIENT_AUTH, days)
+        return self._certify(name, [name], ExtendedKeyUsageOID.CLIENT_AUTH, days)
 
     def _certify(
-        self, name: str, names: list[x509.GeneralName], usage: x509.ObjectIdentifier, days: int
+        self, name: str, names: Sequence[str], usage: x509.ObjectIdentifier, days: int
     ) -> Path:
         place = self.folder / f"{name}.pem"
         if place.exists():
             raise UsageError(f"{place} is there already: remove it and its key to make a new one")
-        key = ec.generate_private_key(ec.SECP256R1())
-        issued = (
-            _builder(name, self.certificate.subject, key.public_key(), days)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(x509.SubjectAlternativeName(names), critical=False)
-            .add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
-            .add_extension(_key_usage(signs_certificates=False), critical=True)
-            .add_extension(
-                x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key()),
-                critical=False,
-            )
-            .sign(self.key, hashes.SHA256())
-        )
-        _write(self.folder, name, issued, key)
+        key = new_key()
+        certificate = begun(name, self.certificate.subject, key.public_key(), *_span(days))
+        issued = leaf(certificate, names, usage, self.key.public_key())
+        _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
         return place
 
     @classmethod
@@ -119,13 +102,12 @@ class Authority:
 
     @classmethod
     def _make(cls, folder: Path) -> Authority:
-        key = ec.generate_private_key(ec.SECP256R1())
+        key = new_key()
         public = key.public_key()
-        subject = _subject("uoarm robot")
         certificate = (
-            _builder("uoarm robot", subject, public, _AUTHORITY_DAYS)
+            begun(_SUBJECT, common_name(_SUBJECT), public, *_span(_AUTHORITY_DAYS))
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(_key_usage(signs_certificates=True), critical=True)
+            .add_extension(key_usage(signs_certificates=True), critical=True)
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
             .sign(key, hashes.SHA256())
         )
@@ -133,56 +115,16 @@ class Authority:
         return cls(folder, certificate, key)
 
 
-def _subject(name: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-
-
-def _builder(
-    name: str, issuer: x509.Name, public: ec.EllipticCurvePublicKey, days: int
-) -> x509.CertificateBuilder:
+def _span(days: int) -> tuple[dt.datetime, dt.datetime]:
     now = dt.datetime.now(dt.timezone.utc)
-    return (
-        x509.CertificateBuilder()
-        .subject_name(_subject(name))
-        .issuer_name(issuer)
-        .public_key(public)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _CLOCKS_DIFFER)
-        .not_valid_after(now + dt.timedelta(days=days))
-    )
-
-
-def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not signs_certificates,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=signs_certificates,
-        crl_sign=signs_certificates,
-        encipher_only=False,
-        decipher_only=False,
-    )
-
-
-def _general_name(address: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ipaddress.ip_address(address))
-    except ValueError:
-        return x509.DNSName(address)
+    return now - _CLOCKS_DIFFER, now + dt.timedelta(days=days)
 
 
 def _write(
     folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
 ) -> None:
     """Write a pair; the key first, and never readable for others."""
-    secret = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    )
     place = os.open(folder / f"{name}.key", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(place, "wb") as file:
-        file.write(secret)
+        file.write(secret_pem(key))
     (folder / f"{name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
