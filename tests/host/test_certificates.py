@@ -70,6 +70,19 @@ def test_a_name_that_no_machine_can_have_is_refused(tmp_path: Path, name: str) -
         Authority.of(tmp_path).certify_machine(name, 10)
 
 
+def test_an_address_that_is_none_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"manager\.pem for ä b: DNSName"):
+        Authority.of(tmp_path).certify_manager(["ä b"], 10)
+    assert not (tmp_path / "manager.key").exists()
+
+
+def test_a_key_that_lost_its_certificate_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "arm.key").write_text("a key")
+    with pytest.raises(UsageError, match=r"File exists: .*arm\.key"):
+        Authority.of(tmp_path).certify_machine("arm", 10)
+    assert (tmp_path / "arm.key").read_text() == "a key"
+
+
 @pytest.mark.parametrize("text", ["", "no certificate", "-----BEGIN CERTIFICATE-----\nAA==\n"])
 def test_an_authority_that_cannot_be_read_is_named(tmp_path: Path, text: str) -> None:
     (tmp_path / "ca.pem").write_text(text)

@@ -62,7 +62,7 @@ class Authority:
         """Make the manager's certificate, for the addresses under which machines reach it.
 
         Raises:
-            UsageError: there is one already.
+            UsageError: there is one already, an address is none, or it cannot be written.
         """
         return self._certify(MANAGER, addresses, ExtendedKeyUsageOID.SERVER_AUTH, days)
 
@@ -70,7 +70,8 @@ class Authority:
         """Make the certificate of a machine.
 
         Raises:
-            UsageError: there is one already, or no machine can have this name.
+            UsageError: there is one already, no machine can have this name, or it cannot be
+                written.
         """
         if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
             raise UsageError(
@@ -86,9 +87,12 @@ class Authority:
         if place.exists():
             raise UsageError(f"{place} is there already: remove it and its key to make a new one")
         key = new_key()
-        certificate = begun(name, self.certificate.subject, key.public_key(), *_span(days))
-        issued = leaf(certificate, names, usage, self.key.public_key())
-        _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
+        try:
+            certificate = begun(name, self.certificate.subject, key.public_key(), *_span(days))
+            issued = leaf(certificate, names, usage, self.key.public_key())
+            _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
+        except (OSError, ValueError, OverflowError) as error:
+            raise UsageError(f"no certificate {place} for {', '.join(names)}: {error}") from error
         return place
 
     @classmethod
