@@ -1,0 +1,14 @@
+"""The one folder that imports rclpy: everything that the bridge needs of it, in plain values.
+
+One `Participant` is one rclpy context with nodes of its own. The process's default context, its
+signal handlers, its logging and its global executor are left to the application.
+"""
+
+from rclpy.task import Future
+
+from uoarm_ros2._middleware._environment import environment
+from uoarm_ros2._middleware._participant import Participant
+from uoarm_ros2._middleware._peer import Peer
+from uoarm_ros2._middleware._station import Station
+
+__all__ = ["Future", "Participant", "Peer", "Station", "environment"]

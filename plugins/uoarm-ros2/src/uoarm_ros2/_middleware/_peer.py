@@ -1,0 +1,46 @@
+"""Ends of topics as the graph shows them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from attrs import frozen
+
+from uoarm_ros2._middleware._profile import read_profile
+from uoarm_ros2._qos import Policies
+
+__all__ = ["Peer", "read_peer"]
+
+_PREFIX_BYTES = 12
+
+
+@frozen
+class Peer:
+    """One publisher or subscription on the graph, with what it offers or asks.
+
+    `participant` names the DDS participant behind it, by the prefix of its identifier;
+    `definition` is the hash of its type's definition, empty where it is not told (REP-2011).
+    """
+
+    node: str
+    type: str
+    policies: Policies
+    participant: bytes = b""
+    definition: str = ""
+
+
+def read_peer(info: Any) -> Peer:
+    """Return the end that an entry of the graph tells of."""
+    node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+    participant = bytes(info.endpoint_gid[:_PREFIX_BYTES])
+    return Peer(
+        node, info.topic_type, read_profile(info.qos_profile), participant, _definition(info)
+    )
+
+
+def _definition(info: Any) -> str:
+    """Return a type's hash as ROS 2 writes it; Humble and nodes older than it tell none."""
+    told = getattr(info, "topic_type_hash", None)
+    if told is None or told.version < 1:
+        return ""
+    return f"RIHS{told.version:02}_{bytes(told.value).hex()}"
