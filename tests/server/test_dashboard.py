@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.host import joined
 from tests.server.browser import Browser, find_chromium
 from tests.server.conftest import Connect, Serve
 from tests.server.shown import END, SHOWN, crowd, front
@@ -95,6 +96,35 @@ def test_frameworks_can_be_shown(browser: Browser, visit: Open) -> None:
     browser.click(".graph-tools .tool", "Frameworks")
     browser.until(says('[data-card="bridge/other"]', "0 of 1 running"))
     assert browser.js("document.querySelectorAll('.edge.runs').length") == 6
+
+
+class TestOtherMachines:
+    """One whose host comes and goes."""
+
+    @pytest.fixture
+    def place(self) -> str:
+        return f"127.0.0.1:{joined.free_port()}"
+
+    @pytest.fixture
+    def robot(self, tmp_path: Path, place: str) -> Iterator[RobotManager]:
+        path = joined.robot(tmp_path, int(place.rpartition(":")[2]))
+        with RobotManager.from_file(path) as manager:
+            yield manager
+
+    def test_they_are_shown(
+        self, browser: Browser, visit: Open, tmp_path: Path, place: str
+    ) -> None:
+        visit()
+        browser.click(".graph-tools .tool", "Frameworks")
+        browser.until(says('[data-card="machine/arm"].is-lost', "not here"))
+        assert browser.js("document.querySelectorAll('.edge.runs').length") >= 2
+        browser.click('[data-card="machine/arm"]')
+        browser.until(says(".panel .notice", "waiting for machine 'arm'"))
+        with joined.Joined(tmp_path, f"tls/{place}"):
+            browser.until(says('[data-card="machine/arm"].is-ok', "here"))
+            browser.until(says(".panel .facts", "give or take"))
+            browser.until(says(".panel .parts", "far"))
+        browser.until(says('[data-card="machine/arm"].is-lost', "not here"))
 
 
 def test_a_picture_is_watched(browser: Browser, visit: Open, robot: RobotManager) -> None:

@@ -29,6 +29,15 @@ test("frameworks stand in a column before everything else", () => {
   assert.deepEqual(overlapping(boxes(cards, found)), []);
 });
 
+test("machines stand in a column before frameworks", () => {
+  const cards = [card("a"), { ...card("x"), kind: "bridge" }, { ...card("m"), kind: "machine" }, { ...card("n"), kind: "machine" }];
+  const found = layOut(cards, [edge("x", "a", "runs"), edge("m", "x", "runs")]);
+  const left = (id) => found.places.get(id).x;
+  assert.deepEqual([left("m"), left("n")], [0, 0]);
+  assert.ok(left("m") + 100 < left("x") && left("x") + 100 < left("a"));
+  assert.deepEqual(overlapping(boxes(cards, found)), []);
+});
+
 test("everything lies inside what the layout says it needs", () => {
   const cards = ["a", "b", "c", "d"].map(card);
   const found = layOut(cards, [edge("a", "b")]);

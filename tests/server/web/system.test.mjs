@@ -17,8 +17,9 @@ const STATUS = {
   components: [component("cam", "camera", ["c1"]), component("haar", "faces", ["c1"])],
   connections: [{ id: "c1", function: "faces", state: "running", components: ["cam", "haar"], cause: "" }],
   routes: [route("cam.default", "haar.default", { dropped: [["queue", 3]] }), route("haar.default", "c1", { rate: 9 })],
+  machines: [{ name: "arm", present: false, bridges: ["ros", "rtm"], clock_offset: null, clock_error: null, cause: "waiting" }],
 };
-const NOTHING = { bridges: [], components: [], connections: [], routes: [] };
+const NOTHING = { bridges: [], components: [], connections: [], routes: [], machines: [] };
 const all = { folded: () => false, frameworks: false };
 
 test("rates, drops and health are joined to components and applications", () => {
@@ -53,6 +54,16 @@ test("frameworks are cards where they are wanted", () => {
   const cards = makeCards(system, system.functions, { ...all, frameworks: true });
   const found = cards.filter((one) => one.kind === "bridge");
   assert.deepEqual(found.map((one) => [one.title, one.data.open, one.data.all]), [["ros", 1, 2], ["python", 1, 1]]);
+});
+
+test("machines are cards beside frameworks that run there", () => {
+  const system = join(FUNCTIONS, STATUS);
+  const cards = makeCards(system, system.functions, { ...all, frameworks: true });
+  const found = cards.filter((one) => one.kind === "machine");
+  assert.deepEqual(found.map((one) => [one.title, one.health]), [["arm", "lost"]]);
+  const its = makeEdges(system, cards).filter((one) => one.from === "machine/arm");
+  assert.deepEqual(its.map((one) => [one.kind, one.to]), [["runs", "bridge/ros"]]);
+  assert.equal(makeCards(system, [], { ...all, frameworks: true }).length, 0);
 });
 
 test("every word of a search must be found", () => {

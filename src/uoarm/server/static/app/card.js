@@ -4,9 +4,12 @@ import { rowHeight } from "./cards.js";
 import { plural, rate, short, span } from "./format.js";
 import { Framework, Health, html, Icon } from "./ui.js";
 
+const sayMachine = ({ present }) => (present ? "here" : "not here");
+
 /** What the card says, as one sentence for a screen reader. */
 export function sayCard({ kind, title, health, data }) {
   if (kind === "bridge") return `Framework ${title}, ${health}, ${data.open} of ${data.all} running`;
+  if (kind === "machine") return `Machine ${title}, ${sayMachine(data)}`;
   if (kind === "connection") return `${title} uses ${data.function}, ${data.state}, ${rate(data.rate)}`;
   const open = data.rows.filter((one) => one.open);
   const running = open.map((one) => `${one.name} ${one.health} ${rate(one.rate)}`).join(", ");
@@ -30,6 +33,7 @@ export function Card({ card, place, selected, stop, select, fold }) {
       ${card.kind === "function" && card.rows.map((row) => html`<${Row} key=${row.name} row=${row} />`)}
       ${card.kind === "connection" && html`<${Application} data=${card.data} />`}
       ${card.kind === "bridge" && html`<p class="card-note">${card.data.open} of ${card.data.all} running</p>`}
+      ${card.kind === "machine" && html`<p class="card-note">machine · ${sayMachine(card.data)}</p>`}
     </div>`;
 }
 

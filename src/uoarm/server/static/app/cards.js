@@ -12,14 +12,17 @@ const LETTER = 11; // the width of one, as it is seen from far
 
 export const rowHeight = (row) => (row.open || row.cause ? OPEN_ROW : ROW);
 
-/** Cards of functions, of connections (applications) and, if wanted, of frameworks. */
+/** Cards of functions, of connections (applications) and, if wanted, of frameworks and machines. */
 export function makeCards(system, shown, { folded, frameworks }) {
   const cards = shown.map((one) => functionCard(one, folded(one.name)));
   const names = new Set(shown.map((one) => one.name));
   for (const one of system.connections) {
     if (names.has(one.function)) cards.push(connectionCard(one));
   }
-  if (frameworks) cards.push(...bridgeCards(system, shown));
+  if (frameworks) {
+    const bridges = bridgeCards(system, shown);
+    cards.push(...bridges, ...machineCards(system, new Set(bridges.map((one) => one.title))));
+  }
   return cards;
 }
 
@@ -49,7 +52,13 @@ function bridgeCards(system, shown) {
   });
 }
 
-/** Edges between cards: messages that flow, and dependencies of what is not running. */
+function machineCards(system, bridges) {
+  return system.machines.filter((one) => one.bridges.some((name) => bridges.has(name))).map((one) => (
+    { id: `machine/${one.name}`, kind: "machine", title: one.name, data: one, health: one.health,
+      folded: false, rows: [], width: 160, height: 56 }));
+}
+
+/** Edges between cards: messages that flow, dependencies of what is not running, and what runs where. */
 export function makeEdges(system, cards) {
   const byId = new Map(cards.map((one) => [one.id, one]));
   const home = new Map();
@@ -71,8 +80,12 @@ export function makeEdges(system, cards) {
     for (const row of card.data.rows) {
       for (const used of row.uses ?? []) wish(byId.get(`function/${used}`), card, live, edges);
       const bridge = byId.get(`bridge/${row.bridge}`);
-      if (bridge && (few || row.open)) edges.set(`${bridge.id}>${card.id}`, edge(`${bridge.id}>${card.id}`, "runs", bridge, card));
+      if (bridge && (few || row.open)) run(bridge, card, edges);
     }
+  }
+  for (const card of cards.filter((one) => one.kind === "machine")) {
+    const its = card.data.bridges.map((name) => byId.get(`bridge/${name}`));
+    for (const bridge of its.filter(Boolean)) run(card, bridge, edges);
   }
   return [...edges.values()];
 }
@@ -80,6 +93,11 @@ export function makeEdges(system, cards) {
 function wish(from, to, live, edges) {
   const id = from && `${from.id}>${to.id}`;
   if (from && from !== to && !live.has(id)) edges.set(id, edge(id, "uses", from, to));
+}
+
+function run(from, to, edges) {
+  const id = `${from.id}>${to.id}`;
+  edges.set(id, edge(id, "runs", from, to));
 }
 
 const edge = (id, kind, from, to) => ({ id, kind, from: from.id, to: to.id, fromRow: "", toRow: "" });

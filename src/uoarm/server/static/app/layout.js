@@ -1,21 +1,24 @@
 // Places cards: each connected group by dagre, the groups and the lone cards on shelves, frameworks
-// in a column before them. Pure.
+// in a column before them, machines in one before those. Pure.
 
 import * as dagre from "../vendor/dagre.js";
 
 const GAP = 28;
-const ASIDE = 110; // between frameworks and the rest
+const ASIDE = 110; // between frameworks and the rest, and machines and frameworks
+const ASIDES = ["bridge", "machine"]; // the column next to the rest first
 const CROWD = 12; // a group of more cards than this stands closer
 const LABEL = { width: 56, height: 18, labelpos: "c" };
 
 /** Returns { places: Map(id -> {x, y}), paths: Map(edge id -> [points]), width, height }. */
 export function layOut(cards, edges, { aspect = 1.6 } = {}) {
-  const column = cards.filter((one) => one.kind === "bridge");
-  const plane = cards.filter((one) => one.kind !== "bridge");
+  const plane = cards.filter((one) => !ASIDES.includes(one.kind));
   const found = groups(plane, edges.filter((one) => one.kind !== "runs"));
   const blocks = found.map((one) => (one.cards.length > 1 ? arrange(one) : lone(one)));
   blocks.sort((a, b) => b.height - a.height || b.width - a.width);
-  return before(column, onShelves(blocks, aspect));
+  return ASIDES.reduce(
+    (layout, kind) => before(cards.filter((one) => one.kind === kind), layout),
+    onShelves(blocks, aspect),
+  );
 }
 
 /** Puts a column of cards before a layout, spread over its height. */

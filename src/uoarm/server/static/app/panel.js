@@ -1,4 +1,4 @@
-// What is selected, in full: a function, an application's connection, or a framework.
+// What is selected, in full: a function, an application's connection, a framework, or a machine.
 
 import { useEffect, useRef } from "../vendor/htm-preact.js";
 import { writeAddress } from "./address.js";
@@ -15,7 +15,7 @@ export function Panel({ store, address, close }) {
   const { kind, name } = address;
   useEffect(() => title.current?.focus({ preventScroll: true }), [kind, name]);
   const keys = (event) => event.key === "Escape" && close();
-  const Body = { function: FunctionPanel, connection: ConnectionPanel, bridge: BridgePanel }[kind];
+  const Body = BODIES[kind];
   return html`
     <aside class="panel" aria-labelledby="panel-title" onKeyDown=${keys}>
       <header class="panel-head">
@@ -102,12 +102,36 @@ function ConnectionPanel({ store, address }) {
 
 function BridgePanel({ store, address }) {
   const live = store.system.bridges.find((other) => other.name === address.name);
+  const machine = store.system.machines.find((other) => other.bridges.includes(address.name));
   const rows = store.system.functions.flatMap((one) => one.rows).filter((row) => row.bridge === address.name);
   return html`<div class="panel-body">
     <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
-    ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)]]} />`}
+    ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)],
+      ["machine", machine?.name ?? ""]]} />`}
     ${live?.cause && html`<${Notice} kind="bad" title="Cause">${live.cause}</${Notice}>`}
     <h3>Components</h3><ul class="parts">${rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul></div>`;
 }
+
+function MachinePanel({ store, address }) {
+  const one = store.system.machines.find((other) => other.name === address.name);
+  if (!one) return html`<${Gone} what="machine" />`;
+  const health = new Map(store.system.bridges.map((bridge) => [bridge.name, bridge.health]));
+  return html`<div class="panel-body">
+    <p><${Health} of=${one.health} word=${true} /></p>
+    <${Facts} of=${[["clock", one.clock_offset === null ? "" : offset(one)]]} />
+    ${one.cause && html`<${Notice} kind="warn" title="Cause">${one.cause}</${Notice}>`}
+    <h3>Frameworks</h3>
+    <ul class="parts">${one.bridges.map((name) => html`<li key=${name}><div class="part-head">
+      <${Health} of=${health.get(name) ?? "idle"} word=${true} /><span class="push"><${Framework} name=${name} /></span>
+      </div></li>`)}</ul></div>`;
+}
+
+function offset({ clock_offset: seconds, clock_error: error }) {
+  return `${span(Math.abs(seconds))} ${seconds < 0 ? "behind" : "ahead"}, give or take ${span(error)}`;
+}
+
+const BODIES = {
+  function: FunctionPanel, connection: ConnectionPanel, bridge: BridgePanel, machine: MachinePanel,
+};
 
 const Gone = ({ what }) => html`<div class="panel-body"><${Notice}>This ${what} is there no more.</${Notice}></div>`;

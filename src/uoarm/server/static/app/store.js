@@ -6,7 +6,7 @@ import { Wire } from "./wire.js";
 
 const EVERY = 1000;
 const MOST_EVENTS = 1000;
-const NOTHING = { bridges: [], components: [], connections: [], routes: [], own: [] };
+const NOTHING = { bridges: [], components: [], connections: [], routes: [], machines: [], own: [] };
 
 export class Store {
   constructor(url, { isLocked, socket, frame = (act) => requestAnimationFrame(act) } = {}) {

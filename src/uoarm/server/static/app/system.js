@@ -16,7 +16,7 @@ export const drops = (route) => sum(route.dropped.map(([, count]) => count));
 export const endOf = (place, names) =>
   names.has(place) ? place : place.slice(0, Math.max(0, place.lastIndexOf(".")));
 
-/** Everything known about the system, joined: functions with rows, connections, frameworks. */
+/** Everything known about the system, joined: functions with rows, connections, frameworks, machines. */
 export function join(functions, status, events = []) {
   const deaths = lastDeaths(events);
   const open = new Map(status.components.map((one) => [one.name, one]));
@@ -33,6 +33,7 @@ export function join(functions, status, events = []) {
     functions: functions.map((one) => withRows(one, open, from, deaths)),
     connections: status.connections.map((one) => ({ ...one, ...flow(to.get(one.id) ?? []) })),
     bridges: status.bridges.map((one) => ({ ...one })),
+    machines: status.machines.map((one) => ({ ...one, health: one.present ? "ok" : "lost" })),
     routes,
   };
 }
