@@ -52,8 +52,7 @@ class Monitor(Device):
         with self._state:
             if not self._state.wait_for(lambda: self._open or self._closed, timeout):
                 raise LineError(f"{self._name} is not there after {timeout:g} s: {self._cause}")
-        if self._closed:
-            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
+            self._check_open()
         return blood_pressure_catalogue()
 
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
@@ -63,6 +62,7 @@ class Monitor(Device):
         self.catalogue(min(timeout, self._timing.wait))
         answer = Answer()
         with self._state:
+            self._check_open()
             if len(self._waiting) >= _MOST_CALLS:
                 text = f"{_MOST_CALLS} calls already wait for {self._name}"
                 raise BridgeError(text, FailureReason.REFUSED)
@@ -98,9 +98,9 @@ class Monitor(Device):
                 self._line.send(REFUSED)
                 continue
             with self._state:
+                if self._waiting:
+                    self._line.send(ACCEPTED)
                 waiting, self._waiting = self._waiting, []
-            if waiting:
-                self._line.send(ACCEPTED)
             for answer in waiting:
                 answer.give(reading)
 
@@ -120,6 +120,10 @@ class Monitor(Device):
         if first or gone:
             self._changed(Health.LOST if gone else Health.DEGRADED, text, {})
         self._fail(LineError(text))
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
 
     def _fail(self, error: BridgeError) -> None:
         with self._state:
