@@ -182,8 +182,7 @@ class ProfileDevice(Device):
             self._given_up = self._given_up or over
             flows = list(self._flows)
             self._by_id.clear()
-        if first:
-            self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
+        self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
         if not first and not over:
             return
         health = Health.LOST if over else Health.DEGRADED
