@@ -15,6 +15,7 @@ from uoarm_rocos._device import Device
 from uoarm_rocos._errors import LineError, WireError
 from uoarm_rocos._fit import fit
 from uoarm_rocos._line import Line
+from uoarm_rocos._outage import Outage
 from uoarm_rocos._profile import Changed, Timing
 from uoarm_rocos._transport import Transport
 from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Ua767Decoder, blood_pressure_catalogue
@@ -41,8 +42,7 @@ class Monitor(Device):
         self._open = False
         self._closed = False
         self._cause = "not connected yet"
-        self._lost_at: float | None = None
-        self._given_up = False
+        self._outage = Outage(timing.grace)
         self._waiting: list[Answer] = []
         self._line = Line(name, transport, self, timing.backoff)
         self._line.start()
@@ -87,8 +87,9 @@ class Monitor(Device):
         """Begin with a new decoder."""
         self._decoder = Ua767Decoder()
         with self._state:
-            self._open, self._lost_at, self._given_up = True, None, False
+            self._open = True
             self._state.notify_all()
+        self._outage.end()
         self._changed(Health.OK, "the port is open", {})
 
     def received(self, data: bytes) -> None:
@@ -109,16 +110,12 @@ class Monitor(Device):
 
     def lost(self, cause: str) -> None:
         """Fail the calls that wait."""
-        now = time.monotonic()
         with self._state:
-            first = self._lost_at is None
-            self._lost_at = now if self._lost_at is None else self._lost_at
             self._open, self._cause = False, cause
         text = f"the line to {self._name} is lost: {cause}"
-        gone = not self._given_up and now - self._lost_at >= self._timing.grace
-        self._given_up = self._given_up or gone
-        if first or gone:
-            self._changed(Health.LOST if gone else Health.DEGRADED, text, {})
+        news = self._outage.news(time.monotonic())
+        if news is not None:
+            self._changed(news, text, {})
         self._fail(LineError(text))
 
     def _check_open(self) -> None:
