@@ -90,9 +90,13 @@ class Line:
                 self._broken = str(error)
                 raise
 
+    def stop(self) -> None:
+        """Begin to end; returns at once."""
+        self._stop.set()
+
     def close(self, timeout: float = 2.0) -> None:
         """End; waits at most `timeout` seconds for the thread, and not in it."""
-        self._stop.set()
+        self.stop()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(timeout)
 

@@ -129,6 +129,10 @@ class ProfileDevice(Device):
         self._open(feed, timeout)
         return feed
 
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
+
     def close(self) -> None:
         """End the line; what waits is told so."""
         with self._state:

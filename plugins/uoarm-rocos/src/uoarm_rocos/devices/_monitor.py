@@ -75,6 +75,10 @@ class Monitor(Device):
             raise BridgeTimeoutError(text)
         return fit(api.output, answer.value(), f"reading of {self._name}")
 
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
+
     def close(self) -> None:
         """Let go of the line; calls that wait fail."""
         with self._state:

@@ -97,12 +97,16 @@ class Speech(Device):
             if self._closed:
                 self._tidy()
 
-    def close(self) -> None:
+    def stop(self) -> None:
         """End what is being said."""
         self._closed = True
         player = self._player
         if player is not None:
             player.kill()
+
+    def close(self) -> None:
+        """End what is being said, and leave no temporary file behind."""
+        self.stop()
         self._tidy()
 
     def _check_open(self) -> None:
