@@ -115,8 +115,9 @@ class Line:
 
     def _use_once(self) -> str:
         """Open, read until the line is lost, close; return why it was lost."""
-        transport = self._make()
+        transport: Transport | None = None
         try:
+            transport = self._make()
             transport.open(_OPEN_SECONDS)
             with self._sending:
                 self._transport, self._broken = transport, ""
@@ -136,5 +137,6 @@ class Line:
         finally:
             with self._sending:
                 self._transport = None
-            transport.close()
+            if transport is not None:
+                transport.close()
         return "closed"
