@@ -12,6 +12,8 @@ from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running
 from uoarm_rocos._catalogue import Catalogue
 from uoarm_rocos._errors import LineError
+from uoarm_rocos._line import Backoff
+from uoarm_rocos._options import DRIVER_NAMES
 from uoarm_rocos._profile import Timing
 from uoarm_rocos._settings import DRIVERS, DeviceSettings, devices_of
 from uoarm_rocos._transport import LineSettings, Transport
@@ -76,6 +78,15 @@ def test_line_settings_are_the_makers_own(driver: str, settings: LineSettings | 
         assert (made.line.baud, made.line.parity, made.line.xonxoff) == (19200, "O", False)
     if driver.startswith("nonin"):
         assert (made.line.baud, made.line.parity, made.line.xonxoff) == (9600, "N", False)
+
+
+def test_what_the_options_say_of_drivers_and_limits_is_so() -> None:
+    assert tuple(DRIVERS) == DRIVER_NAMES
+    usual: dict[str, object] = {"url": "tcp://robot:1"}
+    given: dict[str, object] = {**usual, "wait": 1, "grace": 2, "backoff": [0.3, 0.4]}
+    made = devices_of({"devices": {"usual": usual, "given": given}})
+    assert made["usual"].timing == Timing(3.0, 5.0, Backoff(0.1, 2.0))
+    assert made["given"].timing == Timing(1, 2, Backoff(0.3, 0.4))
 
 
 def test_octets_that_look_like_flow_control_are_numbers() -> None:

@@ -25,7 +25,7 @@ class Backoff:
     """Seconds before the first new attempt, doubled each time up to the last."""
 
     first: float = 0.1
-    last: float = 5.0
+    last: float = 2.0
 
 
 class LineUser(Protocol):
