@@ -81,9 +81,7 @@ def _echoing(kind: str) -> Iterator[Callable[[], object]]:
 
     octets = XmlCodec().write(Call(1, 1, "echo", {"text": TEXT}))
     command = [sys.executable, "-m", "bench.rocos_line", "echo", kind]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout
-        where = process.stdout.readline().strip()
+    with _ended_by(signal.SIGTERM, command) as where:
         if kind == "tcp":
             with closing(socket.create_connection(("127.0.0.1", int(where)))) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -94,7 +92,6 @@ def _echoing(kind: str) -> Iterator[Callable[[], object]]:
                 lambda data: os.write(port, data), lambda n: os.read(port, n), octets
             )
             os.close(port)
-        process.terminate()
 
 
 def _ask(write: Callable[[bytes], object], read: Callable[[int], bytes], octets: bytes) -> None:
@@ -104,7 +101,9 @@ def _ask(write: Callable[[bytes], object], read: Callable[[int], bytes], octets:
 
 def _whole(read: Callable[[int], bytes], count: int) -> None:
     while count:
-        count -= len(read(count))
+        came = len(read(count))
+        assert came, "the line has ended"
+        count -= came
 
 
 def _echo(kind: str) -> int:
@@ -126,10 +125,19 @@ def _echo(kind: str) -> int:
 @contextmanager
 def _simulated(*words: str) -> Iterator[str]:
     command = [sys.executable, "-c", "from uoarm_rocos._command import main; main()", "simulate"]
-    with subprocess.Popen([*command, *words], stdout=subprocess.PIPE, text=True) as process:
+    with _ended_by(signal.SIGINT, [*command, *words]) as url:
+        yield url
+
+
+@contextmanager
+def _ended_by(number: signal.Signals, command: list[str]) -> Iterator[str]:
+    """A process for as long as it is needed; the first line that it prints."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
-        yield process.stdout.readline().strip()
-        process.send_signal(signal.SIGINT)
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.send_signal(number)
 
 
 def _bridge(**devices: dict[str, object]) -> Any:
@@ -214,11 +222,13 @@ functions:
       - {{name: clip, bridge: rocos, output: {{endpoint: [clip, pulseOximetry]}}}}
 """
     came, stop = threading.Event(), threading.Event()
-    feeding = threading.Thread(target=_feed, args=(device, frame, stop))
+    feeding = threading.Thread(target=_feed, args=(device, frame, stop), daemon=True)
     feeding.start()
-    file = Path(tempfile.mkdtemp()) / "robot.yaml"
-    file.write_text(text)
-    with RobotManager.from_file(file) as robot, robot.request("pulseOximetry") as flow:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "robot.yaml"
+        file.write_text(text)
+        manager = RobotManager.from_file(file)
+    with manager as robot, robot.request("pulseOximetry") as flow:
         stop.set()
         feeding.join()
         flow.subscribe(lambda _: came.set())

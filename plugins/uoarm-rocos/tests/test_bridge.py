@@ -12,6 +12,10 @@ import pytest
 import uoarm_rocos
 from lines import LIMIT
 from rigs import Events, bridged, endpoint, served
+from uoarm_rocos import _bridge
+from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._device import Device
+from uoarm_rocos._errors import LineError
 from uoarm_rocos.simulate import Faults, Robot
 
 from uoarm.bridge import Bridge
@@ -224,3 +228,36 @@ functions:
             with manager.request("odometry", validate="always") as connection:
                 assert connection.get(LIMIT)["x"] == 0.0
             assert manager.call("echo", {"text": "hi"}) == {"text": "hi"}
+
+
+@pytest.mark.parametrize("driver", ["profile", "and-ua767pbt", "contec-cms50dplus"])
+def test_a_device_that_is_told_to_stop_lets_go_of_its_line(driver: str) -> None:
+    with bridged(it={"driver": driver, "url": "tcp://127.0.0.1:1"}) as (bridge, _):
+        device = bridge._named("it")  # type: ignore[attr-defined]  # no public way to it
+        device.stop()
+        device._line._thread.join(LIMIT)
+        assert not device._line._thread.is_alive()
+
+
+def test_devices_end_together_and_not_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped: list[Device] = []
+    at_close: list[int] = []
+
+    class Dark(Device):
+        """Waited for when it is closed, as one that is being connected."""
+
+        def catalogue(self, timeout: float) -> Catalogue:
+            raise LineError("dark")
+
+        def stop(self) -> None:
+            stopped.append(self)
+
+        def close(self) -> None:
+            at_close.append(len(stopped))
+
+    monkeypatch.setattr(_bridge, "make_device", lambda *_: Dark())
+    names = ("one", "two", "three")
+    devices: dict[str, dict[str, object]] = {name: {"url": "tcp://127.0.0.1:1"} for name in names}
+    with bridged(**devices) as (bridge, _):
+        assert bridge.discover() == ()
+    assert at_close == [3, 3, 3]

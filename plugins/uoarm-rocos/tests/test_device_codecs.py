@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from uoarm_rocos._errors import WireError
 from uoarm_rocos._fit import fit
 from uoarm_rocos.devices._contec import ContecDecoder, contec_frame
+from uoarm_rocos.devices._marked import MARK, MarkedFrames
 from uoarm_rocos.devices._nonin import (
     Nonin1Decoder,
     Nonin2Decoder,
@@ -169,6 +170,15 @@ def test_a_decoder_finds_its_frames_again_after_garbage(
     }
     got = kind().feed(garbage + b"".join(frames[kind]))[-1]
     assert (got["pulse"], got["spo2"]) == (61, 95)
+
+
+@given(data=st.binary(max_size=60), size=st.integers(1, 7))
+def test_every_octet_is_in_a_frame_or_counted(data: bytes, size: int) -> None:
+    frames = MarkedFrames(size)
+    found = frames.feed(data + bytes([MARK]) + bytes(size - 1))
+    assert all(frame[0] & MARK and len(frame) == size for frame in found)
+    assert not any(octet & MARK for frame in found for octet in frame[1:])
+    assert size * len(found) + frames.discarded == len(data) + size
 
 
 HEADER = struct.pack("<HIHB", 2, 10, 767, 0) + bytes(51)  # type, payload, device, flag, the rest

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from lines import LIMIT, PseudoTerminal, fresh_link
 from rigs import Events, bridged, endpoint, running
+from uoarm_rocos._catalogue import Catalogue
+from uoarm_rocos._errors import LineError
+from uoarm_rocos._line import Backoff
+from uoarm_rocos._options import DRIVER_NAMES
+from uoarm_rocos._profile import Timing
 from uoarm_rocos._settings import DRIVERS, DeviceSettings, devices_of
-from uoarm_rocos._transport import LineSettings
+from uoarm_rocos._transport import LineSettings, Transport
 from uoarm_rocos.devices._contec import contec_frame
+from uoarm_rocos.devices._monitor import Monitor
 from uoarm_rocos.devices._ua767 import Measurement, ua767_frame
 from uoarm_rocos.simulate import (
     BloodPressureMonitor,
@@ -23,7 +30,7 @@ from uoarm_rocos.simulate import (
     TcpEnd,
 )
 
-from uoarm.errors import BridgeError, BridgeTimeoutError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
 
 ANY = MessageStructure(True)
@@ -71,6 +78,15 @@ def test_line_settings_are_the_makers_own(driver: str, settings: LineSettings | 
         assert (made.line.baud, made.line.parity, made.line.xonxoff) == (19200, "O", False)
     if driver.startswith("nonin"):
         assert (made.line.baud, made.line.parity, made.line.xonxoff) == (9600, "N", False)
+
+
+def test_what_the_options_say_of_drivers_and_limits_is_so() -> None:
+    assert tuple(DRIVERS) == DRIVER_NAMES
+    usual: dict[str, object] = {"url": "tcp://robot:1"}
+    given: dict[str, object] = {**usual, "wait": 1, "grace": 2, "backoff": [0.3, 0.4]}
+    made = devices_of({"devices": {"usual": usual, "given": given}})
+    assert made["usual"].timing == Timing(3.0, 5.0, Backoff(0.1, 2.0))
+    assert made["given"].timing == Timing(1, 2, Backoff(0.3, 0.4))
 
 
 def test_octets_that_look_like_flow_control_are_numbers() -> None:
@@ -218,3 +234,71 @@ def test_a_call_ends_when_nobody_measures_and_when_the_cable_is_out() -> None:
             device.cut()
             assert "is lost" in failures.get()
             call.join(LIMIT)
+
+
+class DeafTransport(Transport):
+    """Brings octets and takes none."""
+
+    def __init__(self, brings: bytes) -> None:
+        self.brings = brings
+
+    def open(self, timeout: float) -> None:
+        """Is open."""
+
+    def read(self) -> bytes:
+        brought, self.brings = self.brings, b""
+        return brought
+
+    def write(self, data: bytes) -> None:
+        raise LineError("it takes nothing")
+
+    def close(self) -> None:
+        """Has nothing to let go of."""
+
+
+@pytest.fixture
+def deaf() -> Iterator[tuple[Monitor, DeafTransport]]:
+    """A monitor whose measurements cannot be acknowledged."""
+    line = DeafTransport(b"")
+    monitor = Monitor("cuff", lambda: line, Timing(), lambda *_: None)
+    yield monitor, line
+    monitor.close()
+
+
+def test_a_call_whose_measurement_cannot_be_acknowledged_fails_at_once(
+    deaf: tuple[Monitor, DeafTransport],
+) -> None:
+    monitor, line = deaf
+    (api,) = monitor.catalogue(LIMIT).apis.values()
+    failures = Events()
+
+    def ask() -> None:
+        try:
+            monitor.call(api, {}, 60)
+        except BridgeError as error:
+            failures(str(error))
+
+    call = threading.Thread(target=ask, daemon=True)
+    call.start()
+    while not monitor._waiting:
+        time.sleep(0.001)
+    line.brings = ua767_frame(Measurement(105, 76, 82, 65))
+    assert failures.get() == "the line to cuff is lost: it takes nothing"
+    call.join(LIMIT)
+
+
+def test_a_call_that_is_made_while_the_monitor_is_closed_does_not_wait(
+    deaf: tuple[Monitor, DeafTransport], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monitor, _ = deaf
+    (api,) = monitor.catalogue(LIMIT).apis.values()
+
+    def closed_after(timeout: float) -> Catalogue:
+        found = Monitor.catalogue(monitor, timeout)
+        monitor.close()
+        return found
+
+    monkeypatch.setattr(monitor, "catalogue", closed_after)
+    with pytest.raises(BridgeError, match="cuff is closed") as raised:
+        monitor.call(api, {}, LIMIT)
+    assert raised.value.reason is FailureReason.CLOSED

@@ -14,9 +14,14 @@ from lines import LIMIT, PseudoTerminal, listening
 from rigs import Events, bridged, endpoint, running
 from uoarm_rocos._catalogue import Catalogue
 from uoarm_rocos._codec import XmlCodec
+from uoarm_rocos._errors import LineError
 from uoarm_rocos._fields import BooleanField, Member
 from uoarm_rocos._framing import Framer, LengthFramer, StuffedFramer
-from uoarm_rocos._messages import CatalogueMessage, Data, Describe, Open, WireMessage
+from uoarm_rocos._line import Backoff
+from uoarm_rocos._messages import Call, CatalogueMessage, Data, Describe, Open, WireMessage
+from uoarm_rocos._profile import Timing
+from uoarm_rocos._transport import Transport
+from uoarm_rocos.devices._monitor import Monitor
 from uoarm_rocos.simulate import Faults, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
 
 from uoarm.errors import BridgeError, FailureReason
@@ -209,6 +214,53 @@ def test_a_device_without_a_heartbeat_is_dropped() -> None:
         with suppress(OSError):
             while device.connection.recv(10_000):
                 pass  # what the host still had to say
+
+
+def test_a_call_on_a_line_that_is_lost_before_it_is_ready_again_fails_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    failures = Events()
+    with (
+        listening() as (listener, port),
+        bridged(robot={"url": f"tcp://127.0.0.1:{port}"}) as (bridge, _),
+    ):
+        robot = bridge._named("robot")  # type: ignore[attr-defined]  # no public way to it
+        first = Scripted(listener.accept()[0])
+        first.begin()
+        api = robot.catalogue(LIMIT).apis["echo"]
+        first.connection.close()
+        second = Scripted(listener.accept()[0])
+        second.hear(Describe)
+        # A call that saw the device there a moment before it was lost.
+        monkeypatch.setattr(robot, "_await_ready", lambda timeout: None)
+
+        def ask() -> None:
+            try:
+                robot.call(api, {"text": "x"}, 60)
+            except BridgeError as error:
+                failures(str(error))
+
+        call = Thread(target=ask, daemon=True)
+        call.start()
+        second.hear(Call)
+        second.connection.close()
+        assert "was lost" in failures.get()
+        call.join(LIMIT)
+
+
+def test_a_transport_that_cannot_be_made_is_tried_again_and_its_cause_is_told() -> None:
+    attempts = Events()
+
+    def made() -> Transport:
+        attempts("tried")
+        raise ImportError("no module named vendor")
+
+    line = Monitor("cuff", made, Timing(backoff=Backoff(0.001, 0.001)), lambda *_: None)
+    attempts.get()
+    attempts.get()
+    with pytest.raises(LineError, match="ImportError: no module named vendor"):
+        line.catalogue(0.0)
+    line.close()
 
 
 def test_data_that_break_the_catalogue_are_dropped_and_shown() -> None:

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import itertools
 import math
+import socket
+import threading
 
 import pytest
+from lines import LIMIT
+from rigs import running
 from uoarm_rocos.devices._contec import ContecDecoder
-from uoarm_rocos.simulate import BloodPressureMonitor, Faults, Oximeter, Person, Robot, Story
+from uoarm_rocos.simulate import (
+    BloodPressureMonitor,
+    Faults,
+    Oximeter,
+    Person,
+    Robot,
+    Story,
+    TcpEnd,
+)
 from uoarm_rocos.simulate._run import _Way
 
 
@@ -125,3 +137,34 @@ def test_delayed_frames_come_later_and_in_order() -> None:
     assert [frame[0] for frame in frames] == list(range(7))
     way.send([], 20.0)
     assert [frame[0] for frame in end.frames] == list(range(10))
+
+
+class _Numbered:
+    """Answers every host with its number."""
+
+    def __init__(self) -> None:
+        self.hosts = 0
+        self.asked = threading.Event()
+
+    def begin(self, now: float) -> None:
+        self.hosts += 1
+
+    def receive(self, data: bytes, now: float) -> list[bytes]:
+        self.asked.set()
+        return [b"%d" % self.hosts]
+
+    def step(self, now: float) -> list[bytes]:
+        return []
+
+
+def test_what_is_late_for_a_host_that_has_gone_never_reaches_the_next() -> None:
+    device = _Numbered()
+    end = TcpEnd()
+    where = ("127.0.0.1", int(end.where.rpartition(":")[2]))
+    with running(device, end, Faults(delay=0.2)):
+        with socket.create_connection(where, LIMIT) as first:
+            first.sendall(b"?")
+            assert device.asked.wait(LIMIT)
+        with socket.create_connection(where, LIMIT) as second:
+            second.sendall(b"?")
+            assert second.recv(1) == b"2"

@@ -17,6 +17,7 @@ from lines import LIMIT
 from rigs import bridged, endpoint
 from uoarm_rocos.speech import _device, _espeak
 from uoarm_rocos.speech._device import Speech
+from uoarm_rocos.speech._engine import Engine, Sound
 from uoarm_rocos.speech._espeak import EspeakEngine
 from uoarm_rocos.speech._festival import FestivalEngine
 
@@ -58,6 +59,66 @@ def test_text_becomes_sound_in_a_file_where_there_is_no_audio_device(
         assert bridge.call(SAY, {"text": TEXT}, timeout=30)["duration"] == pytest.approx(
             duration, rel=0.05
         )
+
+
+def test_files_without_a_directory_go_with_the_bridge() -> None:
+    with bridged(voice={"driver": "espeak", "play": "never"}) as (bridge, _):
+        file = Path(bridge.call(SAY, {"text": "Hello."})["file"])
+        assert file.is_file()
+    assert not file.parent.exists()
+
+
+def test_files_in_a_directory_of_their_own_stay(tmp_path: Path) -> None:
+    options: dict[str, object] = {"driver": "espeak", "directory": str(tmp_path), "play": "never"}
+    with bridged(voice=options) as (bridge, _):
+        file = Path(bridge.call(SAY, {"text": "Hello."})["file"])
+    assert file.is_file()
+
+
+class Slow(Engine):
+    """Makes one sound at once and the others when it is told to."""
+
+    name = "slow"
+    voice = "any"
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+        self.go_on = threading.Event()
+        self.count = 0
+
+    def check(self) -> None:
+        """Always there."""
+
+    def speak(self, text: str, voice: str, rate: float, timeout: float) -> Sound:
+        self.count += 1
+        if self.count > 1:
+            self.begun.set()
+            assert self.go_on.wait(LIMIT)
+        return Sound(bytes(200), 8000)
+
+
+def test_a_device_that_is_closed_while_it_speaks_leaves_no_files_behind() -> None:
+    engine = Slow()
+    speech = Speech("voice", engine, {"play": "never"})
+    (api,) = speech.catalogue(0.0).apis.values()
+    file = Path(speech.call(api, {"text": "x"}, LIMIT)["file"])
+    raised: list[BridgeError] = []
+
+    def speak() -> None:
+        try:
+            speech.call(api, {"text": "x"}, LIMIT)
+        except BridgeError as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    assert engine.begun.wait(LIMIT)
+    speech.close()
+    assert file.exists(), "the call that is under way may be writing"
+    engine.go_on.set()
+    thread.join(LIMIT)
+    assert [error.reason for error in raised] == [FailureReason.CLOSED]
+    assert not file.parent.exists()
 
 
 def test_a_voice_that_does_not_exist_is_refused() -> None:
@@ -156,6 +217,23 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
     (api,) = speech.catalogue(0.0).apis.values()
     with pytest.raises(BridgeTimeoutError, match="interrupted by its limit"):
         speech.call(api, {"text": "Hello."}, timeout=0.5)
+
+
+def test_a_player_that_starts_while_the_device_is_closed_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    speech = Speech("voice", EspeakEngine(), {})
+    (api,) = speech.catalogue(0.0).apis.values()
+    player(tmp_path, monkeypatch, "exec sleep 60")
+    command = _device._player()
+
+    def chosen() -> list[str] | None:
+        speech.close()
+        return command
+
+    monkeypatch.setattr(_device, "_player", chosen)
+    with pytest.raises(BridgeError, match="could not play the sound"):
+        speech.call(api, {"text": "Hello."}, timeout=LIMIT)
 
 
 def test_two_voices_at_once_do_not_mix() -> None:

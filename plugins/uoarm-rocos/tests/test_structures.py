@@ -105,6 +105,8 @@ def test_fit_and_structure_agree_on_what_the_structure_allows(
         ({"image": b"12345"}, "4 octets"),
         ({"image": [256]}, "octets"),
         ({"image": 3}, "octets"),
+        ({"image": np.int64(3)}, "octets"),
+        ({"image": {}}, "octets"),
         ({"pose": {"x": 1}}, r"m\.pose: the field 'y' is missing"),
         ({"path": []}, "1 to 2 items"),
         ({"path": [{"x": 0, "y": 0}, {"x": 0}]}, r"m\.path\[1\]: the field 'y'"),

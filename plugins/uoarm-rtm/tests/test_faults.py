@@ -304,3 +304,33 @@ inbox.wait_for(50)
     assert "terminate called" not in errors
     component.count(0, 1)
     until(lambda: component.connectors()[1] == 0)
+
+
+def test_calls_through_an_orb_of_the_application_end_before_the_process(
+    nameserver: str, peer: Start
+) -> None:
+    peer("Mortal")
+    script = f"""
+import sys, threading
+sys.path.insert(0, {str(HERE)!r})
+from omniORB import CORBA
+orb = CORBA.ORB_init(["application"], CORBA.ORB_ID)
+from endpoints import endpoint, sink, stamped
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Role
+bridge = Registry().create(BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}}}))
+sent = threading.Semaphore(0)
+def flood(into):
+    while True:
+        into.send(stamped(1))
+        sent.release()
+for _ in range(3):
+    into = sink(bridge, endpoint(Role.INPUT, "Mortal.rtc", "in"))
+    threading.Thread(target=flood, args=(into,), daemon=True).start()
+for _ in range(300):
+    assert sent.acquire(timeout=20)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -96,6 +96,8 @@ class RocosBridge(Bridge):
     def _close(self) -> None:
         with self._making:
             devices, self._devices = list(self._devices.values()), {}
+        for device in devices:  # together: each may be waiting for one that does not answer
+            device.stop()
         for device in devices:
             device.close()
 

@@ -40,7 +40,7 @@ class Feed(Flow, Protocol):
 class Device(ABC):
     """One device that a bridge instance uses.
 
-    Must implement: `catalogue`, `close`. May implement what its catalogue offers.
+    Must implement: `catalogue`, `stop`, `close`. May implement what its catalogue offers.
     """
 
     @abstractmethod
@@ -77,6 +77,10 @@ class Device(ABC):
             BridgeError: the device refused, failed, or is gone.
         """
         raise NotImplementedError
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Begin to let go; returns at once, and `close` comes next."""
 
     @abstractmethod
     def close(self) -> None:

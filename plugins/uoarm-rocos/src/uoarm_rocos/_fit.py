@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
+from numbers import Integral
 from typing import Any
 
 from uoarm_rocos._errors import WireError
@@ -105,7 +106,7 @@ def _string(kind: StringField, value: Any, where: str) -> str:
 
 
 def _octets(kind: OctetsField, value: Any, where: str) -> bytes:
-    if isinstance(value, str | int | float) or value is None:
+    if isinstance(value, str | Integral | float | Mapping) or value is None:
         raise _wrong(where, "octets", value)
     try:
         octets = bytes(value)

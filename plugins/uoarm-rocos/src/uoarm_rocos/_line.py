@@ -25,7 +25,7 @@ class Backoff:
     """Seconds before the first new attempt, doubled each time up to the last."""
 
     first: float = 0.1
-    last: float = 5.0
+    last: float = 2.0
 
 
 class LineUser(Protocol):
@@ -90,9 +90,13 @@ class Line:
                 self._broken = str(error)
                 raise
 
+    def stop(self) -> None:
+        """Begin to end; returns at once."""
+        self._stop.set()
+
     def close(self, timeout: float = 2.0) -> None:
         """End; waits at most `timeout` seconds for the thread, and not in it."""
-        self._stop.set()
+        self.stop()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(timeout)
 
@@ -111,8 +115,9 @@ class Line:
 
     def _use_once(self) -> str:
         """Open, read until the line is lost, close; return why it was lost."""
-        transport = self._make()
+        transport: Transport | None = None
         try:
+            transport = self._make()
             transport.open(_OPEN_SECONDS)
             with self._sending:
                 self._transport, self._broken = transport, ""
@@ -132,5 +137,6 @@ class Line:
         finally:
             with self._sending:
                 self._transport = None
-            transport.close()
+            if transport is not None:
+                transport.close()
         return "closed"

@@ -28,6 +28,7 @@ from uoarm_rocos._messages import (
     Result,
     WireMessage,
 )
+from uoarm_rocos._outage import Outage
 from uoarm_rocos._talk import Talk, Wire
 
 __all__ = ["Changed", "ProfileDevice", "Timing"]
@@ -79,8 +80,7 @@ class ProfileDevice(Device):
         self._state = threading.Condition()
         self._ready = False
         self._cause = "not connected yet"
-        self._lost_at: float | None = None
-        self._given_up = False
+        self._outage = Outage(timing.grace)
         self._closed = False
         self._answers = Answers(name)
         self._flows: set[ProfileFlow] = set()
@@ -129,6 +129,10 @@ class ProfileDevice(Device):
         self._open(feed, timeout)
         return feed
 
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
+
     def close(self) -> None:
         """End the line; what waits is told so."""
         with self._state:
@@ -142,9 +146,10 @@ class ProfileDevice(Device):
         """Begin, or begin again, with what the device offers now; from the line's thread."""
         with self._state:
             before, self._known = self._known, catalogue
-            self._ready, self._lost_at, self._given_up = True, None, False
+            self._ready = True
             flows = list(self._flows)
             self._state.notify_all()
+        self._outage.end()
         found = {} if before is None else differences(before, catalogue)
         text = "connected again" if before is not None else "connected"
         cause = f"the device has another catalogue: {'; '.join(found.values())}"
@@ -173,25 +178,19 @@ class ProfileDevice(Device):
 
     def on_lost(self, cause: str) -> None:
         """Fail what waits and tell flows; from the line's thread, at each attempt."""
-        now = time.monotonic()
         with self._state:
             self._ready, self._cause = False, cause
-            first = self._lost_at is None
-            self._lost_at = now if first or self._lost_at is None else self._lost_at
-            over = not self._given_up and now - self._lost_at >= self._timing.grace
-            self._given_up = self._given_up or over
             flows = list(self._flows)
             self._by_id.clear()
-        if first:
-            self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
-        if not first and not over:
+        self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
+        news = self._outage.news(time.monotonic())
+        if news is None:
             return
-        health = Health.LOST if over else Health.DEGRADED
         text = f"the line to {self.name} is lost: {cause}"
-        self._changed(health, text, {})
+        self._changed(news, text, {})
         for flow in flows:
             flow.id = 0
-            flow.tell(health, text, anew=True)
+            flow.tell(news, text, anew=True)
 
     def on_tick(self, now: float) -> None:
         """Look at the clock; from the line's thread."""

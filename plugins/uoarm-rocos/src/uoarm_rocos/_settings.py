@@ -92,7 +92,8 @@ def _device(name: str, given: Mapping[str, Any]) -> DeviceSettings:
     }
     line = evolve(settings, **chosen)
     transport_for(url, line)
-    first, last = given.get("backoff", (0.1, 2.0))
-    timing = Timing(given.get("wait", 3.0), given.get("grace", 5.0), Backoff(first, last))
+    timing = Timing(**{key: given[key] for key in ("wait", "grace") if key in given})
+    if "backoff" in given:
+        timing = evolve(timing, backoff=Backoff(*given["backoff"]))
     own = {key: given[key] for key in ("voice", "play", "directory") if key in given}
     return DeviceSettings(name, driver, url, given.get("catalogue", ""), line, timing, own)

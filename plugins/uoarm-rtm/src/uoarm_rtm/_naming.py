@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import CosNaming
 from attrs import frozen
@@ -28,6 +29,7 @@ _CONNECTIONS = 5  # that omniORB keeps to one server at most
 _HOST = re.compile(r"[\w.\-]+(:\d{1,5})?|\[[0-9a-fA-F:]+\](:\d{1,5})?")
 
 
+Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
 
 
@@ -59,6 +61,26 @@ def path_of(name: Any) -> str:
     return str(URI.nameToString(name))
 
 
+def _afresh(ask: Callable[Asked, Answer]) -> Callable[Asked, Answer]:
+    """Have a method ask again where a connection turns out to be stale.
+
+    A connection to a service that was restarted fails with the first call through it, and then
+    gives way to a new one; a service that is gone refuses the new one, which is no COMM_FAILURE.
+    """
+
+    @wraps(ask)
+    def asked(*arguments: Asked.args, **named: Asked.kwargs) -> Answer:
+        for _ in range(_CONNECTIONS):
+            try:
+                return ask(*arguments, **named)
+            except BridgeError as error:
+                if not isinstance(error.__cause__, CORBA.COMM_FAILURE):
+                    raise
+        return ask(*arguments, **named)
+
+    return asked
+
+
 class NamingService:
     """A naming service at one address; nothing is called before it is used.
 
@@ -78,16 +100,14 @@ class NamingService:
         self._seconds = seconds
         self._what = f"naming service {address}"
 
+    @_afresh
     def names(self) -> list[Name]:
         """Return every object bound below the root, contexts aside."""
+        found: list[Name] = []
+        self._walk(self._root(), (), found, [])
+        return found
 
-        def ask() -> list[Name]:
-            found: list[Name] = []
-            self._walk(self._root(), (), found, [])
-            return found
-
-        return _afresh(ask)
-
+    @_afresh
     def resolve(self, path: str) -> Any:
         """Return the object bound at a path, None when there is none.
 
@@ -95,47 +115,37 @@ class NamingService:
             BridgeError: BAD_ENDPOINT when the path cannot be read.
         """
         name = self._name(path)
+        with corba_errors(f"{self._what}: resolving {path!r}"):
+            try:
+                return limit(self._root().resolve(name), self._seconds)
+            except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
+                return None
+            except CosNaming.NamingContext.InvalidName:
+                text = f"{self._what}: {path!r} is not a name"
+                raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
 
-        def ask() -> Any:
-            with corba_errors(f"{self._what}: resolving {path!r}"):
-                try:
-                    return limit(self._root().resolve(name), self._seconds)
-                except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
-                    return None
-                except CosNaming.NamingContext.InvalidName:
-                    text = f"{self._what}: {path!r} is not a name"
-                    raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
-
-        return _afresh(ask)
-
+    @_afresh
     def bind(self, path: str, reference: Any) -> None:
         """Bind an object, in place of whatever is bound there; contexts on the way are made."""
         name = self._name(path)
+        with corba_errors(f"{self._what}: binding {path!r}"):
+            context = self._root()
+            for step in name[:-1]:
+                context = self._inner(context, step)
+            context.rebind(name[-1:], reference)
 
-        def ask() -> None:
-            with corba_errors(f"{self._what}: binding {path!r}"):
-                context = self._root()
-                for step in name[:-1]:
-                    context = self._inner(context, step)
-                context.rebind(name[-1:], reference)
-
-        _afresh(ask)
-
+    @_afresh
     def unbind(self, path: str, reference: Any) -> None:
         """Remove a name, if it still stands for this object."""
         name = self._name(path)
-
-        def ask() -> None:
-            with corba_errors(f"{self._what}: unbinding {path!r}"):
-                try:
-                    root = self._root()
-                    bound = root.resolve(name)
-                    if bound is not None and bound._is_equivalent(reference):
-                        root.unbind(name)
-                except CosNaming.NamingContext.NotFound:
-                    return
-
-        _afresh(ask)
+        with corba_errors(f"{self._what}: unbinding {path!r}"):
+            try:
+                root = self._root()
+                bound = root.resolve(name)
+                if bound is not None and bound._is_equivalent(reference):
+                    root.unbind(name)
+            except CosNaming.NamingContext.NotFound:
+                return
 
     def _root(self) -> Any:
         # Resolved anew each time: a service that came back empty has another root.
@@ -193,18 +203,3 @@ class NamingService:
                     rest.destroy()
                     break
         return list(bindings)
-
-
-def _afresh(ask: Callable[[], Answer]) -> Answer:
-    """Ask, and ask again where a connection turns out to be stale.
-
-    A connection to a service that was restarted fails with the first call through it, and then
-    gives way to a new one; a service that is gone refuses the new one, which is no COMM_FAILURE.
-    """
-    for _ in range(_CONNECTIONS):
-        try:
-            return ask()
-        except BridgeError as error:
-            if not isinstance(error.__cause__, CORBA.COMM_FAILURE):
-                raise
-    return ask()

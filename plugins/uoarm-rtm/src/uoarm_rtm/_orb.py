@@ -221,16 +221,19 @@ def _end() -> _Ending | None:
 
 
 def _end_at_exit() -> None:
-    """End an ORB that is left when the process exits.
+    """End an ORB that is left when the process exits, and the calls through one left alone.
 
-    Its C++ threads must not be on their way into Python when the interpreter ends: that aborts
-    the process ("terminate called without an active exception").
+    No thread may be on its way from C++ into Python when the interpreter ends: that aborts the
+    process ("terminate called without an active exception").
     """
     with _shared.lock:
+        running = _shared.running
         _end()
         ending = _shared.destroying
     if ending is not None:
         ending.join()
+    if running is not None and running.ending is None:
+        calls.end(_DRAIN_SECONDS)
 
 
 atexit.register(_end_at_exit)

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from uoarm_rocos.devices._marked import MARK, MarkedFrames
 from uoarm_rocos.devices._oximetry import reading
 
 __all__ = ["PERIOD", "ContecDecoder", "contec_frame"]
 
 PERIOD = 1 / 60
 _SIZE = 5
-_SYNC = 0x80
 _BEEP, _FINGER_OUT, _STRENGTH = 0x40, 0x10, 0x0F
 _PULSE_BIT_7, _SEARCHING, _PROBE_ERROR = 0x40, 0x20, 0x10
 _WAVE_MOST = 127
@@ -22,27 +22,19 @@ _NO_PULSE = {0, 255}
 
 
 class ContecDecoder:
-    """Finds frames by the one octet of five whose highest bit is set."""
+    """Makes messages of frames."""
 
     def __init__(self) -> None:
-        self.discarded = 0
-        self._frame = bytearray()
+        self._frames = MarkedFrames(_SIZE)
+
+    @property
+    def discarded(self) -> int:
+        """Octets that belonged to no frame."""
+        return self._frames.discarded
 
     def feed(self, data: bytes) -> list[dict[str, Any]]:
         """Return the messages that are complete with these octets."""
-        found = []
-        for octet in data:
-            if octet & _SYNC:
-                self.discarded += len(self._frame)
-                self._frame = bytearray([octet])
-            elif self._frame:
-                self._frame.append(octet)
-            else:
-                self.discarded += 1
-            if len(self._frame) == _SIZE:
-                found.append(_message(bytes(self._frame)))
-                self._frame = bytearray()
-        return found
+        return [_message(frame) for frame in self._frames.feed(data)]
 
 
 def _message(frame: bytes) -> dict[str, Any]:
@@ -76,7 +68,7 @@ def contec_frame(
     searching: bool = False,
 ) -> bytes:
     """Return the frame that a device sends, as the simulator needs it."""
-    flags = _SYNC | strength & _STRENGTH | beep * _BEEP | finger_out * _FINGER_OUT
+    flags = MARK | strength & _STRENGTH | beep * _BEEP | finger_out * _FINGER_OUT
     bar = wave * _STRENGTH // _WAVE_MOST
     more = (pulse & 0x80) >> 1 | searching * _SEARCHING | bar
     return bytes([flags, wave & 0x7F, more, pulse & 0x7F, spo2 & 0x7F])

@@ -15,6 +15,7 @@ from uoarm_rocos._device import Device
 from uoarm_rocos._errors import LineError, WireError
 from uoarm_rocos._fit import fit
 from uoarm_rocos._line import Line
+from uoarm_rocos._outage import Outage
 from uoarm_rocos._profile import Changed, Timing
 from uoarm_rocos._transport import Transport
 from uoarm_rocos.devices._ua767 import ACCEPTED, REFUSED, Ua767Decoder, blood_pressure_catalogue
@@ -41,8 +42,7 @@ class Monitor(Device):
         self._open = False
         self._closed = False
         self._cause = "not connected yet"
-        self._lost_at: float | None = None
-        self._given_up = False
+        self._outage = Outage(timing.grace)
         self._waiting: list[Answer] = []
         self._line = Line(name, transport, self, timing.backoff)
         self._line.start()
@@ -52,8 +52,7 @@ class Monitor(Device):
         with self._state:
             if not self._state.wait_for(lambda: self._open or self._closed, timeout):
                 raise LineError(f"{self._name} is not there after {timeout:g} s: {self._cause}")
-        if self._closed:
-            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
+            self._check_open()
         return blood_pressure_catalogue()
 
     def call(self, api: Api, message: object, timeout: float) -> dict[str, Any]:
@@ -63,6 +62,7 @@ class Monitor(Device):
         self.catalogue(min(timeout, self._timing.wait))
         answer = Answer()
         with self._state:
+            self._check_open()
             if len(self._waiting) >= _MOST_CALLS:
                 text = f"{_MOST_CALLS} calls already wait for {self._name}"
                 raise BridgeError(text, FailureReason.REFUSED)
@@ -74,6 +74,10 @@ class Monitor(Device):
             text = f"{self._name}: nobody measured within {timeout:g} s"
             raise BridgeTimeoutError(text)
         return fit(api.output, answer.value(), f"reading of {self._name}")
+
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
 
     def close(self) -> None:
         """Let go of the line; calls that wait fail."""
@@ -87,8 +91,9 @@ class Monitor(Device):
         """Begin with a new decoder."""
         self._decoder = Ua767Decoder()
         with self._state:
-            self._open, self._lost_at, self._given_up = True, None, False
+            self._open = True
             self._state.notify_all()
+        self._outage.end()
         self._changed(Health.OK, "the port is open", {})
 
     def received(self, data: bytes) -> None:
@@ -98,9 +103,9 @@ class Monitor(Device):
                 self._line.send(REFUSED)
                 continue
             with self._state:
+                if self._waiting:
+                    self._line.send(ACCEPTED)
                 waiting, self._waiting = self._waiting, []
-            if waiting:
-                self._line.send(ACCEPTED)
             for answer in waiting:
                 answer.give(reading)
 
@@ -109,17 +114,17 @@ class Monitor(Device):
 
     def lost(self, cause: str) -> None:
         """Fail the calls that wait."""
-        now = time.monotonic()
         with self._state:
-            first = self._lost_at is None
-            self._lost_at = now if self._lost_at is None else self._lost_at
             self._open, self._cause = False, cause
         text = f"the line to {self._name} is lost: {cause}"
-        gone = not self._given_up and now - self._lost_at >= self._timing.grace
-        self._given_up = self._given_up or gone
-        if first or gone:
-            self._changed(Health.LOST if gone else Health.DEGRADED, text, {})
+        news = self._outage.news(time.monotonic())
+        if news is not None:
+            self._changed(news, text, {})
         self._fail(LineError(text))
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
 
     def _fail(self, error: BridgeError) -> None:
         with self._state:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from uoarm_rocos.devices._marked import MARK, MarkedFrames
 from uoarm_rocos.devices._oximetry import reading
 
 __all__ = [
@@ -32,29 +33,19 @@ _WAVE_MOST = 255
 
 
 class Nonin1Decoder:
-    """Finds frames by the first octet's highest bit; the other two have none."""
+    """Makes messages of frames; each says everything."""
 
     def __init__(self) -> None:
-        self.discarded = 0
-        self._frame = bytearray()
+        self._frames = MarkedFrames(_SIZE_1)
+
+    @property
+    def discarded(self) -> int:
+        """Octets that belonged to no frame."""
+        return self._frames.discarded
 
     def feed(self, data: bytes) -> list[dict[str, Any]]:
         """Return the messages that are complete with these octets."""
-        found = []
-        for octet in data:
-            if octet & _SYNC:
-                self.discarded += len(self._frame)
-                self._frame = bytearray([octet])
-            elif self._frame:
-                self._frame.append(octet)
-            else:
-                self.discarded += 1
-            if len(self._frame) == _SIZE_1:
-                status, low, spo2 = self._frame
-                rate = (status & 3) << 7 | low
-                found.append(_reading(_quality_1(status), rate, spo2, None))
-                self._frame = bytearray()
-        return found
+        return [_message_1(*frame) for frame in self._frames.feed(data)]
 
 
 class Nonin2Decoder:
@@ -110,6 +101,10 @@ class Nonin2Decoder:
         return _reading(quality, self._rate, self._spo2, wave / _WAVE_MOST)
 
 
+def _message_1(status: int, low: int, spo2: int) -> dict[str, Any]:
+    return _reading(_quality_1(status), (status & 3) << 7 | low, spo2, None)
+
+
 def _reading(quality: str, rate: int, spo2: int, wave: float | None) -> dict[str, Any]:
     known_rate, known_spo2 = rate not in {0, _NO_RATE}, spo2 != _NO_SPO2
     if not known_rate and not known_spo2 and quality in {"good", "weak"}:
@@ -140,7 +135,7 @@ def _first(status: int, known: Iterable[tuple[int, str]]) -> str:
 
 def nonin1_frame(*, rate: int = _NO_RATE, spo2: int = _NO_SPO2, flags: int = 0) -> bytes:
     """Return a frame of format 1, as the simulator needs it."""
-    return bytes([_SYNC | flags | rate >> 7 & 3, rate & 0x7F, spo2 & 0x7F])
+    return bytes([MARK | flags | rate >> 7 & 3, rate & 0x7F, spo2 & 0x7F])
 
 
 def nonin2_packet(

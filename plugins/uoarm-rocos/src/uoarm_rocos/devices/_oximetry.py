@@ -15,13 +15,11 @@ _NO_WAVE = {"finger-out", "probe-error"}
 
 
 class Decoder(Protocol):
-    """Makes messages of a device's own frames; does no I/O.
+    """Makes messages of a device's own frames; does no I/O."""
 
-    Attributes:
-        discarded: octets that belonged to no frame.
-    """
-
-    discarded: int
+    @property
+    def discarded(self) -> int:
+        """Octets that belonged to no frame."""
 
     def feed(self, data: bytes) -> list[dict[str, Any]]:
         """Return the messages that are complete with these octets; never raises."""

@@ -89,6 +89,10 @@ class StreamDevice(Device):
         """Return how many octets belonged to no frame."""
         return {"discarded": self._decoder.discarded}
 
+    def stop(self) -> None:
+        """Have the line end."""
+        self._line.stop()
+
     def close(self) -> None:
         """Let go of the line."""
         with self._heard:

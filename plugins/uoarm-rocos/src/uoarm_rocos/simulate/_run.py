@@ -68,6 +68,7 @@ def run(device: Simulated, end: End, stop: threading.Event, faults: Faults | Non
 def _serve(device: Simulated, end: End, way: _Way, stop: threading.Event) -> None:
     began = time.monotonic()
     device.begin(began)
+    way.begin()
     while not stop.is_set():
         data = end.read(_STEP_SECONDS)
         now = time.monotonic()
@@ -93,6 +94,10 @@ class _Way:
         self._dice = random.Random(faults.seed)  # noqa: S311 - faults to be repeated, no secrets
         self._late: list[tuple[float, bytes]] = []
 
+    def begin(self) -> None:
+        """Forget what was on its way to the host before."""
+        self._late.clear()
+
     def send(self, frames: list[bytes], now: float) -> None:
         """Send frames, and those whose delay is over."""
         for frame in frames:
@@ -103,10 +108,7 @@ class _Way:
 
     def cut_due(self, elapsed: float) -> bool:
         """Say whether it is time to pull the cable out."""
-        due = self._faults.disconnect is not None and elapsed >= self._faults.disconnect
-        if due:
-            self._late.clear()
-        return due
+        return self._faults.disconnect is not None and elapsed >= self._faults.disconnect
 
     def _garbled(self, frame: bytes) -> bytes:
         if self._dice.random() >= self._faults.garble:

@@ -48,7 +48,8 @@ class Speech(Device):
     Args:
         name: for file names.
         engine: makes the sound.
-        options: `voice`, `play` (`auto` or `never`), `directory`.
+        options: `voice`, `play` (`auto` or `never`), `directory`; without one, files are written
+            to a temporary directory that `close` removes.
     """
 
     def __init__(self, name: str, engine: Engine, options: Mapping[str, Any]) -> None:
@@ -57,6 +58,7 @@ class Speech(Device):
         self._voice = str(options.get("voice", engine.voice))
         self._may_play = options.get("play", "auto") == "auto"
         self._directory = options.get("directory", "")
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._speaking = threading.Lock()
         self._count = 0
         self._player: subprocess.Popen[bytes] | None = None
@@ -75,11 +77,11 @@ class Speech(Device):
         if not self._speaking.acquire(timeout=timeout):
             raise BridgeTimeoutError(f"{self._name} was still speaking after {timeout:g} s")
         try:
-            if self._closed:
-                raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
+            self._check_open()
             left = end - time.monotonic()
             voice, rate = asked.get("voice", self._voice), asked.get("rate", 1.0)
             sound = self._engine.speak(asked["text"], voice, rate, left)
+            self._check_open()
             if len(sound.samples) > _MOST_AUDIO - 100:
                 raise BridgeError(f"the sound of {sound.duration:.0f} s is too long for a message")
             answer = {"audio": sound.wav(), "duration": sound.duration, "played": False}
@@ -92,13 +94,24 @@ class Speech(Device):
             return answer
         finally:
             self._speaking.release()
+            if self._closed:
+                self._tidy()
 
-    def close(self) -> None:
+    def stop(self) -> None:
         """End what is being said."""
         self._closed = True
         player = self._player
         if player is not None:
             player.kill()
+
+    def close(self) -> None:
+        """End what is being said, and leave no temporary file behind."""
+        self.stop()
+        self._tidy()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
 
     def _play(self, command: list[str], sound: Sound, end: float) -> None:
         try:
@@ -107,6 +120,8 @@ class Speech(Device):
             raise BridgeError(f"{command[0]} cannot be started: {error}") from error
         with player:
             self._player = player
+            if self._closed:  # before it was there to be killed
+                player.kill()
             try:
                 _, told = player.communicate(sound.wav(), max(0.0, end - time.monotonic()))
             except subprocess.TimeoutExpired as error:
@@ -122,12 +137,24 @@ class Speech(Device):
         self._count += 1
         try:
             if not self._directory:
-                self._directory = tempfile.mkdtemp(prefix="uoarm-speech-")
+                self._temporary = tempfile.TemporaryDirectory(
+                    prefix="uoarm-speech-", ignore_cleanup_errors=True
+                )
+                self._directory = self._temporary.name
             path = Path(self._directory) / f"{self._name}-{self._count % 100:02}.wav"
             path.write_bytes(sound.wav())
         except OSError as error:
             raise BridgeError(f"the sound cannot be written: {error}") from error
         return path
+
+    def _tidy(self) -> None:
+        """Remove the temporary directory, or leave it to the call that is still writing there."""
+        if self._speaking.acquire(blocking=False):
+            try:
+                if self._temporary is not None:
+                    self._temporary.cleanup()
+            finally:
+                self._speaking.release()
 
 
 def _player() -> list[str] | None:
