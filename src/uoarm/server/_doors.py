@@ -21,6 +21,7 @@ from websockets.typing import Subprotocol
 from uoarm.server._admission import Admission, Pass, RefusedError
 from uoarm.server._audit import Audit
 from uoarm.server._limits import Limits
+from uoarm.server._metrics import Totals
 from uoarm.server._role import Operation
 from uoarm.wire import FORMS
 
@@ -69,6 +70,7 @@ class Doors:
         admission: decides who is let in.
         audit: hears of refusals.
         limits: bounds of connections.
+        totals: count refusals.
         connected: addresses of the clients connected now, shared between ports.
         health: makes the answer of `/healthz`.
         metrics: makes the answer of `/metrics`.
@@ -80,6 +82,7 @@ class Doors:
         admission: Admission,
         audit: Audit,
         limits: Limits,
+        totals: Totals,
         connected: Counter[str],
         *,
         health: Callable[[], Mapping[str, object]],
@@ -89,12 +92,12 @@ class Doors:
         self._admission = admission
         self._audit = audit
         self._limits = limits
+        self._totals = totals
         self._connected = connected
         self._health = health
         self._metrics = metrics
         self._only_rosbridge = only_rosbridge
         self._entries: WeakKeyDictionary[ServerConnection, Entry] = WeakKeyDictionary()
-        self.refused = 0
 
     def entry(self, connection: ServerConnection) -> Entry:
         """Return what was decided about a connection whose handshake is done."""
@@ -109,7 +112,7 @@ class Doors:
                 return self._page(connection, path, request)
             self._enter(connection, path, request)
         except RefusedError as error:
-            self.refused += 1
+            self._totals.refused += 1
             self._audit.arrival(_address(connection), "", "", str(error))
             response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
             if error.status is HTTPStatus.UNAUTHORIZED:

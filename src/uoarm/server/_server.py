@@ -65,7 +65,6 @@ class Server:
         self._clients: dict[Client, None] = {}
         self._lobby = Lobby(self._limits, self._end)
         self._listening: list[Listening] = []
-        self._doors: list[Doors] = []
         self._sockets: set[ServerConnection] = set()
         self._desk: Desk | None = None
         self._watch: asyncio.Task[None] | None = None
@@ -123,6 +122,7 @@ class Server:
             self._admission,
             self._audit,
             limits,
+            self._totals,
             self._connected,
             health=self._health,
             metrics=metrics,
@@ -150,7 +150,6 @@ class Server:
                 max_size=limits.message_bytes,
             )
         )
-        self._doors.append(doors)
 
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
         return _Counted(
