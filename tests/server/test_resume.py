@@ -331,6 +331,19 @@ def test_an_answer_that_waits_is_not_told_twice(server: Server, between: Between
         assert not second.unheard
 
 
+def test_a_drop_takes_nothing_from_what_was_counted(server: Server, between: Between) -> None:
+    proxy = between(server)
+
+    async def work(client: Client) -> None:
+        await client.status()
+        proxy.cut(admit=False)
+        await until(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server))
+        assert "uoarm_serve_received_messages_total 2.0" in figures(server)
+        proxy.admit()
+
+    run(proxy, work)
+
+
 def figures(server: Server) -> str:
     return page(server, "/metrics")[1]
 
