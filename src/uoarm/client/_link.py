@@ -103,7 +103,7 @@ class Link:
         why = cause
         while loop.time() < deadline:
             try:
-                refused = await asyncio.wait_for(self._go_on(), deadline - loop.time())
+                refused = await self._go_on_within(deadline - loop.time())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
                 why = f"{cause}; connecting again failed: {error}"
                 await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
@@ -115,6 +115,19 @@ class Link:
                 self._ready.set()
                 return ""
         return why
+
+    async def _go_on_within(self, seconds: float) -> str:
+        """Bound `_go_on`, without `wait_for`: before Python 3.12 that can lose a cancellation."""
+        going = asyncio.ensure_future(self._go_on())
+        going.add_done_callback(lambda done: done.cancelled() or done.exception())
+        try:
+            await asyncio.wait({going}, timeout=seconds)
+        finally:
+            if going.cancel():
+                await asyncio.wait({going})
+        if going.cancelled():
+            raise asyncio.TimeoutError
+        return going.result()
 
     async def _go_on(self) -> str:
         """Take the session up over a new connection; returns the server's refusal, or nothing."""
