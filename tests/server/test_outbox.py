@@ -122,6 +122,25 @@ def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
     run(work())
 
 
+def test_it_is_emptied_once_more_for_what_came_since() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        taken = []
+
+        async def take() -> None:
+            while True:
+                taken.append((await outbox.next())[0])
+
+        taking = asyncio.ensure_future(take())
+        for frame in (b"first", b"second"):
+            outbox.tell(frame, text=True)
+            await outbox.emptied()
+            assert taken[-1] == frame
+        taking.cancel()
+
+    run(work())
+
+
 steps = st.lists(
     st.tuples(st.sampled_from(["puttwo", "next", "reply"]), st.integers(1, 400)), max_size=60
 )

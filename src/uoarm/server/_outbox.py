@@ -130,11 +130,11 @@ class Outbox:
             self._filled.clear()
             self._emptied.set()
             await self._filled.wait()
-            self._emptied.clear()
 
     async def emptied(self) -> None:
         """Wait until nothing waits."""
         if not self.empty:
+            self._emptied.clear()
             await self._emptied.wait()
 
     def _next_data(self) -> tuple[bytes, bool]:
