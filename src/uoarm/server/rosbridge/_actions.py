@@ -197,8 +197,7 @@ class Actions:
 
         def finish(frame: bytes) -> None:
             self._sent.pop(identity, None)
-            for piece in self._split(frame, fields):
-                self._client.outbox.finish(lane, piece)
+            self._client.outbox.finish(lane, *self._split(frame, fields))
 
         return Goal(fields.get("args"), on_feedback, on_result, on_failure)
 
