@@ -93,6 +93,7 @@ class Publication:
 
     def ended(self, state: str, cause: str) -> None:
         """Hear that the function's provider has gone."""
+        self._leave()
         self._on_failed(UoarmError(f"{self._place.name} has {state}: {cause or 'killed'}"))
 
     def _leave(self) -> None:
