@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import gc
 import json
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -303,6 +303,18 @@ def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> Non
     status = client.receive()
     assert status["id"] == "s"
     assert "finished" in status["msg"]
+
+
+@pytest.mark.parametrize("op", ["subscribe", "publish"])
+def test_an_opening_that_fails_as_nobody_foresaw_is_told(
+    enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch, op: str
+) -> None:
+    def fail(*asked: object, **options: object) -> NoReturn:
+        raise ValueError("a mistake of a bridge")
+
+    monkeypatch.setattr(robot, "request", fail)
+    text = enter().refused(op=op, id="1", topic="/uoarm/echo", msg={"value": 1})
+    assert text == "internal: the server failed; its log says more"
 
 
 def test_an_input_whose_function_ended_leaves_nothing(
