@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.server.conftest import Connect, Serve
 from tests.server.proxy import Proxy
-from tests.server.robot import script
+from tests.server.robot import END, script
 from tests.server.talk import BESIDE, SECONDS, Talk, eventually
 from tests.server.test_serving import page
 
@@ -146,6 +146,28 @@ def answered(server: Server) -> int:
     """Return how many messages the server has sent."""
     text = figures(server)
     return int(float(text.partition("\nuoarm_serve_sent_messages_total ")[2].split()[0]))
+
+
+@FORMS
+def test_an_end_that_was_lost_on_the_way_is_told_again(
+    server: Server, between: Between, binary: bool
+) -> None:
+    proxy = between(server)
+
+    async def work(client: Client) -> None:
+        stream = await client.request("numbers")
+        script.put({"value": 1})
+        assert await stream.get() == {"value": 1}
+        proxy.hold(to_client=True)
+        before = answered(server)
+        script.put(END)
+        await until(lambda: answered(server) > before)
+        async with resumed(client):
+            proxy.cut()
+        with pytest.raises(ConnectionClosedError, match="finished"):
+            await stream.get()
+
+    run(proxy, work, binary=binary)
 
 
 def test_what_never_arrived_is_told_and_not_done_twice(server: Server, between: Between) -> None:
