@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from typing import Any, cast
 
@@ -11,38 +13,55 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosedError
 
 from uoarm.client._link import Link
+from uoarm.errors import MessageError
 from uoarm.wire import TEXT_FORM
 
+HELLO = {"op": "Status", "type": "hello"}
+KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
+RESUMED = {"op": "Reply", "id": "resume"}
 
-class Dropping:
-    """A connection that drops once its session is kept."""
+
+class Socket:
+    """A connection that tells what it is given, then drops."""
+
+    def __init__(self, *told: Mapping[str, Any]) -> None:
+        self.sent: list[dict[str, Any]] = []
+        self._told = deque(json.dumps(one) for one in told)
 
     async def send(self, frame: bytes, text: bool) -> None:
-        """Take what the client asks."""
+        assert text
+        self.sent.append(json.loads(frame))
+
+    async def recv(self) -> str:
+        return self._told.popleft()
 
     async def __aiter__(self) -> AsyncIterator[str]:
-        kept = {"key": "key", "seconds": 0.3}
-        yield TEXT_FORM.write({"op": "Reply", "id": "keep", "jsonMessage": kept}).decode()
+        while self._told:
+            yield self._told.popleft()
         raise ConnectionClosedError(None, None)
+
+
+def begin(*sockets: Socket, again: asyncio.Future[None]) -> Link:
+    """Return a link that gets these sockets, and then what becomes of the future."""
+    waiting = deque(sockets)
+
+    async def opening() -> ClientConnection:
+        if not waiting:
+            await again
+        return cast("ClientConnection", waiting.popleft())
+
+    return Link(opening, TEXT_FORM, _ignore)
 
 
 @pytest.mark.parametrize("turns", range(8))
 def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int) -> None:
     async def work() -> None:
-        again = asyncio.Event()
         failing = asyncio.get_running_loop().create_future()
-        sockets = [Dropping()]
-
-        async def opening() -> ClientConnection:
-            if not sockets:
-                again.set()
-                await failing
-            return cast("ClientConnection", sockets.pop())
-
-        link = Link(opening, TEXT_FORM, _ignore)
+        link = begin(Socket(KEPT), again=failing)
         await link.start(resume=True)
         reading = asyncio.ensure_future(link.run())
-        await again.wait()
+        for _ in range(8):  # until it connects again
+            await asyncio.sleep(0)
         failing.set_exception(OSError("refused"))
         for _ in range(turns):
             await asyncio.sleep(0)
@@ -50,6 +69,22 @@ def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int)
         with pytest.raises(asyncio.CancelledError):
             await reading
         assert link.closed == "the client was closed"
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
+    async def work() -> None:
+        failing = asyncio.get_running_loop().create_future()
+        failing.set_exception(OSError("refused"))
+        after = Socket(HELLO, RESUMED)
+        link = begin(Socket(KEPT), after, again=failing)
+        await link.start(resume=True)
+        await link.send({"op": "List", "id": "1"})
+        with pytest.raises(MessageError):
+            await link.send({"op": "Call", "id": "2", "jsonMessage": object()})
+        await link.run()
+        assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
 
     asyncio.run(asyncio.wait_for(work(), 10))
 

@@ -56,14 +56,16 @@ class Link:
         """Send one message that will be answered; waits while the connection is renewed.
 
         Raises:
+            MessageError: it has no form.
             ConnectionClosedError: it has ended for good.
         """
+        frame = self._form.write(fields)
         await self._ready.wait()
         if self.closed or self._socket is None:
             raise ConnectionClosedError(self.closed)
         self._unanswered[fields["id"]] = None
         try:
-            await self._write(self._socket, fields)
+            await self._socket.send(frame, text=self._form.text)
         except ConnectionClosed as error:
             if not self._key:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
