@@ -51,11 +51,9 @@ export class Link {
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
   send(fields) {
-    if (!this.#socket) this.#queue.push(fields);
-    else {
-      this.#unanswered.add(fields.id);
-      this.#write(this.#socket, fields);
-    }
+    const told = { id: fields.id, frame: this.#form.write(fields) };
+    if (this.#socket) this.#pass(told);
+    else this.#queue.push(told);
   }
 
   close() {
@@ -137,8 +135,14 @@ export class Link {
       this.#socket = socket;
       this.resumed += 1;
       greeted();
-      for (const fields of this.#queue.splice(0)) this.send(fields);
+      if (this.#over) socket.close();
+      else for (const told of this.#queue.splice(0)) this.#pass(told);
     });
+  }
+
+  #pass({ id, frame }) {
+    this.#unanswered.add(id);
+    this.#socket.send(frame);
   }
 
   #hear(told) {
