@@ -12,8 +12,10 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosedError
 
+from uoarm.client import Client
 from uoarm.client._link import Link
 from uoarm.errors import MessageError
+from uoarm.model import StatusEvent, to_json
 from uoarm.wire import TEXT_FORM
 
 HELLO = {"op": "Status", "type": "hello"}
@@ -87,6 +89,34 @@ def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
         assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
 
     asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def test_changes_that_nobody_takes_are_the_newest() -> None:
+    async def work() -> None:
+        changes = (
+            {"op": "Status", "type": "change", "jsonMessage": change(number)}
+            for number in range(3000)
+        )
+        socket = Socket({"op": "Reply", "id": "1", "jsonMessage": {}}, *changes)
+
+        async def opening() -> ClientConnection:
+            return cast("ClientConnection", socket)
+
+        client = Client(opening, TEXT_FORM)
+        await client.start(resume=False)
+        watching = client.watch()
+        first = asyncio.ensure_future(anext(watching))
+        await asyncio.sleep(0)
+        await client.read()
+        numbers = [(await first).number, *[one.number async for one in watching]]
+        assert len(numbers) < 2000
+        assert numbers == list(range(numbers[0], 3000))
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def change(number: int) -> object:
+    return to_json(StatusEvent(number, 0, "connection c", "running"))
 
 
 def _ignore(told: Mapping[str, Any]) -> None:
