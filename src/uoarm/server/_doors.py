@@ -18,6 +18,7 @@ from websockets.exceptions import NegotiationError
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from uoarm.server._address import address_of, host_of
 from uoarm.server._admission import Admission, Pass, RefusedError
 from uoarm.server._audit import Audit
 from uoarm.server._limits import Limits
@@ -113,7 +114,7 @@ class Doors:
             self._enter(connection, path, request)
         except RefusedError as error:
             self._totals.refused += 1
-            self._audit.arrival(_address(connection), "", "", str(error))
+            self._audit.arrival(address_of(connection), "", "", str(error))
             response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
             if error.status is HTTPStatus.UNAUTHORIZED:
                 response.headers["WWW-Authenticate"] = 'Bearer realm="uoarm"'
@@ -142,7 +143,7 @@ class Doors:
             raise RefusedError(
                 HTTPStatus.NOT_FOUND, f"there is no endpoint here; try / or {ROSBRIDGE_PATH}"
             )
-        address = _host(connection)
+        address = host_of(connection)
         if self._connected.total() >= self._limits.connections:
             raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected")
         if self._connected[address] >= self._limits.connections_per_address:
@@ -190,13 +191,3 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
         }
     )
     return Response(status.value, status.phrase, headers, body)
-
-
-def _host(connection: ServerConnection) -> str:
-    name = connection.remote_address
-    return str(name[0]) if isinstance(name, tuple) else "unknown"
-
-
-def _address(connection: ServerConnection) -> str:
-    name = connection.remote_address
-    return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"

@@ -16,6 +16,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm.manager import RobotManager
+from uoarm.server._address import host_of
 from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
@@ -163,7 +164,7 @@ class Server:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
         client = Client(socket, secrets.token_hex(6), entry.shown, role, self._limits)
-        host = client.address.rpartition(":")[0]
+        host = host_of(socket)
         session = self._session(client, desk, socket, rosbridge=entry.rosbridge)
         self._connected[host] += 1
         self._totals.clients += 1
