@@ -41,6 +41,10 @@ def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
             return error.code, error.read().decode()
 
 
+def figures(server: Server) -> str:
+    return page(server, "/metrics")[1]
+
+
 def test_health_and_pages(server: Server) -> None:
     assert page(server, "/healthz") == (200, '{"status":"ok","clients":0}')
     assert "uoarm serve" in page(server, "/")[1]
