@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosedError
 
 from uoarm.client import Client
-from uoarm.client._link import Link
+from uoarm.client._link import Link, Take
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
 from uoarm.wire import TEXT_FORM
@@ -43,7 +43,11 @@ class Socket:
         raise ConnectionClosedError(None, None)
 
 
-def begin(*sockets: Socket, again: asyncio.Future[None]) -> Link:
+def _ignore(told: Mapping[str, Any]) -> None:
+    """Take what the server tells."""
+
+
+def begin(*sockets: Socket, again: asyncio.Future[None], take: Take = _ignore) -> Link:
     """Return a link that gets these sockets, and then what becomes of the future."""
     waiting = deque(sockets)
 
@@ -52,7 +56,7 @@ def begin(*sockets: Socket, again: asyncio.Future[None]) -> Link:
             await again
         return cast("ClientConnection", waiting.popleft())
 
-    return Link(opening, TEXT_FORM, _ignore)
+    return Link(opening, TEXT_FORM, take)
 
 
 @pytest.mark.parametrize("turns", range(8))
@@ -91,6 +95,24 @@ def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
     asyncio.run(asyncio.wait_for(work(), 10))
 
 
+def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
+    async def work() -> None:
+        failing = asyncio.get_running_loop().create_future()
+        failing.set_exception(OSError("refused"))
+        after, told = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
+        link = begin(Socket(KEPT), after, again=failing, take=told.append)
+        await link.start(resume=True)
+        for number in range(5000):
+            await link.send({"op": "List", "id": str(number)})
+        await link.run()
+        waiting = after.sent[0]["jsonMessage"]["waiting"]
+        assert waiting == [str(number) for number in range(4096)]
+        assert [one["id"] for one in told] == [str(number) for number in range(4096, 5000)]
+        assert {(one["op"], one["jsonMessage"]["code"]) for one in told} == {("Error", "closed")}
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
 def test_changes_that_nobody_takes_are_the_newest() -> None:
     async def work() -> None:
         changes = (
@@ -117,7 +139,3 @@ def test_changes_that_nobody_takes_are_the_newest() -> None:
 
 def change(number: int) -> object:
     return to_json(StatusEvent(number, 0, "connection c", "running"))
-
-
-def _ignore(told: Mapping[str, Any]) -> None:
-    """Take what the server tells."""

@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from uoarm.errors import ConnectionClosedError
 from uoarm.wire import Form
 
-__all__ = ["Link", "Open"]
+__all__ = ["Link", "Open", "Take"]
 
 _DEPTH = 512
 _KEEP, _RESUME = "keep", "resume"
@@ -146,13 +146,19 @@ class Link:
         return refused
 
     async def _take_up(self, socket: ClientConnection) -> str:
-        waiting = list(self._unanswered)[:_MOST_WAITING]
+        unanswered = list(self._unanswered)
+        waiting, beyond = unanswered[:_MOST_WAITING], unanswered[_MOST_WAITING:]
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
         while (told := self._form.read(await socket.recv(), _DEPTH)).get("id") != _RESUME:
             self._hear(told)
-        return "" if told["op"] == "Reply" else str(told["jsonMessage"]["text"])
+        if told["op"] != "Reply":
+            return str(told["jsonMessage"]["text"])
+        for identity in beyond:
+            lost = {"code": "closed", "text": "too much waited when the connection dropped"}
+            self._hear({"op": "Error", "id": identity, "jsonMessage": lost})
+        return ""
 
     def _hear(self, told: Mapping[str, Any]) -> None:
         identity = told.get("id")

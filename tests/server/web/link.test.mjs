@@ -21,12 +21,13 @@ class Socket {
 }
 
 /** A robot whose connection has dropped, and the socket over which it tries to go on. */
-async function dropped(meanwhile = () => {}) {
+async function dropped(meanwhile = () => {}, before = () => {}) {
   const connecting = connect("ws://x/", { WebSocket: Socket });
   const first = Socket.made.at(-1);
   first.tell({ op: "Status", type: "hello", jsonMessage: {} });
   const robot = await connecting;
   first.tell({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+  before(robot);
   first.onclose({ code: 1006, reason: "" });
   meanwhile(robot);
   const second = Socket.made.at(-1);
@@ -48,6 +49,18 @@ test("what cannot be written fails alone, also while the connection is down", as
   second.tell({ op: "Reply", id: "2", jsonMessage: 3 });
   assert.equal(await answers[1], 3);
   robot.close();
+});
+
+test("of more than can be asked for after a drop, the rest fails", async () => {
+  const calls = [];
+  const { robot, second } = await dropped(() => {}, (robot) => {
+    for (let number = 0; number < 4100; number += 1) calls.push(robot.call("add", number));
+  });
+  assert.equal(second.sent[0].jsonMessage.waiting.length, 4096);
+  second.tell(RESUMED);
+  for (const call of calls.slice(4096)) await assert.rejects(call, { code: "closed" });
+  robot.close();
+  for (const call of calls.slice(0, 4096)) await assert.rejects(call, { code: "closed" });
 });
 
 test("a robot that is closed while it connects again stays closed", async () => {

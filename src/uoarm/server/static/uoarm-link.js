@@ -125,9 +125,11 @@ export class Link {
 
   /** Take the session up over a new connection; what waited to be sent follows. */
   #goOn(timeout) {
+    let beyond = [];
     return this.#connect(timeout, (socket, told, greeted) => {
       if (told.id !== RESUME) {
         const waiting = [...this.#unanswered].slice(0, MOST_WAITING);
+        beyond = [...this.#unanswered].slice(MOST_WAITING);
         const jsonMessage = { key: this.#key, waiting };
         this.#write(socket, { op: "Resume", id: RESUME, jsonMessage });
         return;
@@ -135,6 +137,8 @@ export class Link {
       this.#socket = socket;
       this.resumed += 1;
       greeted();
+      const lost = { code: "closed", text: "too much waited when the connection dropped" };
+      for (const id of beyond) this.#hear({ op: "Error", id, jsonMessage: lost });
       if (this.#over) socket.close();
       else for (const told of this.#queue.splice(0)) this.#pass(told);
     });
