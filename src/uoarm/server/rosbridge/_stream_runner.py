@@ -218,6 +218,7 @@ class StreamRunner:
         goals = [*self._running.values(), *self._waiting]
         self._running.clear()
         self._waiting.clear()
+        self._early.clear()
         if self._asked is not None:
             goals.append(self._asked)
             self._answered(self._asked)
