@@ -157,14 +157,14 @@ class Outbox:
         if not lane.waiting:
             self._turns.append(lane)
         lane.waiting.append(frames)
-        self._count(lane, sum(map(len, frames)))
+        size = sum(map(len, frames))
+        lane.waiting_bytes += size
+        self._bytes += size
         self._filled.set()
 
     def _take(self, lane: Lane) -> tuple[bytes, ...]:
         frames = lane.waiting.popleft()
-        self._count(lane, -sum(map(len, frames)))
+        size = sum(map(len, frames))
+        lane.waiting_bytes -= size
+        self._bytes -= size
         return frames
-
-    def _count(self, lane: Lane, size: int) -> None:
-        lane.waiting_bytes += size
-        self._bytes += size
