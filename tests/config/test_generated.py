@@ -7,10 +7,10 @@ from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.config.test_limits import problems_of
 from tests.config.test_load import FULL
 
 from uoarm.config import loads
-from uoarm.errors import ConfigurationError
 
 NAMES = st.from_regex(r"[A-Za-z_][A-Za-z0-9_-]{0,6}", fullmatch=True)
 TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), max_size=6)
@@ -94,11 +94,3 @@ def test_a_file_with_a_slip_of_the_keyboard_is_read_or_refused(data: st.DataObje
     extra = data.draw(st.sampled_from(["", "x", "[", "}", ": ", "\n", "- ", "\t", "*a", "&a "]))
     text = FULL[:at] + extra + FULL[at + length :]
     assert all(line.startswith(("<text>:", "... and ")) for line in problems_of(text))
-
-
-def problems_of(text: str) -> list[str]:
-    try:
-        loads(text)
-    except ConfigurationError as error:
-        return str(error).splitlines()
-    return []
