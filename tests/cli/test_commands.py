@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -166,3 +167,21 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
     assert told["count"]["provider"] == "counter"
     assert told["count"]["candidates"][0]["cause"] == ""
     assert told["misfit"]["provider"] is None
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "command"),
+    [
+        ("uoarm.certificates", "certificates", ["certificates", "--machine", "arm"]),
+        ("uoarm.client", "server", ["status", "--url", "ws://127.0.0.1:1/"]),
+        ("uoarm.host", "hosts", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
+        ("uoarm.server", "server", ["token", "pad", "--role", "driver"]),
+    ],
+)
+def test_a_command_whose_extra_is_not_installed_says_which(
+    monkeypatch: pytest.MonkeyPatch, module: str, extra: str, command: list[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    result = run(*command)
+    assert result.exit_code == 4
+    assert f"pip install 'uoarm[{extra}]'" in result.stderr

@@ -52,6 +52,22 @@ def test_a_project_given_by_its_path_stands_for_the_plugin() -> None:
     assert wanted[1:] == ("plugins/uoarm-absent[jazzy]", "more")
 
 
+@pytest.mark.parametrize(
+    ("more", "stands"),
+    [
+        ("uoarm-absent", True),
+        ("uoarm_absent==1.2", True),
+        ("./dist/uoarm_absent-1.2-py3-none-any.whl", True),
+        ("git+https://host/uoarm-absent.git", True),
+        ("uoarm-absent2", False),
+        ("plugins/uoarm-absent-tools", False),
+    ],
+)
+def test_a_longer_name_does_not_stand_for_the_plugin(more: str, stands: bool) -> None:
+    wanted = environments.requirements("absent", None, (more,))
+    assert wanted[1:] == ((more,) if stands else ("uoarm-absent", more))
+
+
 def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
     told: list[str] = []
     uv = _fake_uv(tmp_path, "echo installing")

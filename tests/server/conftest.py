@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.server.proxy import Proxy
 from tests.server.robot import CONFIGURATION, script
 from tests.server.ros import Ros, url
 from tests.server.talk import Talk
@@ -19,6 +20,7 @@ from uoarm.server import Limits, Server, Settings, serve_in_thread
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
 Enter = Callable[..., Ros]
+Between = Callable[[Server], Proxy]
 
 
 @pytest.fixture
@@ -68,3 +70,10 @@ def enter(server: Server) -> Iterator[Enter]:
             return stack.enter_context(Ros(url(server)))
 
         yield begin
+
+
+@pytest.fixture
+def between() -> Iterator[Between]:
+    """Put a proxy before a server."""
+    with ExitStack() as stack:
+        yield lambda server: stack.enter_context(Proxy(server.ports[0]))

@@ -177,9 +177,10 @@ class Walker:
     """An action: walks as many steps as its goal says; with none it waits to be cancelled.
 
     Where it is in a hurry, its feedback and result come before the status that accepts the goal.
+    Where it goes far, its steps have numbers that rosbridge cannot write.
     """
 
-    HURRY = 7
+    HURRY, FAR = 7, 8
 
     def __init__(self) -> None:
         self._goals = 0
@@ -195,7 +196,8 @@ class Walker:
         if steps != self.HURRY:
             yield accepted
         for step in range(steps):
-            yield Emit("feedback", {**goal, "feedback": {"step": step}})
+            number = step + (2**70 if steps == self.FAR else 0)
+            yield Emit("feedback", {**goal, "feedback": {"step": number}})
         if steps > 0:
             yield Emit("result", {**goal, "status": "succeeded", "result": {"walked": steps}})
             if steps == self.HURRY:

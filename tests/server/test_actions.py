@@ -68,6 +68,15 @@ def test_what_comes_before_a_goal_is_accepted_is_not_lost(enter: Enter) -> None:
     assert result(client)["values"] == {"walked": Walker.HURRY}
 
 
+def test_feedback_that_cannot_be_written_is_told_once_and_is_no_result(enter: Enter) -> None:
+    client = enter()
+    send(client, {"value": Walker.FAR}, feedback=True)
+    status = client.receive()
+    assert (status["op"], status["level"], status["id"]) == ("status", "error", "g")
+    assert status["msg"].startswith("message: ")
+    assert result(client)["values"] == {"walked": Walker.FAR}
+
+
 def test_all_goals_of_a_client_are_cancelled_by_the_service_of_ros(enter: Enter) -> None:
     client, other = enter(), enter()
     send(other, {"value": 0})

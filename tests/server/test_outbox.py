@@ -85,6 +85,31 @@ def test_one_message_larger_than_the_limit_still_goes() -> None:
     run(work())
 
 
+def test_one_large_message_does_not_let_the_others_grow() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        outbox.put(lane(), bytes(5000))
+        thin = lane()
+        for _ in range(100):
+            outbox.put(thin, bytes(20))
+        assert outbox.waiting_bytes == 5020
+        assert thin.dropped == 99
+
+    run(work())
+
+
+def test_the_pieces_of_a_last_message_are_not_dropped() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        ending, other = lane(), lane()
+        outbox.finish(ending, bytes(400), bytes(500))
+        outbox.put(other, bytes(100))
+        outbox.put(other, bytes(200))
+        assert await drain(outbox) == [bytes(400), bytes(500), bytes(200)]
+
+    run(work())
+
+
 def test_too_many_replies_are_not_dropped_but_told() -> None:
     async def work() -> None:
         outbox = Outbox(1000, 10)
@@ -118,6 +143,25 @@ def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
         outbox.put(other, b"o")
         assert await drain(outbox) == [b"y1", b"y2", b"o"]
         assert (pieces.dropped, pieces.sent) == (1, 1)
+
+    run(work())
+
+
+def test_it_is_emptied_once_more_for_what_came_since() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        taken = []
+
+        async def take() -> None:
+            while True:
+                taken.append((await outbox.next())[0])
+
+        taking = asyncio.ensure_future(take())
+        for frame in (b"first", b"second"):
+            outbox.tell(frame, text=True)
+            await outbox.emptied()
+            assert taken[-1] == frame
+        taking.cancel()
 
     run(work())
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import base64
+import gc
 import json
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.server.conftest import Enter, Serve
+from tests.server.conftest import Connect, Enter, Serve
 from tests.server.robot import END, script
 from tests.server.ros import Ros, url
 from tests.server.talk import BESIDE, eventually
@@ -19,6 +20,7 @@ from uoarm.errors import ControlMessageError
 from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
 from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.server.rosbridge._publication import Publication
 
 
 def opened(robot: RobotManager, count: int) -> None:
@@ -301,6 +303,34 @@ def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> Non
     status = client.receive()
     assert status["id"] == "s"
     assert "finished" in status["msg"]
+
+
+@pytest.mark.parametrize("op", ["subscribe", "publish"])
+def test_an_opening_that_fails_as_nobody_foresaw_is_told(
+    enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch, op: str
+) -> None:
+    def fail(*asked: object, **options: object) -> NoReturn:
+        raise ValueError("a mistake of a bridge")
+
+    monkeypatch.setattr(robot, "request", fail)
+    text = enter().refused(op=op, id="1", topic="/uoarm/echo", msg={"value": 1})
+    assert text == "internal: the server failed; its log says more"
+
+
+def test_an_input_whose_function_ended_leaves_nothing(
+    enter: Enter, talk: Connect, robot: RobotManager
+) -> None:
+    client = enter()
+    client.send(op="publish", topic="/uoarm/echo", msg={"value": 1})
+    opened(robot, 1)
+    talk().ask("Kill", robot.status().connections[0].id, {"everyone": True})
+    assert "/uoarm/echo has closed" in client.receive()["msg"]
+    eventually(lambda: not publications(), "the publication is gone")
+
+
+def publications() -> list[object]:
+    gc.collect()
+    return [one for one in gc.get_objects() if isinstance(one, Publication)]
 
 
 def test_rosapi_shows_functions_and_components(enter: Enter) -> None:

@@ -18,7 +18,9 @@ import pytest
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import CONFIGURATION, script
 from tests.server.talk import Talk, frame, open_socket
-from websockets.exceptions import ConnectionClosed, ConnectionClosedError
+from websockets.exceptions import ConnectionClosed, ConnectionClosedError, InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
@@ -37,6 +39,10 @@ def page(server: Server, path: str, **headers: str) -> tuple[int, str]:
     except urllib.error.HTTPError as error:
         with error:
             return error.code, error.read().decode()
+
+
+def figures(server: Server) -> str:
+    return page(server, "/metrics")[1]
 
 
 def test_health_and_pages(server: Server) -> None:
@@ -60,6 +66,14 @@ def test_metrics_count_what_happens(server: Server, talk: Connect) -> None:
     assert re.search(r"uoarm_serve_sent_messages_total [34]\.0", text)  # the last is being written
     ends = f'consumer="{connection}",producer="numbers.default"'
     assert f"uoarm_route_received_total{{{ends}}} 2.0" in text
+
+
+def test_metrics_count_who_was_refused_on_any_port(serve: Serve) -> None:
+    server = serve(rosbridge_port=0)
+    for port in server.ports:
+        with pytest.raises(InvalidStatus):
+            connect(f"ws://127.0.0.1:{port}/", origin=Origin("http://strange.example"))
+    assert "uoarm_serve_refused_total 2.0" in page(server, "/metrics")[1]
 
 
 @pytest.fixture

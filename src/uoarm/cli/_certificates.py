@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from uoarm.cli._shared import reporting
-from uoarm.errors import PluginError
+from uoarm.cli._shared import needing, reporting
 
 __all__ = ["certificates"]
 
@@ -32,11 +31,8 @@ def certificates(
     if not addresses and not machines:
         raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")
     with reporting():
-        try:
+        with needing("certificates"):
             from uoarm.certificates import Authority  # noqa: PLC0415 - needs an extra
-        except ImportError as error:
-            text = f"this needs: pip install 'uoarm[certificates]' ({error})"
-            raise PluginError(text) from error
         authority = Authority.of(Path(folder))
         if addresses:
             click.echo(f"the manager: {authority.certify_manager(addresses, days)}")

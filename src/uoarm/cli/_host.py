@@ -11,9 +11,9 @@ from collections.abc import Callable
 import click
 
 from uoarm.bridge import Registry
-from uoarm.cli._shared import configuration_option, reporting
+from uoarm.cli._shared import configuration_option, needing, reporting
 from uoarm.config import load
-from uoarm.errors import PluginError, UsageError
+from uoarm.errors import UsageError
 from uoarm.model import Component, Endpoint, place_problem
 
 __all__ = ["host"]
@@ -81,10 +81,8 @@ def _join(
     modules: str,
     silence: float,
 ) -> None:
-    try:
+    with needing("hosts"):
         from uoarm.host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
-    except ImportError as error:
-        raise PluginError(f"this needs: pip install 'uoarm[hosts]' ({error})") from error
     problem = place_problem(place)
     if problem:
         raise UsageError(f"--join {place}: {problem}")
@@ -123,10 +121,8 @@ def _begin_end(close: Callable[[], None]) -> None:
 
 
 def _answer(bridge: str, port: int, file: str) -> None:
-    try:
+    with needing("hosts"):
         from uoarm.host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
-    except ImportError as error:
-        raise PluginError(f"this needs: pip install 'uoarm[hosts]' ({error})") from error
     registry = Registry()
     robot = load(file, registry.types)
     spec = robot.bridges.get(bridge)

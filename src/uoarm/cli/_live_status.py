@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from uoarm.cli._shared import BRIDGE
+from uoarm.cli._shared import BRIDGE, needing, reporting
 from uoarm.model import to_json
 
 __all__ = ["show_live_status"]
@@ -31,11 +31,8 @@ def show_live_status(
 
     Exits with 4 when the server cannot be reached, or goes away.
     """
-    try:
+    with reporting(), needing("server"):
         from uoarm.client import connect  # noqa: PLC0415 - needs an extra
-    except ModuleNotFoundError as error:
-        click.echo(f"error: {error.name} is not installed: pip install 'uoarm[server]'", err=True)
-        sys.exit(BRIDGE)
     show = _print_json if as_json else _print_tables
 
     async def work() -> None:
@@ -44,9 +41,8 @@ def show_live_status(
                 show(await robot.status())
                 return
             events = asyncio.ensure_future(_follow_events(robot, as_json=as_json))
-            await asyncio.sleep(
-                0
-            )  # asks for events before the first status, so that none is missed
+            # It asks for events before the first status, so that none is missed.
+            await asyncio.sleep(0)
             show(await robot.status())
             await asyncio.gather(events, _follow(robot, show))
 

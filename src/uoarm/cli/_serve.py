@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from uoarm.cli._shared import configuration_option, open_robot
-from uoarm.errors import PluginError
+from uoarm.cli._shared import configuration_option, needing, open_robot, reporting
 
 if TYPE_CHECKING:
     from uoarm.server import Server, Settings
@@ -52,12 +51,8 @@ def serve(robot: str | None, file: str, tls: str | None, **settings: Any) -> Non
     /metrics answer over HTTP.
     """
     with open_robot(robot or file) as manager:
-        try:
+        with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
-        except ImportError as error:
-            raise PluginError(
-                f"serving needs the package {error.name!r}: pip install 'uoarm[server]'"
-            ) from error
         chosen = Settings(own_certificate=tls is not None, **settings)
         try:
             run(manager, chosen, lambda server: _say(server, chosen))
@@ -74,7 +69,8 @@ def token(name: str, role: str) -> None:
 
     The token is shown once and kept nowhere; the line holds its hash only.
     """
-    from uoarm.server import hash_token, make_token  # noqa: PLC0415 - an extra, and slow
+    with reporting(), needing("server"):
+        from uoarm.server import hash_token, make_token  # noqa: PLC0415 - an extra, and slow
 
     made = make_token()
     click.echo(f"token: {made}", err=True)

@@ -13,7 +13,14 @@ import click
 from uoarm import RobotManager, errors
 from uoarm.model import to_json
 
-__all__ = ["configuration_option", "json_option", "open_robot", "print_json", "reporting"]
+__all__ = [
+    "configuration_option",
+    "json_option",
+    "needing",
+    "open_robot",
+    "print_json",
+    "reporting",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -48,6 +55,15 @@ def reporting() -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def needing(extra: str) -> Iterator[None]:
+    """Import what an extra brings; where it is not installed, PluginError says how it would be."""
+    try:
+        yield
+    except ImportError as error:
+        raise errors.PluginError(f"this needs: pip install 'uoarm[{extra}]' ({error})") from error
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import itertools
 import ssl
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
-from typing import Any, final
+from typing import Any, TypeAlias, final
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
@@ -22,6 +22,7 @@ from uoarm.wire import BINARY_FORM, TEXT_FORM, Form
 __all__ = ["Client", "ServerError", "connect"]
 
 _HELD = 1024
+_Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 _ERRORS: Mapping[str, type[errors.UoarmError]] = {
     "resolution": errors.ResolutionError,
     "bridge": errors.BridgeError,
@@ -103,7 +104,7 @@ class Client:
         self._ids = itertools.count(1)
         self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
         self._streams: dict[str, RemoteStream] = {}
-        self._watchers: set[asyncio.Queue[StatusEvent | None]] = set()
+        self._watchers: set[_Changes] = set()
 
     @property
     def resumed(self) -> int:
@@ -162,8 +163,11 @@ class Client:
         return status
 
     async def watch(self) -> AsyncIterator[StatusEvent]:
-        """Yield changes of the robot until the connection ends."""
-        events: asyncio.Queue[StatusEvent | None] = asyncio.Queue()
+        """Yield changes of the robot until the connection ends.
+
+        Of those that wait to be taken the newest are kept; a gap in `number` is what was lost.
+        """
+        events: _Changes = asyncio.Queue(_HELD)
         self._watchers.add(events)
         try:
             await self._ask("Status", "watch")
@@ -190,8 +194,7 @@ class Client:
                     future.set_exception(errors.ConnectionClosedError(self._link.closed))
             for stream in self._streams.values():
                 stream.finish("failed", self._link.closed)
-            for watcher in self._watchers:
-                watcher.put_nowait(None)
+            self._tell_watchers(None)
 
     async def _ask(self, op: str, kind: str = "", **more: Any) -> Any:
         if self._link.closed:
@@ -226,8 +229,13 @@ class Client:
             if stream is not None:
                 stream.finish(message["state"], message["cause"])
         elif kind == "change":
-            for watcher in self._watchers:
-                watcher.put_nowait(StatusEvent(**message))
+            self._tell_watchers(StatusEvent(**message))
+
+    def _tell_watchers(self, change: StatusEvent | None) -> None:
+        for watcher in self._watchers:
+            if watcher.full():
+                watcher.get_nowait()
+            watcher.put_nowait(change)
 
     def _take_answer(self, told: Mapping[str, Any], message: Message) -> None:
         op, future = self._asked.get(told.get("id", ""), ("", None))

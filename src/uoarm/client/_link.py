@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from uoarm.errors import ConnectionClosedError
 from uoarm.wire import Form
 
-__all__ = ["Link", "Open"]
+__all__ = ["Link", "Open", "Take"]
 
 _DEPTH = 512
 _KEEP, _RESUME = "keep", "resume"
@@ -56,14 +56,16 @@ class Link:
         """Send one message that will be answered; waits while the connection is renewed.
 
         Raises:
+            MessageError: it has no form.
             ConnectionClosedError: it has ended for good.
         """
+        frame = self._form.write(fields)
         await self._ready.wait()
         if self.closed or self._socket is None:
             raise ConnectionClosedError(self.closed)
         self._unanswered[fields["id"]] = None
         try:
-            await self._write(self._socket, fields)
+            await self._socket.send(frame, text=self._form.text)
         except ConnectionClosed as error:
             if not self._key:
                 raise ConnectionClosedError(f"the server is gone: {error}") from error
@@ -103,7 +105,7 @@ class Link:
         why = cause
         while loop.time() < deadline:
             try:
-                refused = await asyncio.wait_for(self._go_on(), deadline - loop.time())
+                refused = await self._go_on_within(deadline - loop.time())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
                 why = f"{cause}; connecting again failed: {error}"
                 await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
@@ -115,6 +117,19 @@ class Link:
                 self._ready.set()
                 return ""
         return why
+
+    async def _go_on_within(self, seconds: float) -> str:
+        """Bound `_go_on`, without `wait_for`: before Python 3.12 that can lose a cancellation."""
+        going = asyncio.ensure_future(self._go_on())
+        going.add_done_callback(lambda done: done.cancelled() or done.exception())
+        try:
+            await asyncio.wait({going}, timeout=seconds)
+        finally:
+            if going.cancel():
+                await asyncio.wait({going})
+        if going.cancelled():
+            raise asyncio.TimeoutError
+        return going.result()
 
     async def _go_on(self) -> str:
         """Take the session up over a new connection; returns the server's refusal, or nothing."""
@@ -131,13 +146,19 @@ class Link:
         return refused
 
     async def _take_up(self, socket: ClientConnection) -> str:
-        waiting = list(self._unanswered)[:_MOST_WAITING]
+        unanswered = list(self._unanswered)
+        waiting, beyond = unanswered[:_MOST_WAITING], unanswered[_MOST_WAITING:]
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
         while (told := self._form.read(await socket.recv(), _DEPTH)).get("id") != _RESUME:
             self._hear(told)
-        return "" if told["op"] == "Reply" else str(told["jsonMessage"]["text"])
+        if told["op"] != "Reply":
+            return str(told["jsonMessage"]["text"])
+        for identity in beyond:
+            lost = {"code": "closed", "text": "too much waited when the connection dropped"}
+            self._hear({"op": "Error", "id": identity, "jsonMessage": lost})
+        return ""
 
     def _hear(self, told: Mapping[str, Any]) -> None:
         identity = told.get("id")

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def create(
 def _run(step: list[str], tell: Tell) -> None:
     """Run one step, telling what it prints as it prints it."""
     variables = {key: value for key, value in os.environ.items() if key not in _TRACES}
-    lines: list[str] = []
+    lines: deque[str] = deque(maxlen=_SHOWN)
     tell(f"$ {' '.join(step)}")
     with subprocess.Popen(  # noqa: S603 - uv, or the interpreter that the operator chose
         step,
@@ -102,5 +103,5 @@ def _run(step: list[str], tell: Tell) -> None:
         finally:
             limit.cancel()
     if process.returncode != 0:
-        last = "\n".join(lines[-_SHOWN:])
+        last = "\n".join(lines)
         raise PluginError(f"{' '.join(step)} ended with status {process.returncode}:\n{last}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, entry_points
 
 __all__ = ["requirements"]
@@ -56,5 +57,6 @@ def _folder(found: Distribution) -> str:
 
 
 def _names(requirement: str, project: str) -> bool:
-    """Say whether a requirement names a project or is the path of its folder."""
-    return project in requirement.replace("_", "-")
+    """Say whether a requirement names a project or is the path of its folder or of its wheel."""
+    longer = "(?![A-Za-z0-9]|-[A-Za-z])"  # uoarm-ros2 does not stand for uoarm-ros
+    return re.search(re.escape(project) + longer, requirement.replace("_", "-")) is not None

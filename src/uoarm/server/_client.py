@@ -12,6 +12,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
+from uoarm.server._address import address_of
 from uoarm.server._admission import Pass
 from uoarm.server._limits import Limits
 from uoarm.server._outbox import Outbox
@@ -72,8 +73,7 @@ class Client:
     @property
     def address(self) -> str:
         """Where the client is, `host:port`."""
-        name = self._socket.remote_address
-        return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"
+        return address_of(self._socket)
 
     async def run(self, session: Session, socket: ServerConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""

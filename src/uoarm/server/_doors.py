@@ -18,9 +18,11 @@ from websockets.exceptions import NegotiationError
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from uoarm.server._address import address_of, host_of
 from uoarm.server._admission import Admission, Pass, RefusedError
 from uoarm.server._audit import Audit
 from uoarm.server._limits import Limits
+from uoarm.server._metrics import Totals
 from uoarm.server._role import Operation
 from uoarm.wire import FORMS
 
@@ -69,6 +71,7 @@ class Doors:
         admission: decides who is let in.
         audit: hears of refusals.
         limits: bounds of connections.
+        totals: count refusals.
         connected: addresses of the clients connected now, shared between ports.
         health: makes the answer of `/healthz`.
         metrics: makes the answer of `/metrics`.
@@ -80,6 +83,7 @@ class Doors:
         admission: Admission,
         audit: Audit,
         limits: Limits,
+        totals: Totals,
         connected: Counter[str],
         *,
         health: Callable[[], Mapping[str, object]],
@@ -89,12 +93,12 @@ class Doors:
         self._admission = admission
         self._audit = audit
         self._limits = limits
+        self._totals = totals
         self._connected = connected
         self._health = health
         self._metrics = metrics
         self._only_rosbridge = only_rosbridge
         self._entries: WeakKeyDictionary[ServerConnection, Entry] = WeakKeyDictionary()
-        self.refused = 0
 
     def entry(self, connection: ServerConnection) -> Entry:
         """Return what was decided about a connection whose handshake is done."""
@@ -109,8 +113,8 @@ class Doors:
                 return self._page(connection, path, request)
             self._enter(connection, path, request)
         except RefusedError as error:
-            self.refused += 1
-            self._audit.arrival(_address(connection), "", "", str(error))
+            self._totals.refused += 1
+            self._audit.arrival(address_of(connection), "", "", str(error))
             response = _response(error.status, "text/plain; charset=utf-8", f"{error}\n".encode())
             if error.status is HTTPStatus.UNAUTHORIZED:
                 response.headers["WWW-Authenticate"] = 'Bearer realm="uoarm"'
@@ -139,7 +143,7 @@ class Doors:
             raise RefusedError(
                 HTTPStatus.NOT_FOUND, f"there is no endpoint here; try / or {ROSBRIDGE_PATH}"
             )
-        address = _host(connection)
+        address = host_of(connection)
         if self._connected.total() >= self._limits.connections:
             raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected")
         if self._connected[address] >= self._limits.connections_per_address:
@@ -187,13 +191,3 @@ def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
         }
     )
     return Response(status.value, status.phrase, headers, body)
-
-
-def _host(connection: ServerConnection) -> str:
-    name = connection.remote_address
-    return str(name[0]) if isinstance(name, tuple) else "unknown"
-
-
-def _address(connection: ServerConnection) -> str:
-    name = connection.remote_address
-    return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else "unknown"

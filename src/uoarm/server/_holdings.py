@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,7 +14,7 @@ from uoarm.server._desk import Desk, Wanted
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Feed
 from uoarm.server._limits import Limits
-from uoarm.server._outbox import Outbox
+from uoarm.server._outbox import Lane, Outbox
 from uoarm.server._sending import Done, Sending
 from uoarm.server._stream import Stream
 from uoarm.wire import Form
@@ -47,6 +48,7 @@ class Holdings:
         self._on_refused = on_refused
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, Sending] = {}
+        self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
         self._opening = 0
 
     async def open(self, wanted: Wanted, options: Mapping[str, Any]) -> Stream:
@@ -134,6 +136,12 @@ class Holdings:
             for identity, stream in self._streams.items()
         ]
 
+    def tell_ends_again(self) -> None:
+        """Tell the last ends once more: after a drop the client may not have heard them."""
+        for lane, frame in self._ends:
+            if not lane.waiting:
+                self._outbox.finish(lane, frame)
+
     def _stream(self, feed: Feed, connection: Connection, options: Mapping[str, Any]) -> Stream:
         return Stream(
             feed,
@@ -153,6 +161,7 @@ class Holdings:
             told = {"connection": identity, "state": state, "cause": cause}
             frame = self._form.write({"op": "Status", "type": "connection", "jsonMessage": told})
             self._outbox.finish(stream.lane, frame)
+            self._ends.append((stream.lane, frame))
 
     def _remove(self, identity: str) -> Stream | None:
         stream = self._streams.pop(identity, None)

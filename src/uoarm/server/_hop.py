@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import deque
 from collections.abc import Callable
 
 __all__ = ["Hop"]
 
+_log = logging.getLogger("uoarm.server")
+
 
 class Hop:
     """Runs actions of other threads in the loop's thread, in order.
 
-    However many come before the loop gets to them, it is woken once.
+    However many come before the loop gets to them, it is woken once. One that fails is logged, and
+    those after it run all the same.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -33,4 +37,8 @@ class Hop:
     def _run(self) -> None:
         self._woken = False
         for _ in range(len(self._actions)):
-            self._actions.popleft()()
+            action = self._actions.popleft()
+            try:
+                action()
+            except Exception:  # noqa: BLE001 - those after it must not wait for the next wake-up
+                _log.exception("an action in the server's loop failed")

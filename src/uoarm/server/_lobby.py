@@ -66,9 +66,9 @@ class Lobby:
         self._successors: dict[Client, tuple[Kept, ControlMessage]] = {}
 
     @property
-    def waiting(self) -> int:
-        """Sessions without a connection."""
-        return sum(kept.since is not None for kept in self._kept.values())
+    def waiting(self) -> tuple[Client, ...]:
+        """The clients of sessions without a connection."""
+        return tuple(kept.client for kept in self._kept.values() if kept.since is not None)
 
     def keep(self, client: Client, session: Resumable) -> str:
         """Keep a session from now on; returns the key that takes it up again.
@@ -129,7 +129,7 @@ class Lobby:
             return False
         kept = self._kept[key]
         kept.free.set()
-        if client.has_dropped and self.waiting < self._limits.kept_sessions:
+        if client.has_dropped and len(self.waiting) < self._limits.kept_sessions:
             kept.since = time.monotonic()
             return True
         self._forget(kept)

@@ -61,11 +61,11 @@ class Metrics:
 
     def collect(self) -> Iterator[Metric]:
         """Yield the figures as they are now."""
-        clients = list(self._clients())
+        connected, waiting = tuple(self._clients()), self._lobby.waiting
+        clients = connected + waiting
         totals = self._totals
-        yield _gauge("clients", "clients connected", len(clients))
-        kept = self._lobby.waiting
-        yield _gauge("kept_sessions", "sessions that wait for their client", kept)
+        yield _gauge("clients", "clients connected", len(connected))
+        yield _gauge("kept_sessions", "sessions that wait for their client", len(waiting))
         yield _count("arrivals", "clients that connected", totals.clients)
         yield _count("refused", "handshakes that were refused", totals.refused)
         yield _count("cut_off", "clients that were cut off", totals.cut_off)
@@ -75,10 +75,10 @@ class Metrics:
         yield _count("sent_messages", "messages to clients", sent)
         octets = totals.sent_bytes + sum(one.sent_bytes for one in clients)
         yield _count("sent_bytes", "bytes of messages to clients", octets)
-        waiting = sum(one.outbox.waiting_bytes for one in clients)
-        yield _gauge("waiting_bytes", "bytes that wait for clients", waiting)
+        held = sum(one.outbox.waiting_bytes for one in clients)
+        yield _gauge("waiting_bytes", "bytes that wait for clients", held)
         dropped = sum(one.outbox.dropped for one in clients)
-        yield _gauge("dropped_messages", "messages lost to slow clients now connected", dropped)
+        yield _gauge("dropped_messages", "messages lost to slow clients not yet gone", dropped)
         yield _gauge("workers_busy", "requests that wait for the robot", self._desk.workers.busy)
         feeds = self._desk.feeds
         yield _gauge("feeds", "functions that clients have open", len(feeds))

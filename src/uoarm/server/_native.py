@@ -90,7 +90,8 @@ class NativeSession:
     def go_on(self, asked: ControlMessage) -> None:
         """Answer the Resume that took this session up, and what its client did not hear.
 
-        What it asked and was not kept or never came gets an error.
+        What it asked and was not kept or never came gets an error. Ends are told again: a client
+        that missed one would wait for messages for ever.
         """
         self._reply(asked, {"session": self._client.identity, "own": self._holdings.counters()})
         assert self._answers is not None, "only a session that is kept can go on"
@@ -101,6 +102,7 @@ class NativeSession:
                 self._fail(identity, "", ConnectionClosedError(text))
             elif frame is not None and not self._client.outbox.holds(frame):
                 self._client.outbox.tell(frame, text=self._form.text)
+        self._holdings.tell_ends_again()
 
     def close(self) -> None:
         """Give back everything that only this client used."""

@@ -21,6 +21,8 @@ class Lane:
         text: whether its frames are text frames.
         dropped: messages that this client lost here.
         sent: messages that were handed to the socket.
+        waiting: messages in their pieces, oldest first.
+        waiting_bytes: of them all.
     """
 
     policy: QueuePolicy
@@ -28,6 +30,7 @@ class Lane:
     dropped: int = 0
     sent: int = 0
     waiting: deque[tuple[bytes, ...]] = field(factory=deque)
+    waiting_bytes: int = 0
 
     @property
     def length(self) -> int:
@@ -91,28 +94,20 @@ class Outbox:
 
         Several frames are the pieces of one message: sent one after the other, or dropped whole.
         """
-        if not lane.waiting:
-            self._turns.append(lane)
-        elif len(lane.waiting) >= lane.length:
+        self._add(lane, frames)
+        if len(lane.waiting) > lane.length:
             self._drop(lane)
-        lane.waiting.append(frames)
-        self._bytes += _size(frames)
         while self._bytes > self._max_bytes and self._drop_somewhere():
             pass
-        self._filled.set()
 
-    def finish(self, lane: Lane, frame: bytes) -> None:
-        """Add the last frame of a stream, after all that waits of it."""
-        if not lane.waiting:
-            self._turns.append(lane)
-        lane.waiting.append((frame,))
-        self._bytes += len(frame)
-        self._filled.set()
+    def finish(self, lane: Lane, *frames: bytes) -> None:
+        """Add the last message of a stream, after all that waits of it; it is never dropped."""
+        self._add(lane, frames)
 
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
         while lane.waiting:
-            self._bytes -= _size(lane.waiting.popleft())
+            self._take(lane)
         if lane in self._turns:
             self._turns.remove(lane)
 
@@ -130,17 +125,16 @@ class Outbox:
             self._filled.clear()
             self._emptied.set()
             await self._filled.wait()
-            self._emptied.clear()
 
     async def emptied(self) -> None:
         """Wait until nothing waits."""
         if not self.empty:
+            self._emptied.clear()
             await self._emptied.wait()
 
     def _next_data(self) -> tuple[bytes, bool]:
         lane = self._turns.popleft()
-        frames = lane.waiting.popleft()
-        self._bytes -= _size(frames)
+        frames = self._take(lane)
         self._pieces.extend((piece, lane.text) for piece in frames[1:])
         lane.sent += 1
         if lane.waiting:
@@ -148,18 +142,29 @@ class Outbox:
         return frames[0], lane.text
 
     def _drop(self, lane: Lane) -> None:
-        self._bytes -= _size(lane.waiting.popleft())
+        self._take(lane)
         lane.dropped += 1
         self.dropped += 1
 
     def _drop_somewhere(self) -> bool:
-        """Drop from the stream that holds most; a single message is always kept."""
-        fullest = max(self._turns, key=lambda lane: sum(map(_size, lane.waiting)))
-        if len(fullest.waiting) == 1:
-            return False
-        self._drop(fullest)
-        return True
+        """Drop from the stream that holds most; the only message of a stream is always kept."""
+        several = [lane for lane in self._turns if len(lane.waiting) > 1]
+        if several:
+            self._drop(max(several, key=lambda lane: lane.waiting_bytes))
+        return bool(several)
 
+    def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
+        if not lane.waiting:
+            self._turns.append(lane)
+        lane.waiting.append(frames)
+        size = sum(map(len, frames))
+        lane.waiting_bytes += size
+        self._bytes += size
+        self._filled.set()
 
-def _size(frames: tuple[bytes, ...]) -> int:
-    return sum(map(len, frames))
+    def _take(self, lane: Lane) -> tuple[bytes, ...]:
+        frames = lane.waiting.popleft()
+        size = sum(map(len, frames))
+        lane.waiting_bytes -= size
+        self._bytes -= size
+        return frames

@@ -16,6 +16,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
 from uoarm.manager import RobotManager
+from uoarm.server._address import host_of
 from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
@@ -65,7 +66,6 @@ class Server:
         self._clients: dict[Client, None] = {}
         self._lobby = Lobby(self._limits, self._end)
         self._listening: list[Listening] = []
-        self._doors: list[Doors] = []
         self._sockets: set[ServerConnection] = set()
         self._desk: Desk | None = None
         self._watch: asyncio.Task[None] | None = None
@@ -123,6 +123,7 @@ class Server:
             self._admission,
             self._audit,
             limits,
+            self._totals,
             self._connected,
             health=self._health,
             metrics=metrics,
@@ -150,7 +151,6 @@ class Server:
                 max_size=limits.message_bytes,
             )
         )
-        self._doors.append(doors)
 
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
         return _Counted(
@@ -164,7 +164,7 @@ class Server:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
         client = Client(socket, secrets.token_hex(6), entry.shown, role, self._limits)
-        host = client.address.rpartition(":")[0]
+        host = host_of(socket)
         session = self._session(client, desk, socket, rosbridge=entry.rosbridge)
         self._connected[host] += 1
         self._totals.clients += 1

@@ -17,6 +17,7 @@ from uoarm.errors import (
 )
 from uoarm.model import Message, QueuePolicy
 from uoarm.server._client import Client
+from uoarm.server._complaints import Complaints
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, tell_error
 from uoarm.server._outbox import Lane
@@ -174,13 +175,15 @@ class Actions:
         """Return a goal that answers to the client, feedback and result in their order."""
         named = {name: fields[name] for name in ("action", "id") if fields.get(name) is not None}
         lane = Lane(QueuePolicy(self._client.limits.queue_messages), text=True)
+        feedback = {**fields, "op": "action_feedback"}
+        complaints = Complaints(lambda error: self._fail(feedback, error))
 
         def on_feedback(values: Message) -> None:
             if fields.get("feedback") is True:
                 try:
                     frame = write_ros({"op": "action_feedback", "values": values, **named})
                 except MessageError as error:
-                    self._fail(fields, error)
+                    complaints.add(lane, error)
                 else:
                     self._client.outbox.put(lane, *self._split(frame, fields))
 
@@ -197,8 +200,7 @@ class Actions:
 
         def finish(frame: bytes) -> None:
             self._sent.pop(identity, None)
-            for piece in self._split(frame, fields):
-                self._client.outbox.finish(lane, piece)
+            self._client.outbox.finish(lane, *self._split(frame, fields))
 
         return Goal(fields.get("args"), on_feedback, on_result, on_failure)
 

@@ -67,7 +67,7 @@ class Publication:
     async def _open(self) -> None:
         try:
             feed = await self._desk.join(Wanted(self._place.function, receive=False))
-        except UoarmError as error:
+        except Exception as error:  # noqa: BLE001 - told to the one who publishes
             self._on_failed(error)
             while self._waiting:
                 self._waiting.popleft()[1](error)
@@ -93,6 +93,7 @@ class Publication:
 
     def ended(self, state: str, cause: str) -> None:
         """Hear that the function's provider has gone."""
+        self._leave()
         self._on_failed(UoarmError(f"{self._place.name} has {state}: {cause or 'killed'}"))
 
     def _leave(self) -> None:

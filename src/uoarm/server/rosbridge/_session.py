@@ -28,6 +28,7 @@ from uoarm.server.rosbridge._wire import check_fields, read_operation, write_ros
 __all__ = ["RosbridgeSession"]
 
 _LEVELS = ("info", "warning", "error", "none")
+_ERROR = _LEVELS.index("error")
 _REFUSED = {
     "png": "png is not served: ask for compression none or cbor",
     "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
@@ -55,7 +56,7 @@ class RosbridgeSession:
     def __init__(self, client: Client, desk: Desk, hub: Hub, audit: Audit) -> None:
         self._client = client
         self._audit = audit
-        self._level = _LEVELS.index("error")
+        self._level = _ERROR
         self._numbers = itertools.count(1)
         self._fragments = Fragments(client.limits.message_bytes)
         self._tasks: set[asyncio.Task[None]] = set()
@@ -156,17 +157,14 @@ class RosbridgeSession:
         self._audit.note(self._client.identity, role, operation, name, allowed=allowed)
         role.require(operation, name)
 
-    def _fail(self, fields: Mapping[str, Any], error: BaseException, level: str = "error") -> None:
+    def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
         text = tell_error(error)
         op = fields.get("op")
-        if op == "call_service":
-            self._client.outbox.tell(
-                _failed(fields, "service_response", "service", text), text=True
-            )
-        elif op == "send_action_goal":
-            self._client.outbox.tell(_failed(fields, "action_result", "action", text), text=True)
-        elif _LEVELS.index(level) >= self._level:
-            status = {"op": "status", "level": level, "msg": f"{code_of(error)}: {text}"}
+        if isinstance(op, str) and op in _ANSWERED:
+            answer = _failed(fields, *_ANSWERED[op], text)
+            self._client.outbox.tell(answer, text=True)
+        elif self._level <= _ERROR:
+            status = {"op": "status", "level": "error", "msg": f"{code_of(error)}: {text}"}
             if isinstance(fields.get("id"), str):
                 status["id"] = fields["id"]
             self._client.outbox.tell(write_ros(status), text=True)

@@ -123,7 +123,8 @@ class StreamRunner:
         limit = self._desk.limits.queue_messages
         self._sending = Sending(connection, TEXT_FORM, self._desk.workers, limit=limit)
         for listener, feed in tuple(self._parts.items()):
-            feed.add(listener)
+            if listener in self._parts:  # until one of them tells that it has ended
+                feed.add(listener)
         self._next()
 
     async def _join(self, name: str) -> Connection:
@@ -217,6 +218,7 @@ class StreamRunner:
         goals = [*self._running.values(), *self._waiting]
         self._running.clear()
         self._waiting.clear()
+        self._early.clear()
         if self._asked is not None:
             goals.append(self._asked)
             self._answered(self._asked)

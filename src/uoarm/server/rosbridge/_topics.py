@@ -171,7 +171,7 @@ class Topics:
     async def _join(self, place: Place, listening: _Listening, fields: Fields) -> None:
         try:
             feed = await self._desk.join(Wanted(place.wanted))
-        except UoarmError as error:
+        except Exception as error:  # noqa: BLE001 - told to the one who listens
             self._listening.pop(place.name, None)
             self._fail(fields, error)
             return

@@ -51,11 +51,9 @@ export class Link {
 
   /** Send one message that will be answered, at once or when the connection is renewed. */
   send(fields) {
-    if (!this.#socket) this.#queue.push(fields);
-    else {
-      this.#unanswered.add(fields.id);
-      this.#write(this.#socket, fields);
-    }
+    const told = { id: fields.id, frame: this.#form.write(fields) };
+    if (this.#socket) this.#pass(told);
+    else this.#queue.push(told);
   }
 
   close() {
@@ -127,9 +125,11 @@ export class Link {
 
   /** Take the session up over a new connection; what waited to be sent follows. */
   #goOn(timeout) {
+    let beyond = [];
     return this.#connect(timeout, (socket, told, greeted) => {
       if (told.id !== RESUME) {
         const waiting = [...this.#unanswered].slice(0, MOST_WAITING);
+        beyond = [...this.#unanswered].slice(MOST_WAITING);
         const jsonMessage = { key: this.#key, waiting };
         this.#write(socket, { op: "Resume", id: RESUME, jsonMessage });
         return;
@@ -137,8 +137,16 @@ export class Link {
       this.#socket = socket;
       this.resumed += 1;
       greeted();
-      for (const fields of this.#queue.splice(0)) this.send(fields);
+      const lost = { code: "closed", text: "too much waited when the connection dropped" };
+      for (const id of beyond) this.#hear({ op: "Error", id, jsonMessage: lost });
+      if (this.#over) socket.close();
+      else for (const told of this.#queue.splice(0)) this.#pass(told);
     });
+  }
+
+  #pass({ id, frame }) {
+    this.#unanswered.add(id);
+    this.#socket.send(frame);
   }
 
   #hear(told) {

@@ -174,8 +174,8 @@ export class Robot {
     if (this.#ended) return Promise.reject(this.#ended);
     const id = String(this.#next++);
     return new Promise((resolve, reject) => {
-      this.#asked.set(id, { op: fields.op, resolve, reject });
       this.#link.send({ ...fields, id });
+      this.#asked.set(id, { op: fields.op, resolve, reject });
     });
   }
 

@@ -1,0 +1,109 @@
+"""What the server keeps of a session, message by message: its key, its rights, its answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.server.conftest import Between, Connect, Serve
+from tests.server.robot import script
+from tests.server.talk import Talk, eventually
+from tests.server.test_serving import figures
+
+from uoarm.server import Server, hash_token
+from uoarm.server._answers import Answers
+
+
+def test_a_key_is_for_a_session_that_is_kept_and_comes_first(talk: Connect) -> None:
+    first, second, third = talk(), talk(binary=True), talk()
+    key = first.ask("Resume")["key"]
+    assert "kept already" in first.refused("Resume")["text"]
+    assert "first message" in first.refused("Resume", message={"key": key})["text"]
+    assert "speaks json" in second.refused("Resume", message={"key": key})["text"]
+    assert "begin anew" in third.refused("Resume", message={"key": "x" * 43})["text"]
+    assert third.refused("Resume", message={"key": 5})["code"] == "unreadable"
+    third.open("numbers")
+    assert "first message" in third.refused("Resume", message={"key": key})["text"]
+
+
+def test_a_session_is_taken_up_message_by_message(talk: Connect) -> None:
+    first, second = talk(), talk()
+    key = first.ask("Resume")["key"]
+    connection = first.open("numbers")
+    call = first.send("Call", "slow", {"value": 1})
+    first.ask("List")
+    waiting = [call, "never sent"]
+    taken = second.ask("Resume", message={"key": key, "waiting": waiting})
+    assert taken["session"] == first.hello["session"]
+    assert [one["connection"] for one in taken["own"]] == [connection]
+    assert second.answer("never sent")["jsonMessage"]["code"] == "closed"
+    script.gate.set()
+    assert second.answer(call)["jsonMessage"] == {"value": 1}
+    script.put({"value": 5})
+    assert second.data(connection, 1) == [{"value": 5}]
+    second.ask("Kill", connection)
+
+
+def test_an_answer_that_waits_is_not_told_twice(server: Server, between: Between) -> None:
+    proxy = between(server)
+    url = f"ws://127.0.0.1:{proxy.port}/"
+    with Talk(url) as first:
+        key = first.ask("Resume")["key"]
+        for _ in range(5):  # so that no id of the second is that of the call
+            first.ask("List")
+        call = first.send("Call", "slow", {"value": 1})
+        first.ask("List")
+        proxy.cut()
+        eventually(lambda: "uoarm_serve_kept_sessions 1.0" in figures(server), "it is kept")
+        script.gate.set()
+        eventually(lambda: "uoarm_serve_workers_busy 0.0" in figures(server), "it is answered")
+    with Talk(url) as second:
+        second.ask("Resume", message={"key": key, "waiting": [call]})
+        assert second.answer(call)["jsonMessage"] == {"value": 1}
+        second.ask("List")
+        assert not second.unheard
+
+
+def test_another_s_session_is_not_taken_up(serve: Serve, tmp_path: Path) -> None:
+    access = tmp_path / "access.yaml"
+    access.write_text(ACCESS.format(one=hash_token("one"), other=hash_token("other")))
+    url = f"ws://127.0.0.1:{serve(access=access).ports[0]}/"
+    with Talk(f"{url}?token=one") as first, Talk(f"{url}?token=other") as second:
+        key = first.ask("Resume")["key"]
+        assert second.refused("Resume", message={"key": key})["code"] == "unknown"
+        with Talk(f"{url}?token=one") as third:
+            assert third.ask("Resume", message={"key": key})["session"] == first.hello["session"]
+
+
+ACCESS = """
+version: 1
+roles: {{all: {{see: ["*"], request: ["*"]}}}}
+tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha256: {other}}}]
+"""
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from("abcdef"), st.integers(0, 9), st.booleans())),
+    st.integers(1, 4),
+    st.integers(1, 20),
+)
+def test_kept_answers_are_bounded_and_the_newest(
+    steps: list[tuple[str, int, bool]], most: int, most_bytes: int
+) -> None:
+    answers = Answers(most, most_bytes)
+    newest: dict[str, bytes] = {}
+    for identity, size, begins in steps:
+        if begins:
+            answers.begin(identity)
+            assert answers.is_under_way(identity)
+            continue
+        frame = bytes(size)
+        newest.pop(identity, None)
+        newest[identity] = frame
+        answers.add(identity, frame)
+        assert not answers.is_under_way(identity)
+        kept = {name: answers.get(name) for name in newest if answers.get(name) is not None}
+        assert list(kept) == list(newest)[len(newest) - len(kept) :]
+        assert len(kept) <= most
+        assert sum(len(one or b"") for one in kept.values()) <= most_bytes

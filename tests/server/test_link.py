@@ -1,0 +1,141 @@
+"""The client's connection, with sockets that do what a test wants."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import AsyncIterator, Mapping
+from typing import Any, cast
+
+import pytest
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosedError
+
+from uoarm.client import Client
+from uoarm.client._link import Link, Take
+from uoarm.errors import MessageError
+from uoarm.model import StatusEvent, to_json
+from uoarm.wire import TEXT_FORM
+
+HELLO = {"op": "Status", "type": "hello"}
+KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
+RESUMED = {"op": "Reply", "id": "resume"}
+
+
+class Socket:
+    """A connection that tells what it is given, then drops."""
+
+    def __init__(self, *told: Mapping[str, Any]) -> None:
+        self.sent: list[dict[str, Any]] = []
+        self._told = deque(json.dumps(one) for one in told)
+
+    async def send(self, frame: bytes, text: bool) -> None:
+        assert text
+        self.sent.append(json.loads(frame))
+
+    async def recv(self) -> str:
+        return self._told.popleft()
+
+    async def __aiter__(self) -> AsyncIterator[str]:
+        while self._told:
+            yield self._told.popleft()
+        raise ConnectionClosedError(None, None)
+
+
+def _ignore(told: Mapping[str, Any]) -> None:
+    """Take what the server tells."""
+
+
+def begin(*sockets: Socket, again: asyncio.Future[None], take: Take = _ignore) -> Link:
+    """Return a link that gets these sockets, and then what becomes of the future."""
+    waiting = deque(sockets)
+
+    async def opening() -> ClientConnection:
+        if not waiting:
+            await again
+        return cast("ClientConnection", waiting.popleft())
+
+    return Link(opening, TEXT_FORM, take)
+
+
+@pytest.mark.parametrize("turns", range(8))
+def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int) -> None:
+    async def work() -> None:
+        failing = asyncio.get_running_loop().create_future()
+        link = begin(Socket(KEPT), again=failing)
+        await link.start(resume=True)
+        reading = asyncio.ensure_future(link.run())
+        for _ in range(8):  # until it connects again
+            await asyncio.sleep(0)
+        failing.set_exception(OSError("refused"))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        reading.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await reading
+        assert link.closed == "the client was closed"
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
+    async def work() -> None:
+        failing = asyncio.get_running_loop().create_future()
+        failing.set_exception(OSError("refused"))
+        after = Socket(HELLO, RESUMED)
+        link = begin(Socket(KEPT), after, again=failing)
+        await link.start(resume=True)
+        await link.send({"op": "List", "id": "1"})
+        with pytest.raises(MessageError):
+            await link.send({"op": "Call", "id": "2", "jsonMessage": object()})
+        await link.run()
+        assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
+    async def work() -> None:
+        failing = asyncio.get_running_loop().create_future()
+        failing.set_exception(OSError("refused"))
+        after, told = Socket(HELLO, RESUMED), list[Mapping[str, Any]]()
+        link = begin(Socket(KEPT), after, again=failing, take=told.append)
+        await link.start(resume=True)
+        for number in range(5000):
+            await link.send({"op": "List", "id": str(number)})
+        await link.run()
+        waiting = after.sent[0]["jsonMessage"]["waiting"]
+        assert waiting == [str(number) for number in range(4096)]
+        assert [one["id"] for one in told] == [str(number) for number in range(4096, 5000)]
+        assert {(one["op"], one["jsonMessage"]["code"]) for one in told} == {("Error", "closed")}
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def test_changes_that_nobody_takes_are_the_newest() -> None:
+    async def work() -> None:
+        changes = (
+            {"op": "Status", "type": "change", "jsonMessage": change(number)}
+            for number in range(3000)
+        )
+        socket = Socket({"op": "Reply", "id": "1", "jsonMessage": {}}, *changes)
+
+        async def opening() -> ClientConnection:
+            return cast("ClientConnection", socket)
+
+        client = Client(opening, TEXT_FORM)
+        await client.start(resume=False)
+        watching = client.watch()
+        first = asyncio.ensure_future(anext(watching))
+        await asyncio.sleep(0)
+        await client.read()
+        numbers = [(await first).number, *[one.number async for one in watching]]
+        assert len(numbers) < 2000
+        assert numbers == list(range(numbers[0], 3000))
+
+    asyncio.run(asyncio.wait_for(work(), 10))
+
+
+def change(number: int) -> object:
+    return to_json(StatusEvent(number, 0, "connection c", "running"))

@@ -1,0 +1,72 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { connect } from "../../../src/uoarm/server/static/uoarm.js";
+
+/** A socket whose other end is the test. */
+class Socket {
+  static made = [];
+  constructor() {
+    Object.assign(this, { sent: [], closed: false });
+    Socket.made.push(this);
+  }
+  send(text) {
+    this.sent.push(JSON.parse(text));
+  }
+  tell(message) {
+    this.onmessage({ data: JSON.stringify(message) });
+  }
+  close() {
+    this.closed = true;
+  }
+}
+
+/** A robot whose connection has dropped, and the socket over which it tries to go on. */
+async function dropped(meanwhile = () => {}, before = () => {}) {
+  const connecting = connect("ws://x/", { WebSocket: Socket });
+  const first = Socket.made.at(-1);
+  first.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  const robot = await connecting;
+  first.tell({ op: "Reply", id: "keep", jsonMessage: { key: "key", seconds: 5 } });
+  before(robot);
+  first.onclose({ code: 1006, reason: "" });
+  meanwhile(robot);
+  const second = Socket.made.at(-1);
+  assert.notEqual(second, first);
+  second.tell({ op: "Status", type: "hello", jsonMessage: {} });
+  return { robot, second };
+}
+
+const RESUMED = { op: "Reply", id: "resume", jsonMessage: {} };
+
+test("what cannot be written fails alone, also while the connection is down", async () => {
+  const answers = [];
+  const { robot, second } = await dropped((robot) => {
+    answers.push(robot.call("add", 1n), robot.call("add", 2));
+  });
+  await assert.rejects(answers[0], TypeError);
+  second.tell(RESUMED);
+  assert.deepEqual(second.sent.slice(1), [{ op: "Call", type: "add", id: "2", jsonMessage: 2 }]);
+  second.tell({ op: "Reply", id: "2", jsonMessage: 3 });
+  assert.equal(await answers[1], 3);
+  robot.close();
+});
+
+test("of more than can be asked for after a drop, the rest fails", async () => {
+  const calls = [];
+  const { robot, second } = await dropped(() => {}, (robot) => {
+    for (let number = 0; number < 4100; number += 1) calls.push(robot.call("add", number));
+  });
+  assert.equal(second.sent[0].jsonMessage.waiting.length, 4096);
+  second.tell(RESUMED);
+  for (const call of calls.slice(4096)) await assert.rejects(call, { code: "closed" });
+  robot.close();
+  for (const call of calls.slice(0, 4096)) await assert.rejects(call, { code: "closed" });
+});
+
+test("a robot that is closed while it connects again stays closed", async () => {
+  const { robot, second } = await dropped();
+  robot.close();
+  second.tell(RESUMED);
+  assert(second.closed);
+  await assert.rejects(robot.status(), { code: "closed" });
+});
