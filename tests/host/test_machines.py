@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port, robot
+from tests.waiting import wait
 
 from uoarm import BridgeError, ResolutionError, RobotManager
 from uoarm.cli import main
