@@ -99,6 +99,30 @@ def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: 
                 manager.call("where", 0)
 
 
+LATE = """
+  late:
+    components: [{name: later, bridge: far, output: {endpoint: ["hosted_parts:takes_long"]}}]
+"""
+
+
+def test_a_host_that_is_told_to_end_waits_for_no_component(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    file.write_text(file.read_text() + LATE)
+    with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
+
+        def request() -> None:
+            with pytest.raises(BridgeError, match="machine 'arm' has left"):
+                manager.request("late")
+
+        requesting = threading.Thread(target=request)
+        requesting.start()
+        wait((tmp_path / "begun").exists)
+        assert host.end() == 0
+        requesting.join(10)
+        assert not requesting.is_alive()
+        assert "Timeout" not in host.log
+
+
 def test_when_a_machine_leaves_the_next_candidate_takes_over(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port, spare=True, failover="{return_after: 0.2}")
     with RobotManager.from_file(file) as manager:
