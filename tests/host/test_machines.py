@@ -18,6 +18,7 @@ from tests.waiting import wait
 from uoarm import BridgeError, ResolutionError, RobotManager
 from uoarm.cli import main
 from uoarm.config import loads
+from uoarm.host import MachineDesk
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
 from uoarm.testing import Census
 
@@ -74,6 +75,24 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
             assert answers
             assert _machine(manager).present
             wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
+
+
+def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_same(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = robot(tmp_path, port)
+    RobotManager.from_file(file).close()  # what stays for the next one is there
+    close = MachineDesk.close
+
+    def fail(desk: MachineDesk) -> None:
+        close(desk)
+        raise BridgeError("closing the link failed: it took too long")
+
+    monkeypatch.setattr(MachineDesk, "close", fail)
+    before = Census()
+    RobotManager.from_file(file).close()
+    assert "it took too long" in caplog.text
+    before.check()
 
 
 def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: int) -> None:
