@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from uoarm.bridge import HealthEvent
 from uoarm.host._remote import RemoteBridge
@@ -110,15 +106,6 @@ class Events:
 
     def __call__(self, event: HealthEvent) -> None:
         self.all.append(event)
-
-
-def wait(ready: Callable[[], Any], seconds: float = 10.0) -> None:
-    """Wait until something is true."""
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not ready():
-        assert time.monotonic() < deadline, "it did not come to pass"
-        pause.wait(0.005)
 
 
 def lives(process: int) -> bool:

@@ -7,12 +7,12 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
 from tests.host import hosted
+from tests.waiting import wait
 from typing_extensions import Self
 
 from uoarm.certificates import Authority
@@ -121,8 +121,8 @@ class Joined:
     def signal(self, number: signal.Signals) -> None:
         """Send a signal; for SIGSTOP return when all its threads stand."""
         os.kill(self._process.pid, number)
-        while number == signal.SIGSTOP and not self._stands():
-            time.sleep(0.001)
+        if number == signal.SIGSTOP:
+            wait(self._stands)
 
     def _stands(self) -> bool:
         tasks = Path(f"/proc/{self._process.pid}/task").iterdir()

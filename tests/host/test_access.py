@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port
+from tests.waiting import wait
 
 from uoarm.certificates import Authority
 from uoarm.errors import BridgeError, FailureReason

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from attrs import evolve
-from tests.host.hosted import wait
+from tests.waiting import wait
 
 from uoarm import RobotManager
 from uoarm.config import load

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port, robot
+from tests.waiting import wait
 
 from uoarm import RobotManager
 from uoarm.model import ConnectionState, Health, QueuePolicy, StatusEvent

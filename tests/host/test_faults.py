@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 from tests.host import hosted
-from tests.host.hosted import ANY, Events, at, lives, wait
+from tests.host.hosted import ANY, Events, at, lives
+from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.host import RemoteBridge

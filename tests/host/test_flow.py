@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.host._flow import Ending, Incoming, Outgoing
 from uoarm.host._link import Link
 
 Ends = tuple[Link, Link]
-
-
-def _wait(ready: Callable[[], bool], seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not ready():
-        assert time.monotonic() < deadline, "it did not come to pass"
-        pause.wait(0.005)
 
 
 class _Taker:
@@ -50,7 +42,7 @@ def test_messages_arrive_in_order_from_the_first_one_on(ends: Ends) -> None:
     outgoing = Outgoing(far, "flow/1", patience=5.0)
     for number in range(5000):
         outgoing.send(number)
-    _wait(lambda: len(taker.got) == 5000)
+    wait(lambda: len(taker.got) == 5000)
     assert taker.got == list(range(5000))
     assert (incoming.received, incoming.lost) == (5000, 0)
 
@@ -62,7 +54,7 @@ def test_large_messages_arrive_whole(ends: Ends) -> None:
     outgoing = Outgoing(far, "flow/1", patience=5.0)
     for number in range(30):
         outgoing.send({"n": number, "data": bytes([number]) * 2_000_000})
-    _wait(lambda: incoming.received + incoming.lost == 30)
+    wait(lambda: incoming.received + incoming.lost == 30)
     assert incoming.lost == 0
     assert all(one["data"] == bytes([one["n"]]) * 2_000_000 for one in taker.got)
 
@@ -80,12 +72,12 @@ def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> Non
 
     thread = threading.Thread(target=fill)
     thread.start()
-    _wait(lambda: outgoing.unconfirmed >= 64)
+    wait(lambda: outgoing.unconfirmed >= 64)
     assert outgoing.unconfirmed <= 80
     assert thread.is_alive()
     taker.gate.set()
     thread.join(10)
-    _wait(lambda: len(taker.got) == 500)
+    wait(lambda: len(taker.got) == 500)
     assert incoming.lost == 0
 
 
@@ -107,9 +99,9 @@ def test_a_consumer_that_hangs_costs_the_producer_its_patience_once(ends: Ends) 
     assert 0.5 <= time.monotonic() - begun < 5
     assert refused > 300
     taker.gate.set()
-    _wait(lambda: outgoing.unconfirmed < 64)
+    wait(lambda: outgoing.unconfirmed < 64)
     outgoing.send("last")
-    _wait(lambda: bool(taker.got) and taker.got[-1] == "last")
+    wait(lambda: bool(taker.got) and taker.got[-1] == "last")
     assert incoming.received + incoming.lost == 401
     assert incoming.lost >= refused
 
@@ -131,7 +123,7 @@ def test_a_flow_that_is_cut_lets_its_sender_go(ends: Ends) -> None:
 
     thread = threading.Thread(target=fill)
     thread.start()
-    _wait(lambda: outgoing.unconfirmed >= 64)
+    wait(lambda: outgoing.unconfirmed >= 64)
     outgoing.cut("the host died")
     thread.join(5)
     assert not thread.is_alive()
@@ -154,7 +146,7 @@ def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
     for number in range(50):
         outgoing.send(number)
     outgoing.finish(Ending("finished", "no more"))
-    _wait(lambda: bool(seen))
+    wait(lambda: bool(seen))
     assert seen == [50]
 
 
@@ -165,7 +157,7 @@ def test_what_the_consumer_raises_is_counted_and_told(ends: Ends) -> None:
     outgoing = Outgoing(far, "flow/1", patience=5.0)
     for number in range(64):
         outgoing.send("bad" if number % 2 else number)
-    _wait(lambda: incoming.received == 64)
+    wait(lambda: incoming.received == 64)
     outgoing.confirm(incoming.handled())
     assert outgoing.failed == incoming.failed == 32
     assert outgoing.unconfirmed == 0
@@ -180,7 +172,7 @@ def test_a_message_that_cannot_be_written_is_refused_and_uses_no_number(ends: En
     with pytest.raises(MessageError):
         outgoing.send(object())
     outgoing.send("good")
-    _wait(lambda: taker.got == ["good"])
+    wait(lambda: taker.got == ["good"])
     assert incoming.lost == 0
 
 
@@ -190,7 +182,7 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     incoming = taker.incoming(near)
     outgoing = Outgoing(far, "flow/1", patience=5.0)
     outgoing.send(1)
-    _wait(lambda: taker.got == [1])
+    wait(lambda: taker.got == [1])
     incoming.close()
     incoming.join(5)
     outgoing.send(2)

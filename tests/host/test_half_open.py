@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 from tests.host import hosted
-from tests.host.hosted import ANY, Events, at, lives, wait
+from tests.host.hosted import ANY, Events, at, lives
+from tests.waiting import wait
 
 from uoarm.errors import BridgeError
 from uoarm.host._process import HostProcess

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
+from tests.waiting import wait
 
 from uoarm.bridge import Bridge
 from uoarm.host import MachineDesk, RemoteBridge

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from typing import Any
 
 import pytest
+from tests.host.joined import free_port
 
 from uoarm.errors import (
     BridgeError,
@@ -144,3 +146,18 @@ def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:
     with pytest.raises(BridgeError, match="opening the link") as caught:
         Link("tcp/127.0.0.1:1", listen=False, timeout=0.1)
     assert ".rs" not in str(caught.value)
+
+
+def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> None:
+    port = free_port()
+    place = f"tcp/127.0.0.1:{port}"
+    near = Link(place, listen=True)
+    far = Link(place, listen=False, timeout=1.0)
+    near.close()
+    with socket.create_server(("127.0.0.1", port)) as mute:
+        mute.settimeout(10)
+        with mute.accept()[0]:
+            closing = threading.Thread(target=far.close)
+            closing.start()
+            closing.join(5)
+            assert not closing.is_alive()

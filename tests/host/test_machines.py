@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from tests.host.hosted import wait
 from tests.host.joined import Joined, free_port, robot
+from tests.waiting import wait
 
 from uoarm import BridgeError, ResolutionError, RobotManager
 from uoarm.cli import main
 from uoarm.config import loads
+from uoarm.host import MachineDesk
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
 from uoarm.testing import Census
 
@@ -76,6 +77,24 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
             wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
 
 
+def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_same(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = robot(tmp_path, port)
+    RobotManager.from_file(file).close()  # what stays for the next one is there
+    close = MachineDesk.close
+
+    def fail(desk: MachineDesk) -> None:
+        close(desk)
+        raise BridgeError("closing the link failed: it took too long")
+
+    monkeypatch.setattr(MachineDesk, "close", fail)
+    before = Census()
+    RobotManager.from_file(file).close()
+    assert "it took too long" in caplog.text
+    before.check()
+
+
 def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     with socket.create_server(("127.0.0.1", port)):
@@ -97,6 +116,30 @@ def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: 
                 Exception, match="no host of machine 'arm' is there for bridge 'far'"
             ):
                 manager.call("where", 0)
+
+
+LATE = """
+  late:
+    components: [{name: later, bridge: far, output: {endpoint: ["hosted_parts:takes_long"]}}]
+"""
+
+
+def test_a_host_that_is_told_to_end_waits_for_no_component(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    file.write_text(file.read_text() + LATE)
+    with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
+
+        def request() -> None:
+            with pytest.raises(BridgeError, match="machine 'arm' has left"):
+                manager.request("late")
+
+        requesting = threading.Thread(target=request)
+        requesting.start()
+        wait((tmp_path / "begun").exists)
+        assert host.end() == 0
+        requesting.join(10)
+        assert not requesting.is_alive()
+        assert "Timeout" not in host.log
 
 
 def test_when_a_machine_leaves_the_next_candidate_takes_over(tmp_path: Path, port: int) -> None:

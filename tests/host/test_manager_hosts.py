@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from tests.host import hosted
-from tests.host.hosted import lives, wait
+from tests.host.hosted import lives
+from tests.waiting import wait
 
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
 from uoarm.host import RemoteBridge

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from tests.host import hosted
-from tests.host.hosted import Events, at, lives, wait
+from tests.host.hosted import Events, at, lives
+from tests.waiting import wait
 
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.host import hosted
-from tests.host.hosted import ANY, Events, at, wait
+from tests.host.hosted import ANY, Events, at
+from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.host._remote import RemoteBridge
@@ -152,7 +153,8 @@ import sys
 from pathlib import Path
 import numpy as np
 from tests.host import hosted
-from tests.host.hosted import ANY, at, wait
+from tests.host.hosted import ANY, at
+from tests.waiting import wait
 from uoarm.model import Role
 far = hosted.bridge(Path(sys.argv[1]), shared_memory=True)
 got = []

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from attrs import evolve
+from tests.waiting import wait
 
 from uoarm import Connection, RobotManager
 from uoarm.config import loads
@@ -83,14 +83,6 @@ def stage() -> Iterator[Stage]:
     yield made
     made.robot.close()
     before.check()
-
-
-def wait(ready: Callable[[], object], seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not ready():
-        assert time.monotonic() < deadline, "it did not come to pass"
-        pause.wait(0.005)
 
 
 def cameras(stage: Stage) -> list[str]:

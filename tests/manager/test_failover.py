@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
 from attrs import evolve
+from tests.waiting import wait
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
@@ -70,14 +70,6 @@ def make() -> Iterator[Make]:
     for stage in stages:
         stage.robot.close()
     before.check()
-
-
-def wait(ready: Callable[[], object], seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
-    pause = threading.Event()
-    while not ready():
-        assert time.monotonic() < deadline, "it did not come to pass"
-        pause.wait(0.005)
 
 
 def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:

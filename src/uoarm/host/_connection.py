@@ -60,6 +60,7 @@ class HostConnection:
         self._life = Lifeline(spec.name, doubted, died)
         self._link: Link | None = None
         self._started: HostProcess | None = None
+        self._pulse: Pulse | None = None
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter())
         variables = settings.process_variables(os.environ)
@@ -139,9 +140,8 @@ class HostConnection:
         """
         atexit.unregister(self._end_with_python)
         self._life.give_back()
-        pulse: Pulse | None = getattr(self, "_pulse", None)
-        if pulse is not None:
-            pulse.stop()
+        if self._pulse is not None:
+            self._pulse.stop()
         try:
             if say_close is not None and not self.dead:
                 say_close()
@@ -151,8 +151,8 @@ class HostConnection:
                 if self._started is not None:
                     self._started.end(_POLITE_SECONDS if ends_alone else 0.0)
             finally:
-                if pulse is not None:
-                    pulse.join(_JOIN_SECONDS)
+                if self._pulse is not None:
+                    self._pulse.join(_JOIN_SECONDS)
                 if self._link is not None:
                     self._link.close()
                     self.tally.close()

@@ -96,6 +96,8 @@ class JoinedHost:
             with self._lock:
                 served = list(self._served)
             for one in served:
+                one.let_go()  # all at once, since each may take its time
+            for one in served:
                 one.end()
             self._workers.close()
             whole.close()

@@ -46,7 +46,8 @@ class Link:
     Args:
         place: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
         listen: whether this end waits for the other one; it must be there first.
-        timeout: seconds for the connection to stand, where this end connects.
+        timeout: seconds for the connection to stand, where this end connects, or connects again;
+            `close` waits as long for such a try.
         lease: seconds without a sign of life after which the other end is taken for gone. The
             pulse notices a host that hangs, so this may be long.
         shared_memory: whether large frames cross in shared memory; both ends must say the same.
@@ -295,6 +296,7 @@ def configuration(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": shared_memory,
+        "transport/unicast/open_timeout": int(timeout * 1000),
         "transport/link/tx/lease": int(lease * 1000),
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (

@@ -62,9 +62,13 @@ class Served:
         """Whether it is closed."""
         return not self._thread.is_alive()
 
+    def let_go(self) -> None:
+        """Begin to close the bridge; returns at once."""
+        self._ended.set()
+
     def end(self) -> None:
         """Close the bridge and wait until that is done, five seconds at most."""
-        self._ended.set()
+        self.let_go()
         self._thread.join(_CLOSE_SECONDS)
 
     def _managed(self, present: bool) -> None:  # noqa: FBT001 - told, not asked

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from threading import Event
 from typing import Any
 
@@ -12,6 +11,7 @@ from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.host import _keys
+from uoarm.host._daemons import DaemonThreads
 from uoarm.host._flow import Ending
 from uoarm.host._link import ANSWER_SECONDS, Link, Reply
 from uoarm.host._open_flows import OpenFlows
@@ -43,8 +43,8 @@ class Serving:
         self._link = link
         self._flows = OpenFlows(link, tally)
         self._workers = Workers("uoarm-ask")
-        self._teller = ThreadPoolExecutor(1, thread_name_prefix="uoarm-tell")
-        self._looker = ThreadPoolExecutor(1, thread_name_prefix="uoarm-look")
+        self._teller = DaemonThreads("uoarm-tell", 1)
+        self._looker = DaemonThreads("uoarm-look", 1)
         self._looking = Event()
         self._ended = ended
         self._operations: dict[str, Callable[[Request], Any]] = {
@@ -74,8 +74,8 @@ class Serving:
     def end(self) -> None:
         """Take no more requests; those under way end alone."""
         self._workers.close()
-        self._teller.shutdown(wait=False, cancel_futures=True)
-        self._looker.shutdown(wait=False, cancel_futures=True)
+        self._teller.close()
+        self._looker.close()
 
     def _beat(self, _: Any, reply: Reply) -> None:
         """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
@@ -176,7 +176,7 @@ class Serving:
             "flow": None if channel is None else self._flows.number_of(channel),
             "component": event.component if channel is None else channel.endpoint.component,
         }
-        self._teller.submit(self._tell, told)
+        self._teller.submit(lambda: self._tell(told))
 
     def _tell(self, told: Mapping[str, Any]) -> None:
         try:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from threading import BoundedSemaphore
 from typing import Any
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.host._daemons import DaemonThreads
 from uoarm.host._link import Reply
 
 __all__ = ["Workers"]
@@ -19,23 +19,24 @@ class Workers:
     """Answers at most 64 requests at a time, each in a thread; more are refused at once."""
 
     def __init__(self, name: str) -> None:
-        self._threads = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix=name)
+        self._threads = DaemonThreads(name, _AT_ONCE)
         self._room = BoundedSemaphore(_AT_ONCE)
 
     def answer(self, reply: Reply, action: Callable[[], Any]) -> None:
         """Reply with what the action returns or raises; returns at once.
 
         Raises:
-            BridgeError: every thread is busy.
+            BridgeError: every thread is busy, or it is closed.
         """
         if not self._room.acquire(blocking=False):
             text = f"{_AT_ONCE} requests are being answered already"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        self._threads.submit(self._work, reply, action)
+        if not self._threads.submit(lambda: self._work(reply, action)):
+            raise BridgeError("requests are not answered any more", FailureReason.CLOSED)
 
     def close(self) -> None:
         """Take no more; what is under way ends alone."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
+        self._threads.close()
 
     def _work(self, reply: Reply, action: Callable[[], Any]) -> None:
         try:

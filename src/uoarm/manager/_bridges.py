@@ -115,19 +115,18 @@ class BridgeSet:
         )
 
     def close(self) -> list[BridgeError]:
-        """Close every bridge; return what failed."""
+        """Close every bridge, and the link to other machines; return what failed."""
         with self._lock:
             self._closed = True
             bridges = [*self._bridges.values(), *chain.from_iterable(self._dead.values())]
             self._bridges.clear()
             self._dead.clear()
         failures: list[BridgeError] = []
-        for bridge in bridges:
+        for close in (*(bridge.close for bridge in bridges), self.machines.close):
             try:
-                bridge.close()
+                close()
             except BridgeError as error:
                 failures.append(error)
-        self.machines.close()
         return failures
 
     def _state(self, name: str) -> Health | None:

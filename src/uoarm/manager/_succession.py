@@ -39,8 +39,9 @@ class Succession:
         self.course = course
         self._clock = clock
         self._is_dead = is_dead
-        self._before = course.opened
-        self._opened = course.successor(plan, beside=not is_dead)
+        self._plan = plan
+        self._before: OpenPlan  # as it is on entry
+        self._opened: OpenPlan
         self._taken: Gap | None = None
 
     def __enter__(self) -> Self:
@@ -51,10 +52,9 @@ class Succession:
         """
         if not self.course.succeeding.acquire(timeout=_TURN_SECONDS):
             raise BridgeTimeoutError(f"connection {self.course.id} is still changing its plan")
+        self._before = self.course.opened
+        self._opened = self.course.successor(self._plan, beside=not self._is_dead)
         try:
-            self._before = self.course.opened
-            plan = self._opened.plan
-            self._opened = self.course.successor(plan, beside=not self._is_dead)
             self.course.open_plan(self._opened, self._before, is_heard=self._is_dead)
         except BaseException:
             self._abandon()

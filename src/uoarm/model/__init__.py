@@ -13,6 +13,7 @@ from uoarm.model._component import (
 )
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
+from uoarm.model._depth import check_depth
 from uoarm.model._listening import Listening, place_problem
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
@@ -77,6 +78,7 @@ __all__ = [
     "StatusMap",
     "Step",
     "ValidationMode",
+    "check_depth",
     "from_json",
     "place_problem",
     "read_control",

@@ -11,6 +11,7 @@ from typing import Any
 
 from uoarm.errors import ControlMessageError
 from uoarm.model._control import ControlMessage, Op
+from uoarm.model._depth import check_depth
 
 __all__ = ["read_control", "write_control"]
 
@@ -21,7 +22,6 @@ _MAX_DEPTH = 64
 _MAX_DIGITS = 1000
 _MAX_VALUES = 1_000_000
 _SHOWN = 60
-_TOKEN = re.compile(r'[\[{]|[\]}]|"[^"\\]*(?:\\.[^"\\]*)*(?:"|\\?\Z)', re.DOTALL)
 _SURROGATE = re.compile(r"[\ud800-\udfff]")
 
 
@@ -97,7 +97,7 @@ def _octets(text: str) -> int:
 
 
 def _parse(text: str) -> Any:
-    _check_depth(text)
+    check_depth(text, _MAX_DEPTH)
     try:
         return json.loads(
             text,
@@ -109,18 +109,6 @@ def _parse(text: str) -> Any:
         raise ControlMessageError(
             f"not JSON: {error.msg} in line {error.lineno}, column {error.colno}"
         ) from error
-
-
-def _check_depth(text: str) -> None:
-    depth = 0
-    for token in _TOKEN.finditer(text):
-        first = token.group()[0]
-        if first in "[{":
-            depth += 1
-            if depth > _MAX_DEPTH:
-                raise ControlMessageError(f"nested more than {_MAX_DEPTH} levels deep")
-        elif first != '"':
-            depth -= 1
 
 
 def _check_values(parsed: Mapping[str, Any]) -> None:

@@ -5,7 +5,6 @@ Shared by the server and the client. Needs the packages of the extra `server`.
 
 from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
 from uoarm.wire._binary import read_binary, write_binary
-from uoarm.wire._depth import check_depth
 from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form, write_or_tell
 from uoarm.wire._skeleton import dump_parts
 
@@ -16,7 +15,6 @@ __all__ = [
     "TEXT_FORM",
     "Form",
     "check_asked",
-    "check_depth",
     "dump_parts",
     "protocol_schema",
     "read_binary",

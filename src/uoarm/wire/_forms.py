@@ -9,9 +9,8 @@ from typing import Any, final
 import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Schema
+from uoarm.model import Message, Schema, check_depth
 from uoarm.wire._binary import read_binary, write_binary
-from uoarm.wire._depth import check_depth
 from uoarm.wire._text import write_text, write_text_parts
 from uoarm.wire._text_structure import make_reader, text_schema
 

@@ -12,8 +12,8 @@ from typing import Any
 import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message
-from uoarm.wire import check_depth, dump_parts, write_binary
+from uoarm.model import Message, check_depth
+from uoarm.wire import dump_parts, write_binary
 
 __all__ = ["check_fields", "read_operation", "write_publish", "write_publish_cbor", "write_ros"]
 

@@ -1,0 +1,52 @@
+"""A joined host in this process: how it ends."""
+
+from __future__ import annotations
+
+import threading
+
+from tests.host.joined import free_port
+
+from uoarm.bridge import BridgeType, Registry
+from uoarm.host import HostSettings, JoinedHost, MachineDesk
+from uoarm.host._machine import MachineConnection
+from uoarm.model import BridgeSpec, Listening
+from uoarm.testing import MemoryBridge
+
+
+def test_its_bridges_close_at_the_same_time() -> None:
+    meeting = threading.Barrier(2)
+    met: list[int] = []
+
+    class Slow(MemoryBridge):
+        """Closes when the other one closes, too."""
+
+        def _close(self) -> None:
+            met.append(meeting.wait(3))
+            super()._close()
+
+    registry = Registry([])
+    registry.add(BridgeType("slow", "for tests", Slow))
+    place = f"tcp/127.0.0.1:{free_port()}"
+    desk = MachineDesk(Listening(place), ["arm"], lambda *_: None)
+    host = JoinedHost(place, "arm", identity=None, registry=registry)
+    running = threading.Thread(target=host.run)
+    running.start()
+    connections = [
+        MachineConnection(
+            desk,
+            "arm",
+            BridgeSpec(name, "slow", {}),
+            HostSettings(),
+            heard=lambda _: None,
+            doubted=lambda *_: None,
+            died=lambda _: None,
+        )
+        for name in ("one", "two")
+    ]
+    host.close()
+    running.join(20)
+    for connection in connections:
+        connection.close(None)
+    desk.close()
+    assert not running.is_alive()
+    assert sorted(met) == [0, 1]
