@@ -166,6 +166,12 @@ def test_what_the_service_refuses_for_good_holds_up_nothing(
     assert record(PULSE)["stored"]
 
 
+def test_what_cannot_be_sent_holds_up_nothing(record: PatientRecord) -> None:
+    with pytest.raises(ValueError, match="JSON compliant"):
+        record({**PULSE, "value": float("nan")})
+    assert record(PULSE) == {"id": identity(PULSE), "stored": True, "waiting": 0}
+
+
 def test_an_observation_can_be_read_and_searched(service: Service, record: PatientRecord) -> None:
     record(PULSE)
     record(PRESSURE)

@@ -49,7 +49,8 @@ class PatientRecord:
         """Keep one measurement; stored at once where the service is up, soon otherwise.
 
         Raises:
-            ValueError: the measurement says too little, or the service refused it for good.
+            ValueError: the measurement says too little, or its value is no number, or the
+                service refused it for good.
         """
         resource = observation(request)
         self._spool.put(resource)

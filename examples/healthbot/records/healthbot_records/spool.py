@@ -28,8 +28,12 @@ class Spool:
         )
 
     def put(self, resource: dict[str, Any]) -> None:
-        """Add a resource, once: one that waits already is replaced in its place."""
-        row = (resource["id"], json.dumps(resource))
+        """Add a resource, once: one that waits already is replaced in its place.
+
+        Raises:
+            ValueError: a number in it is none that JSON has; nothing is added.
+        """
+        row = (resource["id"], json.dumps(resource, allow_nan=False))
         with self._lock:
             self._database.execute(
                 "INSERT INTO waiting (id, resource) VALUES (?, ?) "
