@@ -142,6 +142,9 @@ def test_nothing_is_lost_while_the_service_is_down(
     ("body", "told"),
     [
         (b"{", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b'{"resourceType": "Observation", "valueQuantity": NaN}', "not JSON"),
+        (b'{"resourceType": "Observation", "status": "\\ud800"}', "not JSON"),
         (b'{"resourceType": "Patient"}', "type Observation"),
         (b'{"resourceType": "Observation", "id": "other"}', "not that of the address"),
         (b'{"resourceType": "Observation", "id": "x"}', "must be there"),
