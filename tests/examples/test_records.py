@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,43 @@ def test_what_the_service_refuses_for_good_holds_up_nothing(
     with pytest.raises(ValueError, match=r"refused it: .*larger than"):
         record({**PULSE, "patient": "p" * 70_000})
     assert record(PULSE)["stored"]
+
+
+@pytest.fixture
+def answering() -> Iterator[tuple[str, list[int]]]:
+    """A service at an address; it answers the last of these codes, and takes that one off."""
+    codes: list[int] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_PUT(self) -> None:
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(codes.pop())
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", codes
+        server.shutdown()
+        thread.join()
+
+
+def test_what_was_refused_once_can_be_stored_later(
+    answering: tuple[str, list[int]], tmp_path: Path
+) -> None:
+    url, codes = answering
+    codes += [201, 403]
+    record = PatientRecord(url, str(tmp_path / "spool.db"))
+    try:
+        with pytest.raises(ValueError, match="refused it"):
+            record(PULSE)
+        assert record(PULSE) == {"id": identity(PULSE), "stored": True, "waiting": 0}
+    finally:
+        record.close()
 
 
 def test_what_cannot_be_sent_holds_up_nothing(record: PatientRecord) -> None:
