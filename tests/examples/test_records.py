@@ -207,6 +207,20 @@ def test_what_was_refused_once_can_be_stored_later(
         record.close()
 
 
+@pytest.mark.parametrize("code", [408, 429, 503])
+def test_what_the_service_puts_off_is_sent_again(
+    answering: tuple[str, list[int]], tmp_path: Path, code: int
+) -> None:
+    url, codes = answering
+    codes += [201, 201, code]
+    record = PatientRecord(url, str(tmp_path / "spool.db"))
+    try:
+        record(PULSE)
+        assert record(PULSE)["stored"]
+    finally:
+        record.close()
+
+
 def test_what_cannot_be_sent_holds_up_nothing(record: PatientRecord) -> None:
     with pytest.raises(ValueError, match="JSON compliant"):
         record({**PULSE, "value": float("nan")})

@@ -17,6 +17,7 @@ __all__ = ["PatientRecord", "Receipt"]
 _log = logging.getLogger("healthbot")
 _SEND_SECONDS = 2.0
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 10.0
+_LATER = {408, 429}  # too slow, too many: 4xx, yet no fault of the measurement
 
 
 class Receipt(TypedDict):
@@ -96,7 +97,7 @@ class PatientRecord:
         except httpx.HTTPError as error:
             _log.info("the record service is not there: %s", error)
             return False
-        if answer.is_server_error:
+        if answer.is_server_error or answer.status_code in _LATER:
             _log.warning("the record service answered %s", answer.status_code)
             return False
         if answer.is_success:
