@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -23,6 +22,7 @@ import httpx  # noqa: E402
 from healthbot_records.component import PatientRecord  # noqa: E402
 from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
 from healthbot_records.spool import Spool  # noqa: E402
+from tests.waiting import eventually  # noqa: E402
 
 from uoarm.local import PythonBridge  # noqa: E402
 from uoarm.model import Endpoint, Role  # noqa: E402
@@ -129,11 +129,7 @@ def test_nothing_is_lost_while_the_service_is_down(
     service.start()
     again = PatientRecord(service.url, str(tmp_path / "spool.db"))
     try:
-        arrived = threading.Event()
-        for _ in range(200):
-            if len(service.stored()) == 2:
-                break
-            arrived.wait(0.05)
+        eventually(lambda: len(service.stored()) == 2, "what waited never arrived")
         assert {one["id"] for one in service.stored()} == {identity(PULSE), identity(PRESSURE)}
     finally:
         again.close()
@@ -248,9 +244,6 @@ def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Pat
         told = bridge.call(endpoint, dict(PULSE), timeout=30.0)
         assert told == {"id": identity(PULSE), "stored": False, "waiting": 1}
         service.start()
-        deadline = time.monotonic() + 60
-        while not service.stored():
-            assert time.monotonic() < deadline, "the measurement never arrived"
-            time.sleep(0.05)
+        eventually(service.stored, "the measurement never arrived")
     finally:
         bridge.close()
