@@ -68,7 +68,7 @@ class Authority:
         """Make the manager's certificate, for the addresses under which machines reach it.
 
         Raises:
-            UsageError: there is one already.
+            UsageError: there is one already, an address cannot be one, or it cannot be written.
         """
         names: list[x509.GeneralName] = [_general_name(one) for one in addresses]
         return self._certify(MANAGER, names, ExtendedKeyUsageOID.SERVER_AUTH, days)
@@ -77,7 +77,8 @@ class Authority:
         """Make the certificate of a machine.
 
         Raises:
-            UsageError: there is one already, or no machine can have this name.
+            UsageError: there is one already, no machine can have this name, or it cannot be
+                written.
         """
         if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
             raise UsageError(
@@ -90,8 +91,10 @@ class Authority:
         self, name: str, names: list[x509.GeneralName], usage: x509.ObjectIdentifier, days: int
     ) -> Path:
         place = self.folder / f"{name}.pem"
-        if place.exists():
-            raise UsageError(f"{place} is there already: remove it and its key to make a new one")
+        for file in (place, place.with_suffix(".key")):
+            if file.exists():
+                text = "remove the certificate and its key to make new ones"
+                raise UsageError(f"{file} is there already: {text}")
         key = ec.generate_private_key(ec.SECP256R1())
         issued = (
             _builder(name, self.certificate.subject, key.public_key(), days)
@@ -105,7 +108,10 @@ class Authority:
             )
             .sign(self.key, hashes.SHA256())
         )
-        _write(self.folder, name, issued, key)
+        try:
+            _write(self.folder, name, issued, key)
+        except OSError as error:
+            raise UsageError(f"{place} cannot be written: {error}") from error
         return place
 
     @classmethod
@@ -170,6 +176,9 @@ def _general_name(address: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(address))
     except ValueError:
+        if not address or not address.isascii():
+            text = "expected an IP address, or a name in ASCII (xn--... for any other)"
+            raise UsageError(f"the manager cannot be reached at {address!r}: {text}") from None
         return x509.DNSName(address)
 
 

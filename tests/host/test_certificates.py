@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import shutil
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,26 @@ def test_a_certificate_is_not_overwritten(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"arm\.pem is there already"):
         Authority.of(tmp_path).certify_machine("arm", 10)
     assert (tmp_path / "arm.key").read_bytes() == before
+
+
+def test_a_key_without_its_certificate_is_not_overwritten(tmp_path: Path) -> None:
+    Authority.of(tmp_path).certify_machine("arm", 10)
+    (tmp_path / "arm.pem").unlink()
+    with pytest.raises(UsageError, match=r"arm\.key is there already"):
+        Authority.of(tmp_path).certify_machine("arm", 10)
+
+
+def test_a_folder_that_is_gone_is_told(tmp_path: Path) -> None:
+    authority = Authority.of(tmp_path / "gone")
+    shutil.rmtree(tmp_path / "gone")
+    with pytest.raises(UsageError, match=r"arm\.pem cannot be written"):
+        authority.certify_machine("arm", 10)
+
+
+@pytest.mark.parametrize("address", ["", "münchen.local"])
+def test_an_address_that_cannot_be_one_is_refused(tmp_path: Path, address: str) -> None:
+    with pytest.raises(UsageError, match="cannot be reached at"):
+        Authority.of(tmp_path).certify_manager([address], 10)
 
 
 @pytest.mark.parametrize("name", ["", "ca", "manager", "../arm", "a/b", "7", "a*", "x" * 65, "ä"])
