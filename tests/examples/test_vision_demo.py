@@ -95,6 +95,16 @@ def test_without_npm_the_demo_goes_on_with_what_pip_gives(
     assert result["mistakes"] == 0
 
 
+@pytest.mark.timeout(300)
+def test_without_npm_and_without_dlib_it_goes_on_too(
+    vision: Path, without_npm: dict[str, str], tmp_path: Path
+) -> None:
+    code, result, text = run(vision, tmp_path, "--light", **without_npm)
+    assert code == 0, text
+    assert result["plan"] == ["recorded", "haar_detector", "lbph_recogniser"]
+    assert set(result["seen"]) == {"Passenger", "Obama"}
+
+
 def test_no_footage_is_an_error_that_says_what_to_do(vision: Path, tmp_path: Path) -> None:
     offline = {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull, "PIP_FIND_LINKS": ""}
     code, result, text = run(vision, tmp_path, UOARM_CACHE=str(tmp_path), **offline)
