@@ -87,7 +87,7 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	$(WANTS_ROS)
-	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
+	@echo "Installing uoarm, its plugins and the test tools into $(VENV) (about 900 MB, once) ..."
 	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@
