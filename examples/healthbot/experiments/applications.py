@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 import sys
 import time
 from typing import Any
@@ -13,6 +12,7 @@ from stage import EXAMPLE, ROOT
 
 sys.path.insert(0, str(ROOT))
 
+from healthbot_scene.needs import node
 from tests.server.browser import Browser, find_chromium
 
 __all__ = ["Visit", "browser_visit", "terminal_visit"]
@@ -43,20 +43,25 @@ class Visit:
 
 async def terminal_visit(robot: str) -> Visit:
     """Run the terminal application once."""
-    node = shutil.which("node")
-    if node is None:
-        return Visit("", "not run: node is not installed", 0.0)
+    program = node()
+    if program is None:
+        return Visit("", "not run: Node.js 20.10 or later is not installed", 0.0)
     begun = time.monotonic()
     flags = ("--experimental-websocket", "--no-warnings")
     process = await asyncio.create_subprocess_exec(
-        node,
+        program,
         *flags,
         str(EXAMPLE / "terminal" / "main.mjs"),
         robot,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
     )
-    told, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
+    try:
+        told, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
     lines = told.decode().splitlines()
     spoken = [line.partition(" ")[2].strip() for line in lines if line.startswith("robot")]
     measured = [" ".join(line.split()) for line in lines if line.startswith("  ")]
