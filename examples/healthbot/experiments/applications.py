@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 import time
 from typing import Any
@@ -94,9 +95,5 @@ def _browse(program: str, page: str) -> Visit:
 
 def _shown(browser: Browser, beginning: str) -> str:
     """Wait for a prompt and return it."""
-    deadline = time.monotonic() + _SECONDS
-    while not (prompt := str(browser.js(_PROMPT))).startswith(beginning):
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"the page never said {beginning!r}, but {prompt!r}")
-        time.sleep(0.05)
-    return prompt
+    so = f"{_PROMPT}.startsWith({json.dumps(beginning)}) && {_PROMPT}"
+    return str(browser.until(so, _SECONDS))
