@@ -7,6 +7,11 @@ PLUGINS = $(wildcard plugins/*)
 NAMESERVICE ?= localhost:2809
 FIGURES ?= build/healthbot
 
+# pip would say that there is no matching distribution of some package, and not why.
+WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
+  here = (platform.system(), platform.machine()); \
+  sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
+
 .DELETE_ON_ERROR:
 .PHONY: demo live healthbot healthbot-tables plots test test-long lint types docs check bench mutation interop-rtm clean
 
@@ -73,6 +78,7 @@ $(VENV)/.live: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
+	$(WANTS_ROS)
 	@echo "Installing uoarm, its bridges and the HealthBot's packages into $(VENV) (once) ..."
 	$(BIN)/python -m pip install --progress-bar on \
 	  -e '.[vision,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
@@ -80,7 +86,8 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
-	@echo "Installing uoarm, its plugins and the test tools into $(VENV) ..."
+	$(WANTS_ROS)
+	@echo "Installing uoarm, its plugins and the test tools into $(VENV) (about 900 MB, once) ..."
 	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
 	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
 	@touch $@

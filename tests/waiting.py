@@ -9,10 +9,12 @@ from collections.abc import Callable
 __all__ = ["wait"]
 
 
-def wait(ready: Callable[[], object], seconds: float = 10.0) -> None:
+def wait(
+    ready: Callable[[], object], seconds: float = 10.0, never: str = "it did not come to pass"
+) -> None:
     """Wait until something is true, looking every five milliseconds; fails when time runs out."""
     deadline = time.monotonic() + seconds
     pause = threading.Event()
     while not ready():
-        assert time.monotonic() < deadline, "it did not come to pass"
+        assert time.monotonic() < deadline, never
         pause.wait(0.005)

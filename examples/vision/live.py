@@ -43,6 +43,8 @@ def main() -> int:
     except (FootageError, UoarmError, OSError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted")
     return 0
 
 

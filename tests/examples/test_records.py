@@ -7,8 +7,8 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ import httpx  # noqa: E402
 from healthbot_records.component import PatientRecord  # noqa: E402
 from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
 from healthbot_records.spool import Spool  # noqa: E402
+from tests.waiting import wait  # noqa: E402
 
 from uoarm.local import PythonBridge  # noqa: E402
 from uoarm.model import Endpoint, Role  # noqa: E402
@@ -128,11 +129,7 @@ def test_nothing_is_lost_while_the_service_is_down(
     service.start()
     again = PatientRecord(service.url, str(tmp_path / "spool.db"))
     try:
-        arrived = threading.Event()
-        for _ in range(200):
-            if len(service.stored()) == 2:
-                break
-            arrived.wait(0.05)
+        wait(lambda: len(service.stored()) == 2, 60, "what waited never arrived")
         assert {one["id"] for one in service.stored()} == {identity(PULSE), identity(PRESSURE)}
     finally:
         again.close()
@@ -142,6 +139,9 @@ def test_nothing_is_lost_while_the_service_is_down(
     ("body", "told"),
     [
         (b"{", "not JSON"),
+        (b"[" * 60_000, "not JSON"),
+        (b'{"resourceType": "Observation", "valueQuantity": NaN}', "not JSON"),
+        (b'{"resourceType": "Observation", "status": "\\ud800"}', "not JSON"),
         (b'{"resourceType": "Patient"}', "type Observation"),
         (b'{"resourceType": "Observation", "id": "other"}', "not that of the address"),
         (b'{"resourceType": "Observation", "id": "x"}', "must be there"),
@@ -166,6 +166,63 @@ def test_what_the_service_refuses_for_good_holds_up_nothing(
     assert record(PULSE)["stored"]
 
 
+@pytest.fixture
+def answering() -> Iterator[tuple[str, list[int]]]:
+    """A service at an address; it answers the last of these codes, and takes that one off."""
+    codes: list[int] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_PUT(self) -> None:
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(codes.pop())
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", codes
+        server.shutdown()
+        thread.join()
+
+
+def test_what_was_refused_once_can_be_stored_later(
+    answering: tuple[str, list[int]], tmp_path: Path
+) -> None:
+    url, codes = answering
+    codes += [201, 403]
+    record = PatientRecord(url, str(tmp_path / "spool.db"))
+    try:
+        with pytest.raises(ValueError, match="refused it"):
+            record(PULSE)
+        assert record(PULSE) == {"id": identity(PULSE), "stored": True, "waiting": 0}
+    finally:
+        record.close()
+
+
+@pytest.mark.parametrize("code", [408, 429, 503])
+def test_what_the_service_puts_off_is_sent_again(
+    answering: tuple[str, list[int]], tmp_path: Path, code: int
+) -> None:
+    url, codes = answering
+    codes += [201, 201, code]
+    record = PatientRecord(url, str(tmp_path / "spool.db"))
+    try:
+        record(PULSE)
+        assert record(PULSE)["stored"]
+    finally:
+        record.close()
+
+
+def test_what_cannot_be_sent_holds_up_nothing(record: PatientRecord) -> None:
+    with pytest.raises(ValueError, match="JSON compliant"):
+        record({**PULSE, "value": float("nan")})
+    assert record(PULSE) == {"id": identity(PULSE), "stored": True, "waiting": 0}
+
+
 def test_an_observation_can_be_read_and_searched(service: Service, record: PatientRecord) -> None:
     record(PULSE)
     record(PRESSURE)
@@ -187,9 +244,6 @@ def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Pat
         told = bridge.call(endpoint, dict(PULSE), timeout=30.0)
         assert told == {"id": identity(PULSE), "stored": False, "waiting": 1}
         service.start()
-        deadline = time.monotonic() + 60
-        while not service.stored():
-            assert time.monotonic() < deadline, "the measurement never arrived"
-            time.sleep(0.05)
+        wait(service.stored, 60, "the measurement never arrived")
     finally:
         bridge.close()

@@ -8,16 +8,20 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from attrs import evolve
+from rich.console import Console
 from uoarm_vision.messages import Box, Frame, People
 from vision_demo.footage import TALKING, Footage
-from vision_demo.run import Result
+from vision_demo.packages import FootageError
+from vision_demo.run import Result, enrol_persons
 from vision_demo.tally import Tally
 
 from uoarm import RobotManager, StatusMap
@@ -95,6 +99,16 @@ def test_without_npm_the_demo_goes_on_with_what_pip_gives(
     assert result["mistakes"] == 0
 
 
+@pytest.mark.timeout(300)
+def test_without_npm_and_without_dlib_it_goes_on_too(
+    vision: Path, without_npm: dict[str, str], tmp_path: Path
+) -> None:
+    code, result, text = run(vision, tmp_path, "--light", **without_npm)
+    assert code == 0, text
+    assert result["plan"] == ["recorded", "haar_detector", "lbph_recogniser"]
+    assert set(result["seen"]) == {"Passenger", "Obama"}
+
+
 def test_no_footage_is_an_error_that_says_what_to_do(vision: Path, tmp_path: Path) -> None:
     offline = {"PIP_NO_INDEX": "1", "PIP_CONFIG_FILE": os.devnull, "PIP_FIND_LINKS": ""}
     code, result, text = run(vision, tmp_path, UOARM_CACHE=str(tmp_path), **offline)
@@ -120,6 +134,23 @@ def test_an_interrupt_closes_everything(vision: Path, tmp_path: Path) -> None:
         rest = lines.read()
     assert process.wait(timeout=60) == 130
     assert "interrupted; everything is closed" in rest
+
+
+def test_a_photo_without_a_face_is_told_and_leaves_no_thread(
+    vision: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread of the progress bar that goes on keeps the whole program from ending."""
+    photo = tmp_path / "photos" / "Nobody" / "1.png"
+    photo.parent.mkdir(parents=True)
+    cv2.imwrite(str(photo), np.zeros((64, 64, 3), np.uint8))
+    monkeypatch.setenv("UOARM_VISION", str(tmp_path))
+    with RobotManager.from_file(vision / "robot.yaml") as robot:
+        plan = robot.resolve("faceRecognition")
+    before = set(threading.enumerate())
+    with pytest.raises(FootageError, match=r"1\.png shows 0 faces") as caught:
+        enrol_persons(plan, Footage(tmp_path, {}), Console(quiet=True))
+    assert caught.value.__cause__ is not None
+    assert set(threading.enumerate()) <= before
 
 
 def message(source: str, *names: str | None) -> People:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from itertools import islice
 from pathlib import Path
 
 import cv2
+import live
 import numpy as np
 import pytest
 from live import RATE, endless
@@ -14,6 +16,17 @@ from uoarm_vision.messages import Frame
 from uoarm import RobotManager
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "vision" / "robot.yaml"
+
+
+def test_an_interrupt_before_it_serves_ends_it_as_one_afterwards_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(port: int, console: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(live, "serve", interrupted)
+    monkeypatch.setattr(sys, "argv", ["live.py"])
+    assert live.main() == 0
 
 
 def test_its_recordings_play_again_and_again(

@@ -53,6 +53,9 @@ MALFORMED: dict[str, object] = {
     "a reference into nothing": {"$ref": "#/$defs/none"},
     "an anchor that is not there": {"$ref": "#none"},
     "a reference to what is no schema": {"$defs": {"a": 3}, "$ref": "#/$defs/a"},
+    "a reference to a place of 5,000 digits": {"allOf": [{"$ref": f"#/allOf/{'9' * 5000}"}]},
+    "a reference that is no URI": {"$id": "http://a/", "allOf": [{"$ref": "//["}]},
+    "an identifier that is no URI": {"$id": "http://a/", "allOf": [{"$id": "//["}]},
     "a schema that is a list": [],
     "a schema that is null": None,
     "a schema that is text": "integer",
@@ -92,6 +95,11 @@ def test_what_cannot_be_known_is_undecided_or_an_error(schema: Body) -> None:
     text: Body = {"type": "string"}
     assert answer_or_error(schema, text) in {"undecided", "error"}
     assert answer_or_error(text, schema) in {"undecided", "error"}
+
+
+def test_a_count_of_5000_digits_in_a_pattern_is_undecided() -> None:
+    counted: Body = {"type": "string", "pattern": f"^a{{{'9' * 5000}}}$"}
+    assert answer_or_error(counted, {"type": "string", "maxLength": 3}) == "undecided"
 
 
 def test_an_alias_bomb_ends() -> None:

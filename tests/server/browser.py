@@ -93,11 +93,11 @@ class Browser:
         assert "exceptionDetails" not in told, (expression, told["exceptionDetails"])
         return told["result"].get("value")
 
-    def until(self, expression: str) -> Any:
+    def until(self, expression: str, seconds: float = SECONDS) -> Any:
         """Wait until an expression is true in the page and return it."""
-        deadline = time.monotonic() + SECONDS
+        deadline = time.monotonic() + seconds
         while (value := self.js(f"({expression}) || null")) is None:
-            shown = self.js("document.body.innerText.slice(0, 2000)")
+            shown = self.js("document.body?.innerText.slice(0, 2000)")
             assert time.monotonic() < deadline, f"never: {expression}\n{shown}\n{self.complaints}"
             time.sleep(0.02)
         return value

@@ -5,14 +5,15 @@ from __future__ import annotations
 import itertools
 import json
 import socket
-import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
+from tests.waiting import wait
 from typing_extensions import Self
 from websockets.exceptions import InvalidMessage
 from websockets.frames import Frame, Opcode
@@ -138,12 +139,9 @@ class Talk:
             self._others.append(told)
 
 
-def eventually(condition: Any, what: str) -> None:
+def eventually(condition: Callable[[], object], what: str) -> None:
     """Wait until something is so; fail with its name when it does not come about."""
-    deadline = time.monotonic() + SECONDS
-    while not condition():
-        assert time.monotonic() < deadline, f"never: {what}"
-        time.sleep(0.005)
+    wait(condition, SECONDS, f"never: {what}")
 
 
 def open_socket(port: int) -> socket.socket:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
+import json
 import sys
 import time
 from typing import Any
@@ -13,6 +13,7 @@ from stage import EXAMPLE, ROOT
 
 sys.path.insert(0, str(ROOT))
 
+from healthbot_scene.needs import node
 from tests.server.browser import Browser, find_chromium
 
 __all__ = ["Visit", "browser_visit", "terminal_visit"]
@@ -43,20 +44,25 @@ class Visit:
 
 async def terminal_visit(robot: str) -> Visit:
     """Run the terminal application once."""
-    node = shutil.which("node")
-    if node is None:
-        return Visit("", "not run: node is not installed", 0.0)
+    program = node()
+    if program is None:
+        return Visit("", "not run: Node.js 20.10 or later is not installed", 0.0)
     begun = time.monotonic()
     flags = ("--experimental-websocket", "--no-warnings")
     process = await asyncio.create_subprocess_exec(
-        node,
+        program,
         *flags,
         str(EXAMPLE / "terminal" / "main.mjs"),
         robot,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
     )
-    told, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
+    try:
+        told, _ = await asyncio.wait_for(process.communicate(), _SECONDS)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
     lines = told.decode().splitlines()
     spoken = [line.partition(" ")[2].strip() for line in lines if line.startswith("robot")]
     measured = [" ".join(line.split()) for line in lines if line.startswith("  ")]
@@ -89,9 +95,5 @@ def _browse(program: str, page: str) -> Visit:
 
 def _shown(browser: Browser, beginning: str) -> str:
     """Wait for a prompt and return it."""
-    deadline = time.monotonic() + _SECONDS
-    while not (prompt := str(browser.js(_PROMPT))).startswith(beginning):
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"the page never said {beginning!r}, but {prompt!r}")
-        time.sleep(0.05)
-    return prompt
+    so = f"{_PROMPT}.startsWith({json.dumps(beginning)}) && {_PROMPT}"
+    return str(browser.until(so, _SECONDS))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,13 +9,12 @@ from pathlib import Path
 from attrs import frozen
 from uoarm_rtm.nameserver import nameserver_command
 
-from healthbot_scene.places import Places
+from healthbot_scene.places import Places, listens
 
 __all__ = ["Part", "parts_of"]
 
 _PYTHON = sys.executable
 _DEVICES = ("uoarm-rocos", "simulate")
-_PROBE_SECONDS = 0.5
 
 
 @frozen
@@ -133,11 +131,4 @@ def _says(word: str) -> Callable[[Path], bool]:
 
 
 def _listens(port: int) -> Callable[[Path], bool]:
-    def probe(_: Path) -> bool:
-        try:
-            socket.create_connection(("127.0.0.1", port), _PROBE_SECONDS).close()
-        except OSError:
-            return False
-        return True
-
-    return probe
+    return lambda _: listens(port)

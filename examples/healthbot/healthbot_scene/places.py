@@ -17,7 +17,7 @@ from vision_demo.footage import prepare
 
 from healthbot_scene.separate import HOSTS
 
-__all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
+__all__ = ["EXAMPLE", "Places", "free_domain", "listens", "make_places"]
 
 EXAMPLE = Path(__file__).resolve().parents[1]
 _RECOGNISERS = ("resnet", "lbph")
@@ -128,7 +128,7 @@ def make_places(
         OSError: somebody listens on one of the ports.
     """
     for port in ports or ():
-        if _listens(port):
+        if listens(port):
             raise OSError(
                 f"port {port} is in use, perhaps by another scene; --free-ports takes others"
             )
@@ -177,6 +177,7 @@ def _free_ports() -> tuple[int, int, int, int]:
     return first, second, third, fourth
 
 
-def _listens(port: int) -> bool:
+def listens(port: int) -> bool:
+    """Return whether somebody listens on a port of this machine."""
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0

@@ -5,18 +5,19 @@ from __future__ import annotations
 import importlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from attrs import frozen
 from rich.console import Console
 from rich.live import Live
 from uoarm_vision.camera import count
-from uoarm_vision.photos import photos_in
+from uoarm_vision.photos import Photo, photos_in
 
 from uoarm import OverflowPolicy, Plan, QueuePolicy, RobotManager, StatusMap
 from vision_demo.footage import PACKAGES, Footage, prepare
 from vision_demo.hidden import hide
-from vision_demo.packages import Package
+from vision_demo.packages import FootageError, Package
 from vision_demo.picture import Album
 from vision_demo.screen import LiveStatus, bar, result_table, show_plan
 from vision_demo.tally import Tally
@@ -137,12 +138,26 @@ def fetch(cache: Path, console: Console) -> Footage:
 
 
 def enrol_persons(plan: Plan, footage: Footage, console: Console) -> None:
-    """Let the module of the chosen recogniser learn the photos."""
+    """Let the module of the chosen recogniser learn the photos.
+
+    Raises:
+        FootageError: one of them does not show exactly one face.
+    """
     module = plan.provider.component.outputs[0].endpoint.address[0].partition(":")[0]
     enrol = importlib.import_module(module).enrol
+    photos = photos_in(footage.photos)
     with bar(console) as progress:
-        photos = photos_in(footage.photos)
-        enrol(progress.track(photos, description="enrolling"), footage.folder / "gallery")
+        task = progress.add_task("enrolling", total=len(photos))
+
+        def shown() -> Iterator[Photo]:
+            for photo in photos:
+                yield photo
+                progress.advance(task)
+
+        try:
+            enrol(shown(), footage.folder / "gallery")
+        except ValueError as error:
+            raise FootageError(str(error)) from error
 
 
 def _watch(robot: RobotManager, footage: Footage, output: Path, console: Console) -> Result:

@@ -64,6 +64,10 @@ class Authority:
         Raises:
             UsageError: there is one already, an address is none, or it cannot be written.
         """
+        for address in addresses:
+            if not address or not address.isascii():
+                text = "expected an IP address, or a name in ASCII (xn--... for any other)"
+                raise UsageError(f"the manager cannot be reached at {address!r}: {text}")
         return self._certify(MANAGER, addresses, ExtendedKeyUsageOID.SERVER_AUTH, days)
 
     def certify_machine(self, name: str, days: int) -> Path:
@@ -84,15 +88,17 @@ class Authority:
         self, name: str, names: Sequence[str], usage: x509.ObjectIdentifier, days: int
     ) -> Path:
         place = self.folder / f"{name}.pem"
-        if place.exists():
-            raise UsageError(f"{place} is there already: remove it and its key to make a new one")
+        for file in (place, place.with_suffix(".key")):
+            if file.exists():
+                text = "remove the certificate and its key to make new ones"
+                raise UsageError(f"{file} is there already: {text}")
         key = new_key()
         try:
             certificate = begun(name, self.certificate.subject, key.public_key(), *_span(days))
             issued = leaf(certificate, names, usage, self.key.public_key())
             _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
         except (OSError, ValueError, OverflowError) as error:
-            raise UsageError(f"no certificate {place} for {', '.join(names)}: {error}") from error
+            raise UsageError(f"{place} cannot be made: {error}") from error
         return place
 
     @classmethod

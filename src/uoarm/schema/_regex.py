@@ -16,6 +16,7 @@ from uoarm.schema._properties import property_chars
 __all__ = ["compile_pattern"]
 
 _MAX_REPEAT = 1000
+_MAX_DIGITS = 9  # int() refuses thousands of them
 _CONTROLS = {"f": 12, "n": 10, "r": 13, "t": 9, "v": 11, "0": 0}
 _SYNTAX = set("^$\\.*+?()[]{}|/")
 
@@ -171,6 +172,8 @@ class _Parser:
         close = self.text.index("}", self.at)
         low, comma, high = self.text[self.at + 1 : close].partition(",")
         self.at = close + 1
+        if max(len(low), len(high)) > _MAX_DIGITS:
+            raise UnsupportedPatternError(f"a repetition of more than {_MAX_REPEAT}")
         least = int(low)
         most = (int(high) if high else None) if comma else least
         if max(least, most or 0) > _MAX_REPEAT:

@@ -6,6 +6,7 @@ the innermost one around them. Nothing is ever fetched.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import unquote, urljoin
@@ -16,6 +17,7 @@ from uoarm.schema._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES
 
 __all__ = ["Resources"]
 
+_INDEX = re.compile("[0-9]{1,9}")
 _POSITIONAL = frozenset({"$id", "$ref", "$dynamicRef", "$anchor", "$dynamicAnchor"})
 
 
@@ -50,7 +52,7 @@ class Resources:
         """Return a reference of a schema in the form that `find` takes."""
         base = self._inner(schema, self._bases[id(schema)])
         target, _, fragment = reference.partition("#")
-        return f"{urljoin(base, target) if target else base}#{fragment}"
+        return f"{_joined(base, target, '$ref') if target else base}#{fragment}"
 
     def is_static(self, absolute: str) -> bool:
         """Say whether a dynamic reference leads to the same place from everywhere."""
@@ -91,7 +93,7 @@ class Resources:
             name = step.replace("~1", "/").replace("~0", "~")
             if isinstance(at, Mapping) and name in at:
                 at = at[name]
-            elif isinstance(at, list) and name.isdecimal() and int(name) < len(at):
+            elif isinstance(at, list) and _INDEX.fullmatch(name) and int(name) < len(at):
                 at = at[int(name)]
             else:
                 raise SchemaError("#/$ref", "a reference to a part of the document", absolute)
@@ -121,7 +123,14 @@ class Resources:
 
 def _named(view: Mapping[str, Any], around: str) -> str:
     named = view.get("$id")
-    return urljoin(around, named.partition("#")[0]) if isinstance(named, str) else around
+    return _joined(around, named.partition("#")[0], "$id") if isinstance(named, str) else around
+
+
+def _joined(base: str, target: str, keyword: str) -> str:
+    try:
+        return urljoin(base, target)
+    except ValueError:
+        raise SchemaError(f"#/{keyword}", "a URI reference", target) from None
 
 
 def _meaning(view: Mapping[str, Any]) -> dict[str, object]:

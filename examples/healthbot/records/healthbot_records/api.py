@@ -84,7 +84,8 @@ async def _body(request: Request) -> bytes:
 def _read(body: bytes, identity: str) -> dict[str, Any]:
     try:
         resource = json.loads(body)
-    except ValueError as error:
+        _Fhir(resource)  # what could never be handed out again is not taken
+    except (ValueError, RecursionError) as error:
         raise _BadResourceError(f"not JSON: {error}") from error
     if not isinstance(resource, dict) or resource.get("resourceType") != "Observation":
         raise _BadResourceError("expected a resource of type Observation")

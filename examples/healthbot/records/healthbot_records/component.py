@@ -17,6 +17,7 @@ __all__ = ["PatientRecord", "Receipt"]
 _log = logging.getLogger("healthbot")
 _SEND_SECONDS = 2.0
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.2, 10.0
+_LATER = {408, 429}  # too slow, too many: 4xx, yet no fault of the measurement
 
 
 class Receipt(TypedDict):
@@ -49,7 +50,8 @@ class PatientRecord:
         """Keep one measurement; stored at once where the service is up, soon otherwise.
 
         Raises:
-            ValueError: the measurement says too little, or the service refused it for good.
+            ValueError: the measurement says too little, or its value is no number, or the
+                service refused it for good.
         """
         resource = observation(request)
         self._spool.put(resource)
@@ -95,7 +97,7 @@ class PatientRecord:
         except httpx.HTTPError as error:
             _log.info("the record service is not there: %s", error)
             return False
-        if answer.is_server_error:
+        if answer.is_server_error or answer.status_code in _LATER:
             _log.warning("the record service answered %s", answer.status_code)
             return False
         if answer.is_success:

@@ -28,9 +28,16 @@ class Spool:
         )
 
     def put(self, resource: dict[str, Any]) -> None:
-        """Add a resource, once: one that waits already is replaced in its place."""
-        row = (resource["id"], json.dumps(resource))
+        """Add a resource, once: one that waits already is replaced in its place.
+
+        Where the service refused it before, it is to be asked again.
+
+        Raises:
+            ValueError: a number in it is none that JSON has; nothing is added.
+        """
+        row = (resource["id"], json.dumps(resource, allow_nan=False))
         with self._lock:
+            self._database.execute("DELETE FROM refused WHERE id = ?", (resource["id"],))
             self._database.execute(
                 "INSERT INTO waiting (id, resource) VALUES (?, ?) "
                 "ON CONFLICT (id) DO UPDATE SET resource = excluded.resource",
