@@ -55,7 +55,9 @@ class Peer:
         self._process.wait()
 
     def freeze(self) -> None:
+        """Stop it; returns when all its threads stand."""
         self._process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self._process.pid, os.WSTOPPED)
 
     def thaw(self) -> None:
         self._process.send_signal(signal.SIGCONT)

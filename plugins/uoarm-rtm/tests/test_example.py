@@ -75,9 +75,10 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
     file = configuration(address, tmp_path)
     with (
         program("-u", str(EXAMPLES / "rtm" / "parrot.py"), address) as parrot,
-        program(str(EXAMPLES / "ros2" / "talker.py")),
+        program(str(EXAMPLES / "ros2" / "talker.py")) as talker,
     ):
         assert say(parrot) == "Parrot0.rtc listens\n"
+        assert say(talker) == "talking on /chatter\n"
         with (
             RobotManager.from_file(file) as robot,
             robot.request("parrot", validate="always", timeout=20.0) as said,
