@@ -162,6 +162,7 @@ far.open_source(at("echo"), ANY, got.append)
 sink = far.open_sink(at("echo", Role.INPUT), ANY)
 for number in range(40):
     sink.send({"n": number, "data": np.full(1_000_000, number, dtype="u1")})
+    wait(lambda: number - len(got) < 8, 30)  # a link that stays full for 0.2 s drops, and counts
 wait(lambda: len(got) == 40, 30)
 assert all((one["data"] == one["n"]).all() for one in got)
 for process in ("self", far.process):
