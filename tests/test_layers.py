@@ -19,7 +19,7 @@ LAYERS = [
     {"schema"},
     {"model"},
     {"wire"},
-    {"_bounded"},
+    {"_bounded", "_event_by"},
     {"adapt"},
     {"bridge"},
     {"local"},

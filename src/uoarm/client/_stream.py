@@ -10,6 +10,7 @@ from typing import Any, final
 
 from typing_extensions import Self
 
+from uoarm._event_by import event_by
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
@@ -46,10 +47,21 @@ class RemoteStream:
             TimeoutError: nothing came in time.
             ConnectionClosedError: the function has ended and every message was read.
         """
-        try:
-            return await asyncio.wait_for(self._next(), timeout)
-        except asyncio.TimeoutError:
-            raise TimeoutError(f"no message within {timeout:g} s") from None
+        loop = asyncio.get_running_loop()
+        deadline = None if timeout is None else loop.time() + timeout
+        while not self._waiting:
+            if self._end is not None:
+                state, cause = self._end
+                raise ConnectionClosedError(f"connection {self.connection} is {state}: {cause}")
+            if deadline is not None and loop.time() >= deadline:
+                raise TimeoutError(f"no message within {timeout:g} s")
+            self._changed.clear()
+            await event_by(self._changed, deadline)
+        number, message = self._waiting.popleft()
+        if self._last is not None:
+            self.lost += number - self._last - 1
+        self._last = number
+        return message
 
     async def send(self, message: Message, port: str | None = None) -> None:
         """Hand one message to an input; returns when the server has taken it.
@@ -79,19 +91,6 @@ class RemoteStream:
             self._end = (state, cause)
         self._changed.set()
 
-    async def _next(self) -> Message:
-        while not self._waiting:
-            if self._end is not None:
-                state, cause = self._end
-                raise ConnectionClosedError(f"connection {self.connection} is {state}: {cause}")
-            self._changed.clear()
-            await self._changed.wait()
-        number, message = self._waiting.popleft()
-        if self._last is not None:
-            self.lost += number - self._last - 1
-        self._last = number
-        return message
-
     async def __aiter__(self) -> AsyncIterator[Message]:
         """Yield messages until the function is killed or its source finishes.
 
@@ -100,7 +99,7 @@ class RemoteStream:
         """
         while True:
             try:
-                message = await self._next()
+                message = await self.get()
             except ConnectionClosedError:
                 if self._end is not None and self._end[0] == "failed":
                     raise

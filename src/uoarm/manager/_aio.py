@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from types import TracebackType
 from typing import TypeVar, final
 
+from uoarm._event_by import event_by
 from uoarm.errors import ConnectionClosedError
 from uoarm.manager._connection import Connection
 from uoarm.manager._robot_manager import RobotManager
@@ -53,13 +54,22 @@ class AsyncConnection:
 
     async def get(self, timeout: float | None = None) -> Message:
         """Return the next message; raises as `Connection.get` does."""
-        return await asyncio.wait_for(self._next(), timeout)
+        deadline = None if timeout is None else self._loop.time() + timeout
+        while True:
+            self._arrived.clear()
+            self._woken = False
+            try:
+                return self._connection.get(0)
+            except TimeoutError:
+                if deadline is not None and self._loop.time() >= deadline:
+                    raise TimeoutError(f"no message within {timeout:g} s") from None
+                await event_by(self._arrived, deadline)
 
     async def __aiter__(self) -> AsyncIterator[Message]:
         """Yield messages until the connection is killed or its source finishes."""
         while True:
             try:
-                message = await self._next()
+                message = await self.get()
             except ConnectionClosedError:
                 if self._connection.state is ConnectionState.FAILED:
                     raise
@@ -88,15 +98,6 @@ class AsyncConnection:
         trace: TracebackType | None,
     ) -> None:
         await self.kill()
-
-    async def _next(self) -> Message:
-        while True:
-            self._arrived.clear()
-            self._woken = False
-            try:
-                return self._connection.get(0)
-            except TimeoutError:
-                await self._arrived.wait()
 
     def _wake(self) -> None:
         if not self._woken:

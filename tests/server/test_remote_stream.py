@@ -1,0 +1,52 @@
+"""Reading a function of a robot elsewhere: time limits and cancellation."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from uoarm.client._stream import RemoteStream
+
+
+async def _never(*_: object, **__: object) -> Any:
+    raise AssertionError("nothing is asked here")
+
+
+def _stream() -> RemoteStream:
+    return RemoteStream({"connection": "c1", "inputs": [], "warnings": []}, _never, 8)
+
+
+def test_nothing_in_time_is_a_timeout() -> None:
+    async def play() -> None:
+        with pytest.raises(TimeoutError, match=r"no message within 0\.01 s"):
+            await _stream().get(0.01)
+
+    asyncio.run(play())
+
+
+def test_what_is_there_needs_no_time() -> None:
+    async def play() -> object:
+        stream = _stream()
+        stream.take(1, 5)
+        return await stream.get(0)
+
+    assert asyncio.run(play()) == 5
+
+
+@pytest.mark.parametrize("turns", range(6))
+def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: int) -> None:
+    async def play() -> None:
+        stream = _stream()
+        reading = asyncio.ensure_future(stream.get(60))
+        await asyncio.sleep(0)
+        stream.take(1, 5)
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        asked = reading.cancel()
+        await asyncio.wait({reading})
+        assert reading.cancelled() is asked
+        assert (await stream.get(60) if asked else reading.result()) == 5
+
+    asyncio.run(play())
