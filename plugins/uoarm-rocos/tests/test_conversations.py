@@ -9,6 +9,7 @@ import pytest
 from lines import LIMIT, listening
 from rigs import bridged, endpoint
 from test_faults import GOOD, Scripted, scripted
+from uoarm_rocos._bridge import RocosBridge
 from uoarm_rocos._messages import (
     Call,
     Close,
@@ -20,6 +21,7 @@ from uoarm_rocos._messages import (
     Open,
     Result,
 )
+from uoarm_rocos._profile import ProfileDevice
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -184,3 +186,24 @@ def test_data_of_a_conversation_that_is_over_are_ignored() -> None:
         device.say(lambda seq: Data(seq, 4_000_000_000, GOOD))
         device.say(lambda seq: Data(seq, device.flow, {**GOOD, "x": 2.0}))
         assert got.get()["x"] == 2.0
+
+
+def test_a_flow_that_is_open_since_the_line_came_back_is_not_opened_again() -> None:
+    def script(device: Scripted) -> None:
+        device.begin()
+        device.opened()
+
+    def call(bridge: Bridge) -> object:
+        structure = bridge.describe(ODOMETRY).message
+        assert structure
+        assert isinstance(bridge, RocosBridge)
+        channel = bridge.open_source(ODOMETRY, structure, print)
+        device = bridge._devices["robot"]
+        assert isinstance(device, ProfileDevice)
+        (flow,) = device._flows
+        before = flow.id
+        device._open_again(flow, {})  # as the line's thread does, just after that
+        channel.close()
+        return flow.id == before
+
+    assert answering(script, call)

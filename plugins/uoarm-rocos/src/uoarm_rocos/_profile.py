@@ -222,6 +222,7 @@ class ProfileDevice(Device):
         answer = self._answers.expect(identity, what)
         if flow is not None:
             with self._state:
+                self._flows.add(flow)
                 self._by_id[identity], flow.id = flow, identity
         try:
             self._talk.send(lambda seq: build(seq, identity))
@@ -236,8 +237,6 @@ class ProfileDevice(Device):
         self._check_same(flow.api)
         api, way = flow.api.name, flow.direction
         what = f"opening {way.value} {api} of {self.name}"
-        with self._state:
-            self._flows.add(flow)
         try:
             answer, _ = self._ask(what, lambda seq, number: Open(seq, number, api, way), flow)
             if not answer.wait(max(0.0, end - time.monotonic())):
@@ -252,8 +251,8 @@ class ProfileDevice(Device):
             flow.tell(Health.LOST, f"refused after reconnecting: {found[flow.api.name]}")
             return
         with self._state:
-            if flow not in self._flows:
-                return
+            if flow not in self._flows or self._by_id.get(flow.id) is flow:
+                return  # closed, or opened by its user since the line came back
             identity = self._talk.ids.next()
             self._by_id[identity], flow.id = flow, identity
         self._talk.send(lambda seq: Open(seq, identity, flow.api.name, flow.direction))
