@@ -11,6 +11,7 @@ from tests.waiting import wait
 
 from uoarm import ConnectionClosedError, RobotManager
 from uoarm.config import loads
+from uoarm.manager import _failover
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Robot, StatusEvent
 from uoarm.testing import Census, Emitter, Loop, ManualClock, MemoryBridge
 
@@ -125,6 +126,21 @@ def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> 
     assert (one.get(5), two.get(5)) == (5, 5)
     (shared,) = [live for live in stage.robot.status().components if live.name == "next"]
     assert sorted(shared.users) == ["c1", "c2"]
+
+
+def test_a_takeover_that_comes_too_late_still_lets_go_of_what_died(
+    make: Make, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(_failover, "_OPEN_SECONDS", 0.2)
+    stage = make()
+    connection = stage.robot.request("face")
+    with connection.course.succeeding:  # as a takeover holds it that is under way
+        stage.one.die("best")
+        wait(lambda: "takeover of connection c1" in caplog.text)
+    wait(lambda: stage.replaced() or connection.ended)
+    connection.kill()
+    wait(lambda: stage.robot.status().components == ())
+    assert (stage.one.open_channels, stage.two.open_channels) == (0, 0)
 
 
 def test_one_death_after_the_other_goes_down_the_candidates_and_then_ends(make: Make) -> None:

@@ -125,10 +125,7 @@ class Failover:
                 if succession is not None:
                     taken.append(succession)
         for succession in taken:
-            succession.finish(death.lives)
-            goes_on = succession.opened.plan.provider.component.name
-            text = f"{death.cause}; {goes_on} goes on"
-            self._board.post(f"connection {succession.course.id}", "replaced", text)
+            self._finish(succession, death)
 
     def _replace(self, connection: Connection, death: Death) -> Succession | None:
         """Have one connection go on; None when it does not depend on the dead any more."""
@@ -168,7 +165,18 @@ class Failover:
             with succession:
                 succession.take(death.time, death.cause)
 
-        _bounded.run(f"takeover of connection {succession.course.id}", _OPEN_SECONDS, take)
+        _bounded.run(
+            f"takeover of connection {succession.course.id}",
+            _OPEN_SECONDS,
+            take,
+            on_late=lambda _: self._finish(succession, death),
+        )
+
+    def _finish(self, succession: Succession, death: Death) -> None:
+        succession.finish(death.lives)
+        goes_on = succession.opened.plan.provider.component.name
+        text = f"{death.cause}; {goes_on} goes on"
+        self._board.post(f"connection {succession.course.id}", "replaced", text)
 
     def _may_move(self, connection: Connection) -> bool:
         now = self._clock()
