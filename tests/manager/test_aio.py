@@ -64,7 +64,7 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
     async def play() -> None:
         async with await AsyncRobotManager(robot).request("camera") as connection:
             reading = asyncio.ensure_future(connection.get(60))
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(0)  # it waits now
             camera.emit(5)
             for _ in range(turns):
                 await asyncio.sleep(0)
