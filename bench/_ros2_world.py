@@ -20,9 +20,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 HERTZ = {"hz100": 100, "hz4000": 4000, "flood": 10_000}
-PICTURES_HERTZ = 200
+PICTURES_HERTZ = 600
 WIDTH, HEIGHT = 640, 480
 _DEPTH = 1000
+_PICTURES_BEHIND = 2
 _LOOK_SECONDS = 0.05
 
 
@@ -37,11 +38,11 @@ def main() -> None:
         def text(number: int) -> Any:
             return String(data=f"{number} {time.monotonic_ns()} {padding}")
 
-        _source(node.create_publisher(String, f"/bench/{name}", qos), hertz, text)
+        _source(node.create_publisher(String, f"/bench/{name}", qos), hertz, text, _DEPTH)
     picture = Image(width=WIDTH, height=HEIGHT, encoding="rgb8", step=3 * WIDTH)
     picture.data = array("B", bytes(3 * WIDTH * HEIGHT))
     pictures = node.create_publisher(Image, "/bench/pictures", QoSProfile(depth=2))
-    _source(pictures, PICTURES_HERTZ, lambda _: picture)
+    _source(pictures, PICTURES_HERTZ, lambda _: picture, _PICTURES_BEHIND)
     echo = node.create_publisher(String, "/bench/out", qos)
     node.create_subscription(String, "/bench/in", echo.publish, qos)
     node.create_service(SetBool, "/bench/toggle", _toggle)
@@ -54,11 +55,13 @@ def _toggle(request: Any, response: Any) -> Any:
     return response
 
 
-def _source(publisher: Any, hertz: int, make: Callable[[int], Any]) -> None:
-    threading.Thread(target=_publish, args=(publisher, hertz, make), daemon=True).start()
+def _source(publisher: Any, hertz: int, make: Callable[[int], Any], behind: int) -> None:
+    arguments = (publisher, hertz, make, behind)
+    threading.Thread(target=_publish, args=arguments, daemon=True).start()
 
 
-def _publish(publisher: Any, hertz: int, make: Callable[[int], Any]) -> None:
+def _publish(publisher: Any, hertz: int, make: Callable[[int], Any], behind: int) -> None:
+    """Publish at a rate; what is more than `behind` messages late is left out."""
     number = 0
     while True:
         if not publisher.get_subscription_count():
@@ -66,7 +69,8 @@ def _publish(publisher: Any, hertz: int, make: Callable[[int], Any]) -> None:
             continue
         start, sent = time.perf_counter(), 0
         while publisher.get_subscription_count():
-            due = min(int((time.perf_counter() - start) * hertz), sent + _DEPTH)
+            due = int((time.perf_counter() - start) * hertz)
+            sent = max(sent, due - behind)
             while sent <= due:
                 number, sent = number + 1, sent + 1
                 publisher.publish(make(number))

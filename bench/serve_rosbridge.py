@@ -3,6 +3,7 @@
 `python -m bench.serve_rosbridge` measures `uoarm serve` with the ROS 2 plugin; with
 `--rosbridge ws://HOST:PORT` also the server there, which must be in the same ROS_DOMAIN_ID. With
 `--process PID` of that server its memory beside a client that never reads is measured, too.
+FASTDDS_BUILTIN_TRANSPORTS, where it is set, should be the same for all; it is told in the title.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def _stamp(told: Any) -> tuple[int, int]:
 
 
 async def pictures(peer: Peer, compression: str) -> float:
-    """Return pictures a second; they are not parsed, which would measure the client."""
+    """Return pictures a second; not decoded or parsed, which would measure the client."""
     async with client(peer) as reader:
         kind = {"type": "sensor_msgs/Image", "compression": compression}
         await reader.send("subscribe", "pictures", **kind)
@@ -143,7 +144,7 @@ async def pictures(peer: Peer, compression: str) -> float:
         assert isinstance(frame, str) == (compression == "none")
         start, count = time.perf_counter(), 0
         while time.perf_counter() - start < SECONDS:
-            await asyncio.wait_for(reader.socket.recv(), 20)
+            await asyncio.wait_for(reader.socket.recv(decode=False), 20)
             count += 1
         return count / (time.perf_counter() - start)
 
@@ -185,6 +186,15 @@ async def never_reading(peer: Peer) -> str:
     return f"{grown:+.1f} MB/s; the other {count / SECONDS:.0f} a second"
 
 
+async def bare() -> str:
+    """Return the pictures a second that a process gets that does nothing but subscribe."""
+    reader = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "bench._ros2_reader", str(SECONDS), stdout=asyncio.subprocess.PIPE
+    )
+    told, _ = await asyncio.wait_for(reader.communicate(), 30)
+    return f"{float(told):,.0f}"
+
+
 def _memory(peer: Peer) -> float:
     return float("nan") if peer.process is None else resident(peer.process)
 
@@ -218,8 +228,8 @@ WHAT = (
     "service call, median / p99",
     "1 KB messages a second to one client from a source of 10,000 Hz",
     "from a source of 4,000 Hz",
-    "pictures of 921,600 B a second, JSON",
-    "pictures of 921,600 B a second, CBOR",
+    "pictures of 921,600 B a second, of 600, JSON",
+    "pictures of 921,600 B a second, of 600, CBOR",
     f"{CLIENTS} clients at 100 Hz, 1 KB, median / p99",
     "memory beside a client that never reads pictures; another one at 100 Hz",
 )
@@ -233,6 +243,7 @@ async def run(other: str | None, process: int | None) -> None:
     assert world.stdout is not None
     try:
         await asyncio.wait_for(world.stdout.readline(), 30)
+        ceiling = await bare()
         columns: list[list[str]] = []
         names: list[str] = []
         with tempfile.TemporaryDirectory() as folder:
@@ -250,7 +261,11 @@ async def run(other: str | None, process: int | None) -> None:
         world.send_signal(signal.SIGKILL)
         await world.wait()
     load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
-    title = f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, load {load} at the end"
+    transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "as they come")
+    title = (
+        f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, load {load} at the end, transports "
+        f"{transports}, a bare rclpy subscription gets {ceiling} pictures a second"
+    )
     print_table(title, ("", *names), list(zip(WHAT, *columns, strict=True)))
 
 
