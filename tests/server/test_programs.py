@@ -1,6 +1,6 @@
 """Programs in other languages, and unmodified clients of rosbridge, as people use them.
 
-roslib comes from npm: set UOARM_ROSLIB to a folder in which `npm install roslib@2` was run.
+npm brings roslib, unless UOARM_ROSLIB names a folder in which `npm install roslib@2` was run.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ CLIENTS = Path(__file__).parent / "clients"
 ROSLIB = os.environ.get("UOARM_ROSLIB", "")
 
 
-def run(command: list[str], *, rounds: int = 1) -> None:
-    """Run a program, playing to it what it waits for."""
+def run(command: list[str], *, rounds: int = 1, pictures: int = 1) -> None:
+    """Run a program, playing to it what it waits for, in each round one picture after another."""
 
     def started(source: str, count: int) -> bool:
         if process.poll():
@@ -37,8 +37,10 @@ def run(command: list[str], *, rounds: int = 1) -> None:
             for count in range(1, rounds + 1):
                 eventually(partial(started, "numbers", count), "it listens to numbers")
                 script.put(*({"value": value} for value in (1, 2, 3)))
-                eventually(partial(started, "picture", count), "it listens to pictures")
-                script.put({"width": 16, "data": bytes(range(256))})
+                for shown in range(1, pictures + 1):
+                    opened = (count - 1) * pictures + shown
+                    eventually(partial(started, "picture", opened), "it listens to pictures")
+                    script.put({"width": 16, "data": bytes(range(256))})
             out, _ = process.communicate(timeout=60)
         finally:
             process.kill()
@@ -51,13 +53,26 @@ def test_roslibpy(server: Server) -> None:
     run([sys.executable, str(CLIENTS / "with_roslibpy.py"), url])
 
 
-@pytest.mark.skipif(
-    not ROSLIB or shutil.which("node") is None,
-    reason="needs node, and UOARM_ROSLIB with a folder in which roslib is installed",
-)
-def test_roslib(server: Server) -> None:
+@pytest.fixture(scope="module")
+def roslib(tmp_path_factory: pytest.TempPathFactory) -> str:
+    if shutil.which("node") is None:
+        pytest.skip("needs node")
+    if ROSLIB:
+        return ROSLIB
+    npm = shutil.which("npm")
+    if npm is None:
+        pytest.skip("needs npm, or UOARM_ROSLIB with a folder in which roslib is installed")
+    folder = str(tmp_path_factory.mktemp("roslib"))
+    options = ["--silent", "--ignore-scripts", "--no-audit", "--no-fund", "--prefix", folder]
+    fetched = subprocess.run([npm, "install", *options, "roslib@2"], timeout=300, check=False)
+    if fetched.returncode:
+        pytest.skip("npm cannot fetch roslib")
+    return folder
+
+
+def test_roslib(server: Server, roslib: str) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-    run(["node", str(CLIENTS / "with_roslib.mjs"), url, ROSLIB])
+    run(["node", str(CLIENTS / "with_roslib.mjs"), url, roslib], pictures=2)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node, from version 20.10 on")

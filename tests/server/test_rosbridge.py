@@ -138,7 +138,6 @@ def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
         ('{"op": "subscribe", "topic": "/a b"}', "no name"),
         ('{"op": "png", "data": ""}', "png is not served"),
         ('{"op": "auth", "mac": "x"}', "show a token in the handshake"),
-        ('{"op": "subscribe", "topic": "/t", "compression": "cbor-raw"}', "no serialised form"),
         ('{"op": "cancel_action_goal", "action": "/a", "id": "1"}', "no goal '1' under way"),
         ('{"op": "unadvertise_action", "action": "/a"}', "does not provide"),
         ('{"op": "advertise_action", "action": "/uoarm/add", "type": "x"}', "belongs to"),

@@ -58,6 +58,15 @@ const shown = await within(new Promise((yes) => picture.subscribe(yes)), "pictur
 assert.deepEqual([...shown.data], [...Array(256).keys()]);
 picture.unsubscribe();
 
+const rawTopic = new Topic({ ros, name: "/uoarm/picture", messageType: "any/Type", compression: "cbor-raw" });
+const serialised = await within(new Promise((yes) => rawTopic.subscribe(yes)), "serialised picture");
+const { bytes, secs } = serialised;
+const view = new DataView(bytes.buffer, bytes.byteOffset);
+assert.ok(Math.abs(secs - Date.now() / 1000) < 60);
+assert.equal(view.getBigInt64(4, bytes[1] === 1), 16n);
+assert.deepEqual([...bytes.slice(16)], [...Array(256).keys()]);
+rawTopic.unsubscribe();
+
 const echo = new Topic({ ros, name: "/uoarm/echo", messageType: "any/Type" });
 const heard = [];
 const all = new Promise((yes) => echo.subscribe((message) => {

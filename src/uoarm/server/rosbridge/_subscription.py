@@ -13,16 +13,17 @@ from attrs import frozen
 
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.flow import Clock
-from uoarm.model import QueuePolicy
+from uoarm.model import MessageStructure, QueuePolicy
 from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server.rosbridge._fragments import fragment_size, split
+from uoarm.server.rosbridge._raw import RawWriter
 from uoarm.server.rosbridge._wire import write_publish, write_publish_cbor
 
 __all__ = ["Subscription", "Wish", "read_wish"]
 
-_COMPRESSIONS = ("none", "cbor")
+_COMPRESSIONS = ("none", "cbor", "cbor-raw")
 _MOST = 100_000
 
 
@@ -34,7 +35,7 @@ class Wish:
         every: least seconds between two messages.
         length: messages kept while the client must not have them yet; 0: only the newest goes.
         fragment: longest text of one frame in characters; 0: any.
-        compression: `none` or `cbor`.
+        compression: `none`, `cbor` or `cbor-raw`.
     """
 
     every: float = 0.0
@@ -50,14 +51,9 @@ def read_wish(fields: Mapping[str, Any]) -> Wish:
         ControlMessageError: it asks for a compression that is not served.
     """
     compression = fields.get("compression") or "none"
-    if compression == "cbor-raw":
-        raise ControlMessageError(
-            "subscribe: compression 'cbor-raw' is not served: messages of every framework are "
-            "decoded here, so there is no serialised form to pass on; use cbor"
-        )
     if compression not in _COMPRESSIONS:
         raise ControlMessageError(
-            f"subscribe: compression {compression!r:.60} is not served; use none or cbor"
+            f"subscribe: compression {compression!r:.60} is not served; use none, cbor or cbor-raw"
         )
     return Wish(
         every=float(fields.get("throttle_rate") or 0) / 1000,
@@ -77,6 +73,7 @@ class Subscription:
         topic: as the client named it.
         wish: of the first subscribe message.
         outbox: the client's.
+        structure: tells what the messages are like, for `cbor-raw`.
         most: messages that may wait for the client.
         clock: seconds.
         on_refused: hears once of each reason for which a message could not be written.
@@ -89,6 +86,7 @@ class Subscription:
         wish: Wish,
         outbox: Outbox,
         *,
+        structure: Callable[[], MessageStructure],
         most: int,
         clock: Clock,
         on_refused: Callable[[MessageError], None],
@@ -106,11 +104,21 @@ class Subscription:
         text = wish.compression == "none"
         self.lane = Lane(QueuePolicy(most), text=text)
         self._key = f"ros-{wish.compression}:{topic}"
+        self._raw = RawWriter(topic, structure) if wish.compression == "cbor-raw" else None
         write = write_publish if text else write_publish_cbor
-        self._write = functools.partial(_numberless, functools.partial(write, topic))
+        self._write = functools.partial(_numberless, self._raw or functools.partial(write, topic))
         self._every = wish.every
         self._length = wish.length
         self._fragment = wish.fragment if text else 0
+
+    def prepare(self) -> None:
+        """Make ready for messages, whose structure is known now.
+
+        Raises:
+            MessageError: they have no form in the compression that was asked for.
+        """
+        if self._raw is not None:
+            self._raw.prepare()
 
     def wish(self, identity: str, wish: Wish) -> None:
         """Add or replace a wish."""

@@ -9,8 +9,8 @@ from typing import Any
 
 from attrs import define
 
-from uoarm.errors import ControlMessageError, UoarmError, UsageError
-from uoarm.model import Message
+from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
+from uoarm.model import Message, MessageStructure
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._failures import LimitError
@@ -156,12 +156,16 @@ class Topics:
             place.name if fields["topic"].startswith("/") else fields["topic"],
             wish,
             self._client.outbox,
+            structure=lambda: _structure_of(place, listening.feed),
             most=self._client.limits.queue_messages,
             clock=time.monotonic,
             on_refused=lambda error: self._fail(fields, error),
             on_end=lambda state, cause: self._ended(place, fields, f"{state}: {cause or 'killed'}"),
         )
-        listening = self._listening[place.name] = _Listening(subscription)
+        listening = _Listening(subscription)
+        if not place.function:
+            subscription.prepare()
+        self._listening[place.name] = listening
         if place.function:
             listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
         else:
@@ -176,6 +180,12 @@ class Topics:
             self._fail(fields, error)
             return
         listening.feed, listening.opening = feed, None
+        try:
+            listening.subscription.prepare()
+        except MessageError as error:
+            self._stop(place)
+            self._fail(fields, error)
+            return
         feed.add(listening.subscription)
 
     def _ended(self, place: Place, fields: Fields, how: str) -> None:
@@ -197,3 +207,17 @@ class Topics:
     def _done(self, fields: Fields, error: BaseException | None) -> None:
         if error is not None:
             self._fail(fields, error)
+
+
+def _structure_of(place: Place, feed: Feed | None) -> MessageStructure:
+    if feed is None or feed.connection is None:
+        raise MessageError(
+            f"{place.name}: messages between clients have no stated structure; "
+            "ask for cbor instead of cbor-raw"
+        )
+    provider = feed.connection.plan.provider
+    port = place.port or next((one.name for one in provider.component.outputs), "")
+    structure = provider.structures.get(f"output.{port}")
+    if structure is None:
+        raise MessageError(f"{place.name}: the function has no output {port!r}")
+    return structure

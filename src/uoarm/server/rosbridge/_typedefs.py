@@ -6,18 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from uoarm.model import MessageStructure
+from uoarm.server.rosbridge._basic import basic_type
 
 __all__ = ["full_text", "type_name", "typedefs"]
 
 _MOST = 200
 _VARIABLE, _SINGLE = 0, -1
 _RULE = "=" * 80
-_INTEGERS = (
-    ("uint8", 0, 2**8 - 1), ("int8", -(2**7), 2**7 - 1), ("uint16", 0, 2**16 - 1),
-    ("int16", -(2**15), 2**15 - 1), ("uint32", 0, 2**32 - 1), ("int32", -(2**31), 2**31 - 1),
-    ("uint64", 0, 2**64 - 1),
-)  # fmt: skip
-_BASIC = {"boolean": "bool", "string": "string", "number": "float64"}
 
 
 def type_name(structure: MessageStructure, function: str) -> str:
@@ -73,16 +68,8 @@ def _field(name: str, schema: object) -> tuple[str, int, object]:
         kind, _, element = _field(name, schema.get("items"))
         return kind, length, element
     native = schema.get("x-native-type")
-    if isinstance(native, str):
-        return native, _SINGLE, schema
-    if schema.get("type") == "integer":
-        return _integer(schema), _SINGLE, schema
-    return _BASIC.get(str(schema.get("type")), name), _SINGLE, schema
-
-
-def _integer(schema: Mapping[str, Any]) -> str:
-    bounds = schema.get("minimum"), schema.get("maximum")
-    return next((name for name, low, high in _INTEGERS if bounds == (low, high)), "int64")
+    basic = basic_type(schema)
+    return basic or (native if isinstance(native, str) else name), _SINGLE, schema
 
 
 def _properties(schema: object) -> Mapping[str, object]:

@@ -1,0 +1,75 @@
+"""rosbridge's `cbor-raw`: what the server serialises without ROS 2 is read by ROS 2 itself."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from messages import MESSAGE_TYPES, messages_of, same
+from peers import DOMAIN, Peer
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image
+from uoarm_ros2._read import reader
+from uoarm_ros2._schema import structure_of
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._types import import_type
+from uoarm_ros2._write import writer
+from websockets.sync.client import connect
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Settings, serve_in_thread
+from uoarm.server.rosbridge._cdr import serialiser
+from uoarm.wire import read_binary
+
+SIZE = 921_600
+CONFIGURATION = f"""
+version: 1
+bridges:
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+functions:
+  pictures:
+    components:
+      - name: pictures
+        bridge: ros
+        output: {{endpoint: [/raw/pictures, sensor_msgs/msg/Image]}}
+"""
+
+
+@pytest.mark.parametrize("name", MESSAGE_TYPES)
+@settings(suppress_health_check=[HealthCheck.data_too_large, HealthCheck.too_slow])
+@given(data=st.data())
+def test_ros_2_reads_what_the_server_serialises(name: str, data: st.DataObject) -> None:
+    shape = shape_of(import_type(name), name)
+    message = data.draw(messages_of(shape))
+    serialised = bytes(serialiser(structure_of(shape))(message))
+    native: Any = deserialize_message(serialised, shape.native)
+    assert same(reader(shape)(native), message)
+    theirs: Any = deserialize_message(serialize_message(writer(shape)(message)), shape.native)
+    assert serialised == bytes(serialiser(structure_of(shape))(reader(shape)(theirs)))
+
+
+def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Callable[..., Peer]) -> None:
+    doer = peer("doer")
+    doer.do("advertise", topic="/raw/pictures", kind="Image")
+    robot = loads(CONFIGURATION, origin=str(Path(__file__).with_name("robot.yaml")))
+    with (
+        RobotManager(robot) as manager,
+        serve_in_thread(manager, Settings(port=0)) as server,
+        connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge", max_size=None) as client,
+    ):
+        wish = {"op": "subscribe", "topic": "/uoarm/pictures", "compression": "cbor-raw"}
+        client.send(json.dumps(wish))
+        doer.do("subscriptions", topic="/raw/pictures", expected=1)
+        doer.do("publish", topic="/raw/pictures", count=1, first=7, size=SIZE)
+        frame = client.recv(timeout=20)
+    assert isinstance(frame, bytes)
+    told: Any = read_binary(frame, depth=8)
+    picture: Any = deserialize_message(told["msg"]["bytes"], Image)
+    assert (picture.height, picture.step) == (7, SIZE)
+    assert bytes(picture.data) == bytes(SIZE)
