@@ -58,6 +58,11 @@ const shown = await within(new Promise((yes) => picture.subscribe(yes)), "pictur
 assert.deepEqual([...shown.data], [...Array(256).keys()]);
 picture.unsubscribe();
 
+const packed = new Topic({ ros, name: "/uoarm/picture", messageType: "any/Type", compression: "png" });
+const unpacked = await within(new Promise((yes) => packed.subscribe(yes)), "packed picture");
+assert.deepEqual([...Buffer.from(unpacked.data, "base64")], [...Array(256).keys()]);
+packed.unsubscribe();
+
 const rawTopic = new Topic({ ros, name: "/uoarm/picture", messageType: "any/Type", compression: "cbor-raw" });
 const serialised = await within(new Promise((yes) => rawTopic.subscribe(yes)), "serialised picture");
 const { bytes, secs } = serialised;

@@ -30,7 +30,7 @@ __all__ = ["RosbridgeSession"]
 _LEVELS = ("info", "warning", "error", "none")
 _ERROR = _LEVELS.index("error")
 _REFUSED = {
-    "png": "png is not served: ask for compression none or cbor",
+    "png": "png is not taken from clients: send JSON text",
     "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
     "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
 }

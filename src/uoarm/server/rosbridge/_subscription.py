@@ -18,12 +18,15 @@ from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server.rosbridge._fragments import fragment_size, split
+from uoarm.server.rosbridge._png import write_publish_png
 from uoarm.server.rosbridge._raw import RawWriter
 from uoarm.server.rosbridge._wire import write_publish, write_publish_cbor
 
 __all__ = ["Subscription", "Wish", "read_wish"]
 
-_COMPRESSIONS = ("none", "cbor", "cbor-raw")
+_RAW = "cbor-raw"
+_TEXTS = {"none": write_publish, "png": write_publish_png}
+_COMPRESSIONS = (*_TEXTS, "cbor", _RAW)
 _MOST = 100_000
 
 
@@ -35,7 +38,7 @@ class Wish:
         every: least seconds between two messages.
         length: messages kept while the client must not have them yet; 0: only the newest goes.
         fragment: longest text of one frame in characters; 0: any.
-        compression: `none`, `cbor` or `cbor-raw`.
+        compression: `none`, `png`, `cbor` or `cbor-raw`.
     """
 
     every: float = 0.0
@@ -53,7 +56,8 @@ def read_wish(fields: Mapping[str, Any]) -> Wish:
     compression = fields.get("compression") or "none"
     if compression not in _COMPRESSIONS:
         raise ControlMessageError(
-            f"subscribe: compression {compression!r:.60} is not served; use none, cbor or cbor-raw"
+            f"subscribe: compression {compression!r:.60} is not served; "
+            f"use {', '.join(_COMPRESSIONS[:-1])} or {_RAW}"
         )
     return Wish(
         every=float(fields.get("throttle_rate") or 0) / 1000,
@@ -101,11 +105,11 @@ class Subscription:
         self._due = -math.inf
         self._held: deque[Parcel] = deque()
         self._timer: asyncio.TimerHandle | None = None
-        text = wish.compression == "none"
+        text = wish.compression in _TEXTS
         self.lane = Lane(QueuePolicy(most), text=text)
         self._key = f"ros-{wish.compression}:{topic}"
-        self._raw = RawWriter(topic, structure) if wish.compression == "cbor-raw" else None
-        write = write_publish if text else write_publish_cbor
+        self._raw = RawWriter(topic, structure) if wish.compression == _RAW else None
+        write = _TEXTS.get(wish.compression, write_publish_cbor)
         self._write = functools.partial(_numberless, self._raw or functools.partial(write, topic))
         self._every = wish.every
         self._length = wish.length
