@@ -5,6 +5,7 @@ That ROS 2 itself reads them is shown by the tests of uoarm-ros2.
 
 from __future__ import annotations
 
+import json
 import struct
 import sys
 import time
@@ -18,7 +19,7 @@ from tests.server.talk import eventually
 
 from uoarm import RobotManager
 from uoarm.errors import MessageError
-from uoarm.model import ConnectionState, MessageStructure
+from uoarm.model import ConnectionState, MessageStructure, from_json, to_json
 from uoarm.server.rosbridge._cdr import serialiser
 
 HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
@@ -119,6 +120,13 @@ def test_alignment_is_counted_from_after_the_header() -> None:
     expected += struct.pack("=I3sxhxx", 3, b"\xc3\xa9\0", -2)
     expected += struct.pack("=IdIB", 1, 1.5, 0, 9)
     assert serialiser(structure(**kinds))(message) == HEADER + expected
+
+
+def test_fields_keep_their_order_on_the_way_from_a_host() -> None:
+    made = structure(zebra=BYTE, ape={"type": "boolean"})
+    sent = json.dumps(to_json(made))
+    back = from_json(json.loads(sent), MessageStructure)
+    assert serialiser(back)({"ape": True, "zebra": 7}) == HEADER + b"\7\1"
 
 
 @pytest.mark.parametrize(
