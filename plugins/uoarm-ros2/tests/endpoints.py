@@ -31,15 +31,16 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
 
 def known(bridge: Bridge, *nodes: str) -> None:
     """Wait until the bridge sees these nodes with their endpoints."""
-    _until(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
+    until(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
 
 
 def matched(channel: Channel, count: int) -> None:
     """Wait until a channel has so many peers."""
-    _until(lambda: channel.facts()["matched"] == count)
+    until(lambda: channel.facts()["matched"] == count)
 
 
-def _until(true: Callable[[], bool]) -> None:
+def until(true: Callable[[], bool]) -> None:
+    """Wait until something is so, twenty seconds at most."""
     deadline = time.monotonic() + 20.0
     while not true():
         assert time.monotonic() < deadline

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
-from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
+from attrs import evolve
+from endpoints import INT64, Inbox, endpoint, known, matched, sink, source, until
 from peers import Peer
+from uoarm_ros2._middleware import Station
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -14,6 +17,7 @@ from uoarm.model import Health, Role
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
+UNKNOWN = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"
 
 
 @pytest.mark.parametrize("executor", ["events", "standard"])
@@ -95,6 +99,25 @@ def test_auto_follows_a_publisher_that_comes_back_with_less(bridge: Bridge, peer
     assert "best_effort" in str(channel.facts()["qos"])
 
 
+@pytest.mark.parametrize("executor", ["events", "standard"])
+def test_auto_adapts_to_what_is_left_when_the_better_publisher_goes(
+    make_bridge: Make, peer: Start, executor: str
+) -> None:
+    bridge = make_bridge(executor=executor)
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    good, bad = peer("good"), peer("bad")
+    good.do("advertise", topic="/leaving")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/leaving", INT64), inbox)
+    bad.do("advertise", topic="/leaving", reliability="best_effort")
+    events.event(Health.DEGRADED, "incompatible QoS on topic /leaving")
+    good.do("unadvertise", topic="/leaving")
+    assert bad.do("subscriptions", topic="/leaving", expected=1)["count"] == 1
+    bad.do("publish", topic="/leaving", count=200, period=0.01)
+    assert inbox.wait_for(1)
+    assert "best_effort" in str(channel.facts()["qos"])
+
+
 def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer: Start) -> None:
     talker = peer("talker")
     talker.do("advertise", topic="/loose", reliability="best_effort")
@@ -122,6 +145,33 @@ def test_a_clash_that_comes_later_is_an_event(
     event = events.event(Health.DEGRADED, "incompatible QoS on topic /mixed")
     assert event.channel is channel
     assert "publisher /bad offers (best_effort" in event.cause
+    assert channel.facts()["qos_clashes"] == 1
+
+
+def test_a_peer_is_counted_once_although_its_node_is_named_later(
+    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[str] = []
+    publishers = Station.publishers
+
+    def named_late(station: Station, topic: str) -> tuple[Any, ...]:
+        found = publishers(station, topic)
+        looks.extend(one.node for one in found if one.node == "/bad")
+        if len(looks) > 4:
+            return found
+        return tuple(evolve(one, node=UNKNOWN) if one.node == "/bad" else one for one in found)
+
+    monkeypatch.setattr(Station, "publishers", named_late)
+    bridge = make_bridge(executor="events")
+    events = Inbox()
+    bridge.watch(events)
+    good, bad = peer("good"), peer("bad")
+    good.do("advertise", topic="/named")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/named", INT64), print)
+    bad.do("advertise", topic="/named", reliability="best_effort")
+    event = events.event(Health.DEGRADED, "publisher /bad offers (best_effort")
+    assert "UNKNOWN" not in event.cause
+    until(lambda: len(looks) > 12)
     assert channel.facts()["qos_clashes"] == 1
 
 

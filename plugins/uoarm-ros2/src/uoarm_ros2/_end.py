@@ -58,7 +58,7 @@ class End(ABC):
         self._unanswered = 0
         self._unlooked = False
         self._strange = False
-        self._unfit: set[Peer] = set()
+        self._unfit: set[bytes] = set()
         self._closed = False
         self.policies = self._fitting()
         self.native = self._create()
@@ -143,6 +143,8 @@ class End(ABC):
 
     def _matched(self, current: int) -> None:
         self._unlooked = True
+        if not current:
+            self._unanswered = _ANSWER_TICKS  # those that are left may be the ones that clash
         required = self._place.settings.peer_required
         self._pulse.peers(
             current, f"{self.peer_word} of {self._place.topic.name}", required=required
@@ -153,7 +155,7 @@ class End(ABC):
         current = self.count()
         if current != self._pulse.matched:
             self._matched(current)
-        unfit = {peer for peer in self.peers() if self.clashes_with(peer.policies)}
+        unfit = {peer.identity for peer in self.peers() if self.clashes_with(peer.policies)}
         if unfit - self._unfit:
             self._clash(self._pulse.incompatible + len(unfit - self._unfit))
         self._unfit = unfit
@@ -196,7 +198,7 @@ class End(ABC):
         """Adapt while nobody is matched who would lose by it, else say what clashes."""
         alone = self.count() == 0
         fitting = self._fitting()
-        if alone and fitting != self.policies and not self._closed:
+        if alone and self.peers() and fitting != self.policies and not self._closed:
             before, self.policies = self.native, fitting
             self.native = self._create()
             self._place.station.discard(before)

@@ -18,24 +18,27 @@ _PREFIX_BYTES = 12
 class Peer:
     """One publisher or subscription on the graph, with what it offers or asks.
 
-    `participant` names the DDS participant behind it, by the prefix of its identifier;
+    `identity` is its own for as long as it lives, also while the graph does not know its node yet;
     `definition` is the hash of its type's definition, empty where it is not told (REP-2011).
     """
 
     node: str
     type: str
     policies: Policies
-    participant: bytes = b""
+    identity: bytes = b""
     definition: str = ""
+
+    @property
+    def participant(self) -> bytes:
+        """What its identity has in common with every other end of its DDS participant."""
+        return self.identity[:_PREFIX_BYTES]
 
 
 def read_peer(info: Any) -> Peer:
     """Return the end that an entry of the graph tells of."""
     node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-    participant = bytes(info.endpoint_gid[:_PREFIX_BYTES])
-    return Peer(
-        node, info.topic_type, read_profile(info.qos_profile), participant, _definition(info)
-    )
+    policies, identity = read_profile(info.qos_profile), bytes(info.endpoint_gid)
+    return Peer(node, info.topic_type, policies, identity, _definition(info))
 
 
 def _definition(info: Any) -> str:
