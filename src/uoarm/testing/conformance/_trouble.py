@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from uoarm.bridge import Bridge, HealthEvent
+from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Message
 from uoarm.testing._collector import Background
@@ -32,24 +32,30 @@ class Trouble:
         victim = world.victim()
         if victim is None:
             pytest.skip("nothing in this world dies alone")
+        component = victim.source.component
         events: list[HealthEvent] = []
+        opened: list[Channel] = []
         told = threading.Event()
+
+        def is_it(event: HealthEvent) -> bool:
+            about = event.channel in opened or event.component == component
+            return about and event.health is Health.LOST
 
         def listen(event: HealthEvent) -> None:
             events.append(event)
-            if event.health is Health.LOST:
+            if is_it(event):
                 told.set()
 
         bridge.watch(listen)
         structure = bridge.describe(victim.source).message
         assert structure is not None
         channel = bridge.open_source(victim.source, structure, lambda _: None)
+        opened.append(channel)
         victim.kill()
         assert told.wait(world.patience), f"a killed component was not reported: {events}"
-        event = next(each for each in events if each.health is Health.LOST)
+        event = next(filter(is_it, events))
         assert event.cause
         assert event.bridge == bridge.name
-        assert event.channel is channel or event.component == victim.source.component
         Background(channel.close).result(world.patience)
 
     def test_a_message_that_fits_nothing_harms_nothing(
