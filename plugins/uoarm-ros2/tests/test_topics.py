@@ -146,6 +146,8 @@ def test_a_clash_that_comes_later_is_an_event(
     assert event.channel is channel
     assert "publisher /bad offers (best_effort" in event.cause
     assert channel.facts()["qos_clashes"] == 1
+    bad.do("unadvertise", topic="/mixed")
+    assert events.event(Health.OK, "every publisher of /mixed fits").channel is channel
 
 
 def test_a_peer_is_counted_once_although_its_node_is_named_later(

@@ -56,6 +56,7 @@ class End(ABC):
         self._place = place
         self._pulse = pulse
         self._unanswered = 0
+        self._clashing = False
         self._unlooked = False
         self._strange = False
         self._unfit: set[bytes] = set()
@@ -117,6 +118,8 @@ class End(ABC):
         if self._unanswered:
             self._unanswered -= 1
             self._answer_clash()
+        elif self._clashing:
+            self._look_for_peace()
         if self._unlooked:
             self._unlooked = False
             self._look_for_strangers()
@@ -209,8 +212,16 @@ class End(ABC):
             return  # the graph learns of a peer, then of its node, a moment after the event
         self._unanswered = 0
         if text:
+            self._clashing = True
             lost = alone and self._place.settings.peer_required
             self._pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
+
+    def _look_for_peace(self) -> None:
+        """Tell when the last peer that did not fit is gone and others are there."""
+        if self.count() and not self._clashes():
+            self._clashing = False
+            what = f"{self.peer_word} of {self._place.topic.name}"
+            self._pulse.tell(Health.OK, f"every {what} fits")
 
     def _clashes(self) -> str:
         clashing = ((peer, self.clashes_with(peer.policies)) for peer in self.peers())
