@@ -129,6 +129,8 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     assert answer == {"success": False, "message": "off is not possible"}
     assert events.event(Health.DEGRADED, "off is not possible").channel is channel
     assert channel.facts() == {"requests": 2, "failures": 1}
+    assert client.do("call", name="/switch", value=True)["success"]
+    assert events.event(Health.OK, "serving /switch works again").channel is channel
 
 
 def test_what_cannot_be_served_says_so(bridge: Bridge) -> None:

@@ -126,6 +126,7 @@ class Server(Channel):
         self._report = report
         self._participant = participant
         self._answering = False
+        self._failing = False
         self.failures = 0
         self.count = 0
         self._station = participant.station(f"uoarm_serves_{name.strip('/').replace('/', '_')}")
@@ -147,9 +148,10 @@ class Server(Channel):
         self._answering = True
         self.count += 1
         try:
-            return self._write(self._handler(self._read(request)))
+            reply = self._write(self._handler(self._read(request)))
         except Exception as error:
             self.failures += 1
+            self._failing = True
             cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
             self._report(self, Health.DEGRADED, cause)
             if not self._refusable:
@@ -157,5 +159,10 @@ class Server(Channel):
             _log.warning("%s", cause)
             response.success, response.message = False, str(error)
             return response
+        else:
+            if self._failing:
+                self._failing = False
+                self._report(self, Health.OK, f"serving {self._name} works again")
+            return reply
         finally:
             self._answering = False
