@@ -68,9 +68,9 @@ class HealthDesk:
         for live in self._pool.components():
             if not _concerns(event, live.component):
                 continue
-            live.health, live.cause = event.health, event.cause
-            subject = f"component {live.component.name}"
-            self._board.post(subject, event.health.value, event.cause)
+            if live.condition.note(event):
+                subject = f"component {live.component.name}"
+                self._board.post(subject, live.condition.health.value, live.condition.cause)
             if event.health is Health.FINISHED:
                 self._finish(live)
             elif event.health is Health.LOST:

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from uoarm.bridge import Bridge, Channel, Sink
 from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.flow import Outlet
-from uoarm.model import ChannelStatus, Component, ComponentStatus, Health, Message, Step
+from uoarm.manager._condition import Condition
+from uoarm.model import ChannelStatus, Component, ComponentStatus, Message, Step
 
 __all__ = ["LiveComponent", "connection_of", "facts_of"]
 
@@ -28,6 +29,7 @@ class LiveComponent:
     for a thread that is opening: that thread closes everything when it comes out.
 
     Attributes:
+        condition: how it is doing.
         lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
@@ -35,8 +37,7 @@ class LiveComponent:
         self.component: Component = step.component
         self.bridge = bridge
         self.users: list[str] = []
-        self.health = Health.OK
-        self.cause = ""
+        self.condition = Condition()
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
         self.structures = step.structures
         self._sources: dict[str, Channel] = {}
@@ -119,9 +120,9 @@ class LiveComponent:
             name=self.component.name,
             function=self.component.function,
             bridge=self.component.bridge,
-            health=self.health,
+            health=self.condition.health,
             users=tuple(dict.fromkeys(map(connection_of, self.users))),
-            cause=self.cause,
+            cause=self.condition.cause,
             channels=(
                 *_channel_statuses("output", self._sources),
                 *_channel_statuses("input", self._sinks),

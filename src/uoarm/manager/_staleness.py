@@ -65,7 +65,7 @@ class StalenessWatch:
         now = self._clock()
         before, self._windows = self._windows, {}
         for live in self._components():
-            if live.health is Health.LOST:
+            if live.condition.health is Health.LOST:
                 continue
             for output in live.component.outputs:
                 routes = live.outlets[output.name].routes

@@ -1,0 +1,57 @@
+"""A component with several channels is doing as its worst channel does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.model import Health, StatusEvent
+from uoarm.testing import Collector, MemoryBridge
+
+NUMBER: Any = {"type": "integer"}
+ROBOT = """
+version: 1
+bridges: {memory: {}}
+functions:
+  both:
+    components:
+      - {name: both, bridge: memory, input: {endpoint: [both]}, output: {endpoint: [both]}}
+"""
+
+
+def test_what_is_well_covers_up_nothing() -> None:
+    bridge = MemoryBridge()
+    loop = bridge.loop("both", NUMBER)
+    told = Collector()
+
+    def listen(event: StatusEvent) -> None:
+        if event.subject == "component both":
+            told.deliver((event.change, event.cause))
+
+    with RobotManager(loads(ROBOT), bridges={"memory": bridge}) as robot, robot.request("both"):
+        robot.listen(listen)
+        into, out = sorted(loop.channels(), key=lambda one: one.endpoint.role.value)
+        bridge.report(Health.DEGRADED, "its input limps", channel=into)
+        bridge.report(Health.OK, "its output flows", channel=out)
+        bridge.report(Health.DEGRADED, "its output limps, too", channel=out)
+        told.wait(2)
+        (status,) = robot.status().components
+        assert (status.health, status.cause) == (Health.DEGRADED, "its output limps, too")
+        bridge.report(Health.OK, "its output flows again", channel=out)
+        told.wait(3)
+        (status,) = robot.status().components
+        assert (status.health, status.cause) == (Health.DEGRADED, "its input limps")
+        bridge.report(Health.DEGRADED, "the whole bridge limps")
+        bridge.report(Health.OK, "its input flows again", channel=into)
+        bridge.report(Health.OK, "all is well")
+        told.wait(5)
+        (status,) = robot.status().components
+        assert (status.health, status.cause) == (Health.OK, "all is well")
+    assert told.messages[:5] == [
+        ("degraded", "its input limps"),
+        ("degraded", "its output limps, too"),
+        ("degraded", "its input limps"),
+        ("degraded", "the whole bridge limps"),
+        ("ok", "all is well"),
+    ]
