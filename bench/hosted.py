@@ -118,7 +118,7 @@ def _pipe_echo(pipe: Connection) -> None:
 def _zenoh() -> Iterator[Trip]:
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
-    from uoarm.host._link import configuration  # noqa: PLC0415 - the same settings
+    from uoarm.host._link_settings import configuration  # noqa: PLC0415 - the same settings
 
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"

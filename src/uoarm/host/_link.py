@@ -7,13 +7,11 @@ an error, also when the answering function raises. Foreign exceptions end here.
 from __future__ import annotations
 
 import copy
-import json
 import logging
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from types import MappingProxyType
 from typing import Any
 
 import zenoh
@@ -21,21 +19,17 @@ import zenoh
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.host._codec import pack, unpack
 from uoarm.host._failures import from_failure, to_failure
+from uoarm.host._link_settings import NO_MORE, configuration
 
-__all__ = ["ANSWER_SECONDS", "Link", "Reply", "configuration"]
+__all__ = ["ANSWER_SECONDS", "Link", "Reply"]
 
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
-
-_FULL_MICROSECONDS = 200_000
-_RETRY_MILLISECONDS = 200
 
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
 
 _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
-_NOTHING: Mapping[str, object] = MappingProxyType({})
-
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
 
@@ -68,7 +62,7 @@ class Link:
         timeout: float = 10.0,
         lease: float = 10.0,
         shared_memory: bool = False,
-        more: Mapping[str, object] = _NOTHING,
+        more: Mapping[str, object] = NO_MORE,
     ) -> None:
         with _wrapped(f"opening the link at {place}"):
             settings = configuration(
@@ -271,40 +265,3 @@ def _wrapped(step: str) -> Iterator[None]:
     except zenoh.ZError as error:
         text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
         raise BridgeError(f"{step} failed: {text}", FailureReason.UNAVAILABLE) from error
-
-
-def configuration(
-    place: str,
-    *,
-    listen: bool,
-    timeout: float,
-    lease: float,
-    shared_memory: bool,
-    more: Mapping[str, object] = _NOTHING,
-) -> zenoh.Config:
-    """Return settings under which nothing is found by itself and nothing listens elsewhere."""
-    settings: dict[str, object] = {
-        "mode": "router" if listen else "client",
-        "listen/endpoints": [place] if listen else [],
-        "connect/endpoints": [] if listen else [place],
-        "connect/timeout_ms": int(timeout * 1000),
-        "connect/retry": {
-            "period_init_ms": _RETRY_MILLISECONDS,
-            "period_max_ms": _RETRY_MILLISECONDS,
-        },
-        "scouting/delay": 0,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": shared_memory,
-        "transport/unicast/open_timeout": int(timeout * 1000),
-        "transport/link/tx/lease": int(lease * 1000),
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
-        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
-            _FULL_MICROSECONDS
-        ),
-        **more,
-    }
-    configuration: zenoh.Config = zenoh.Config()
-    for name, value in settings.items():
-        configuration.insert_json5(name, json.dumps(value))
-    return configuration
