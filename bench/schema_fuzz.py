@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from tests.schema._finite import finite_schema
 from tests.schema._hand_schemas import hand_schema
 from tests.schema._judge import Body, WrongVerdictError, judge, shown
+from tests.schema._mixed_schemas import mixed_pair
 from tests.schema._random_choices import RandomChoices
 from tests.schema._reference import Reference
 from tests.schema._rewrites import negated
@@ -29,6 +30,7 @@ from tests.schema._watching import watching_pair
 from uoarm.schema import check
 from uoarm.testing._choices import chance
 
+_SMALL = 40
 _EXACT = (watching_pair, watching_pair, range_pair, row_pair, tagged_pair)
 
 
@@ -36,7 +38,9 @@ def _question(choices: RandomChoices) -> tuple[Body, Body, str | None]:
     """A pair, and the true answer where the producer has few enough instances to try all."""
     if chance(choices, 40):
         return choices.item(_EXACT)(choices)
-    if not chance(choices, 30):
+    if chance(choices, 40):
+        return (*mixed_pair(choices), None)
+    if not chance(choices, 40):
         return (*related_pair(choices), None)
     producer, instances = finite_schema(choices)
     consumer = hand_schema(choices, 2) if chance(choices, 60) else finite_schema(choices)[0]
@@ -51,7 +55,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--universe", action="store_true")
     options = parser.parse_args()
-    everything = list(universe()) if options.universe else []
+    everything = list(universe()) if options.universe else list(universe())[:_SMALL]
     answers: Counter[str] = Counter()
     causes: Counter[str] = Counter()
     slowest = (0.0, 0)

@@ -18,7 +18,7 @@ NAMES = ("a", "b", "c", "x-a")
 _SCALARS: Sequence[object] = (
     None, True, False, 0, 1, 2, -1, 1.0, 0.5, "", "a", "b", "ab", [], [1], [True], {}, {"a": 1},
 )  # fmt: skip
-_TYPES = ("object", "array", "string", "integer", "number", "boolean", "null")
+KINDS = ("object", "array", "string", "integer", "number", "boolean", "null")
 _NUMBERS = (0, 1, 2, 3, -1, 1.5, 10)
 _STEPS = (1, 2, 3, 0.5, 0.1, 1.5)
 
@@ -45,21 +45,21 @@ def _schema(choices: Choices, depth: int, *, here: bool, below: bool) -> Schema 
     in_place: Inner = lambda: _schema(choices, depth - 1, here=here, below=below)  # noqa: E731 - one line that each writer takes
     inside: Inner = lambda: _schema(choices, depth - 1, here=below, below=below)  # noqa: E731 - one line that each writer takes
     if depth > 0 and chance(choices, 35):
-        return _logic(choices, in_place)
-    kind = choices.item(_TYPES if depth > 0 else _TYPES[2:])
-    schema = _WRITERS[kind](choices, inside)
+        return logic(choices, in_place)
+    kind = choices.item(KINDS if depth > 0 else KINDS[2:])
+    schema = WRITERS[kind](choices, inside)
     if kind == "object" and chance(choices, 8):
         schema["dependentSchemas"] = {choices.item(NAMES): in_place()}
     if chance(choices, 80):
         schema = {"type": kind, **schema}
     if chance(choices, 8):
-        schema["type"] = [kind, choices.item([name for name in _TYPES if name != kind])]
+        schema["type"] = [kind, choices.item([name for name in KINDS if name != kind])]
     if depth > 0 and chance(choices, 12):
-        schema.update(_logic(choices, in_place))
+        schema.update(logic(choices, in_place))
     return schema
 
 
-def _logic(choices: Choices, inner: Inner) -> Schema:
+def logic(choices: Choices, inner: Inner) -> Schema:
     keyword = choices.item(("anyOf", "allOf", "oneOf", "not", "if", "anyOf", "enum", "const"))
     if keyword == "not":
         return {"not": inner()}
@@ -141,7 +141,7 @@ def _object(choices: Choices, inner: Inner) -> Schema:
     return schema
 
 
-_WRITERS: dict[str, Callable[[Choices, Inner], Schema]] = {
+WRITERS: dict[str, Callable[[Choices, Inner], Schema]] = {
     "object": _object,
     "array": _array,
     "string": _string,

@@ -30,3 +30,32 @@ def test_there_are_only_as_many_distinct_values_as_there_are(bits: int) -> None:
     row = {"type": "array", "items": digits, "uniqueItems": True}
     assert check({**row, "minItems": 2**bits + 1}, False).compatible
     assert len(check({**row, "minItems": 2**bits}, False).counterexample) == 2**bits
+
+
+@pytest.mark.parametrize("short", [{"maxItems": 0}, {"items": False, "maxItems": 1}])
+@pytest.mark.parametrize(
+    "consumer",
+    [
+        {"const": 0, "maxItems": 1},
+        {"const": None, "maxItems": 0},
+        {"enum": [0, "a", [1]], "minItems": 0, "maxItems": 1},
+        {"const": 0, "items": {"type": "number"}},
+        {"const": 0, "uniqueItems": True, "maxItems": 1},
+        {"anyOf": [{"const": 0, "maxItems": 1}, {"const": "a", "uniqueItems": True}]},
+    ],
+)
+def test_a_list_of_values_is_no_matter_of_equal_items(
+    short: dict[str, Any], consumer: dict[str, Any]
+) -> None:
+    """Beside a length, `const` of another kind was once judged as `two items are equal`."""
+    assert check({"type": "array", **short}, consumer).counterexample == []
+
+
+@pytest.mark.parametrize("length", [0, 1, 2])
+def test_equal_and_distinct_items_beside_a_length(length: int) -> None:
+    short = {"type": "array", "minItems": length, "maxItems": length}
+    distinct = {"uniqueItems": True}
+    assert check(short, {**distinct, "minItems": length}).compatible == (length < 2)
+    assert check({**short, **distinct}, {"not": {**distinct, "minItems": 1}}).compatible == (
+        length == 0
+    )

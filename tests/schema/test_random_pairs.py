@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.schema._judge import answer, judge, shown
+from tests.schema._mixed_schemas import mixed_pair
 from tests.schema._random_choices import RandomChoices
 from tests.schema._strategies import related_pair
 from tests.schema._unions import range_pair, row_pair, tagged_pair
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 EVERYTHING = tuple(universe())
 SOME = EVERYTHING[::9]
+SMALL = EVERYTHING[:40]
 
 
 @pytest.mark.parametrize("block", range(40))
@@ -34,6 +36,13 @@ def test_pairs_of_a_block_of_seeds(block: int) -> None:
         choices = RandomChoices(seed)
         pair = related_pair(choices)
         judge(*pair, choices, universe=EVERYTHING if chance(choices, 20) else SOME)
+
+
+@pytest.mark.parametrize("block", range(20))
+def test_pairs_that_speak_of_several_kinds_at_once(block: int) -> None:
+    for seed in range(100 * block, 100 * block + 100):
+        choices = RandomChoices(seed)
+        judge(*mixed_pair(choices), choices, universe=(*SMALL, *SOME))
 
 
 @pytest.mark.parametrize("block", range(15))

@@ -39,10 +39,12 @@ class ArrayView:
             return (yield from self._judge_rest(rest[0], rest[1], some=tag == "some"))
         if tag == "contains":
             return self._judge_count(*rest)
-        short = self._fewer_than(2)
-        if tag == "unique":
-            return True if short or self._layout.unique else (False if self._layout.twice else None)
-        return False if short or self._layout.unique else (True if self._layout.twice else None)
+        if tag not in {"unique", "twice"}:
+            return None  # a list of values, which is no matter of length or items
+        distinct = True if self._fewer_than(2) or self._layout.unique else None
+        if self._layout.twice:
+            distinct = False
+        return distinct if tag == "unique" or distinct is None else not distinct
 
     def _fewer_than(self, size: int) -> bool:
         return self._layout.most is not None and self._layout.most < size

@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any
 
 from uoarm.schema._branch import Atom, Literal
+from uoarm.schema._errors import OutOfScopeError
 from uoarm.schema._node import Node
 from uoarm.schema._solve import Goal
 
@@ -47,8 +48,10 @@ class Layout:
             self.counts.append(rest)
         elif tag == "unique":
             self.unique = True
-        else:
+        elif tag == "twice":
             self.twice = True
+        else:
+            raise OutOfScopeError(f"internal: {tag!r} is no demand on the layout of an array")
 
     @property
     def generic(self) -> int:

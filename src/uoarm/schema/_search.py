@@ -86,9 +86,7 @@ def _search(solver: Solver, state: State) -> Asking:
         if forced is not None:
             if not state.add(forced):
                 return EMPTY
-            if any(atom[0] == "in" for atom in forced.atoms + state.atoms[-4:]) or _is_finite(
-                state
-            ):
+            if _is_finite(state):
                 return (yield from _search(solver, state))
             if not _exclude_composites(solver, state):
                 return EMPTY
