@@ -117,7 +117,11 @@ def object_leaf(solver: Solver, state: State) -> Asking:
 def _meet_demands(
     solver: Solver, view: ObjectView, demands: Sequence[Atom], extra: dict[str, tuple[Literal, ...]]
 ) -> Asking:
-    """Choose a name for each demand that some member must meet, then fill the object."""
+    """Choose a name for each demand that some member must meet, then fill the object.
+
+    One member may meet several. Names of a class are alike to every demand that is left, so that
+    one of each class stands for all of them.
+    """
     if not demands:
         return (yield from _fill(solver, view, extra))
     demand, rest = demands[0], demands[1:]
@@ -131,7 +135,7 @@ def _meet_demands(
         wanted = _unnamed(solver, demand[1])  # type: ignore[arg-type] # a node
     needed: tuple[Literal, ...] = () if tag == "somename" else (literal,)
     unknown: Unknown | None = None
-    known = [*view.has, *(n for n in _mentioned(view) if n not in view.has)]
+    known = list(dict.fromkeys((*view.has, *_mentioned(view), *extra)))
     for name in known:
         if not all(accepts(node, name) == sign for node, sign in wanted):
             continue
@@ -139,8 +143,8 @@ def _meet_demands(
         if isinstance(result, Found):
             return result
         unknown = result if isinstance(result, Unknown) else unknown
-    for kind in _name_classes(solver, view):
-        named = yield _name_goal(solver, view, [*wanted, *kind], [*known, *extra])
+    for kind in _name_classes(solver, view, rest):
+        named = yield _name_goal(solver, view, [*wanted, *kind], known)
         if isinstance(named, Found):
             result = yield from _with_name(solver, view, rest, extra, named.value, needed)
             if isinstance(result, Found):
@@ -232,16 +236,25 @@ def _mentioned(view: ObjectView) -> list[str]:
     return list(names)
 
 
-def _name_classes(solver: Solver, view: ObjectView) -> list[list[Literal]]:
-    """Return the classes of names that the patterns in play tell apart."""
+def _name_classes(
+    solver: Solver, view: ObjectView, demands: Sequence[Atom] = ()
+) -> list[list[Literal]]:
+    """Return the classes of names that the patterns in play and some demands tell apart."""
     patterns = dict.fromkeys(pattern for pattern, _ in view.patterns)
     for node in [n for n, _ in view.rests] + [d[1] for d in view.demands if d[0] == "somerest"]:
         patterns.update(dict.fromkeys(pattern for pattern, _ in node.patterns))  # type: ignore[attr-defined] # a node
-    if len(patterns) > _MAX_CLASSES:
-        raise TooLong(f"{len(patterns)} patterns of names meet")
+    patterns.update((str(demand[1]), None) for demand in demands if demand[0] == "somepattern")
+    nodes = {
+        node.number: node for node in (solver.make(f"match {p}", {"pattern": p}) for p in patterns)
+    }
+    for demand in demands:
+        if demand[0] == "somename":
+            literal: Any = demand[-1]
+            nodes[literal[0].number] = literal[0]
+    if len(nodes) > _MAX_CLASSES:
+        raise TooLong(f"{len(nodes)} patterns of names meet")
     classes: list[list[Literal]] = [[]]
-    for pattern in patterns:
-        node = solver.make(f"match {pattern}", {"pattern": pattern})
+    for node in nodes.values():
         classes = [[*one, (node, sign)] for one in classes for sign in (False, True)]
     return classes
 
