@@ -215,6 +215,7 @@ def test_changes_are_watched_over_a_drop(server: Server, between: Between) -> No
     async def work(client: Client) -> None:
         changes = client.watch()
         first = asyncio.ensure_future(anext(changes))
+        await client.status()  # asked before the request, as the watch is
         await client.request("numbers")
         await first
         async with resumed(client):
