@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from collections import Counter
+from itertools import islice
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -55,7 +56,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--universe", action="store_true")
     options = parser.parse_args()
-    everything = list(universe()) if options.universe else list(universe())[:_SMALL]
+    everything = list(islice(universe(), None if options.universe else _SMALL))
     answers: Counter[str] = Counter()
     causes: Counter[str] = Counter()
     slowest = (0.0, 0)

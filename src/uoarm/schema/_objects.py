@@ -130,7 +130,7 @@ def _meet_demands(
     if tag == "somename":
         wanted: list[Literal] = [literal]
     elif tag == "somepattern":
-        wanted = [(solver.make(f"match {demand[1]}", {"pattern": demand[1]}), True)]
+        wanted = [(_matching(solver, str(demand[1])), True)]
     else:
         wanted = _unnamed(solver, demand[1])  # type: ignore[arg-type] # a node
     needed: tuple[Literal, ...] = () if tag == "somename" else (literal,)
@@ -244,9 +244,7 @@ def _name_classes(
     for node in [n for n, _ in view.rests] + [d[1] for d in view.demands if d[0] == "somerest"]:
         patterns.update(dict.fromkeys(pattern for pattern, _ in node.patterns))  # type: ignore[attr-defined] # a node
     patterns.update((str(demand[1]), None) for demand in demands if demand[0] == "somepattern")
-    nodes = {
-        node.number: node for node in (solver.make(f"match {p}", {"pattern": p}) for p in patterns)
-    }
+    nodes = {node.number: node for node in (_matching(solver, one) for one in patterns)}
     for demand in demands:
         if demand[0] == "somename":
             literal: Any = demand[-1]
@@ -271,12 +269,13 @@ def _name_goal(
     return tuple(goal)
 
 
+def _matching(solver: Solver, pattern: str) -> Node:
+    return solver.make(f"match {pattern}", {"pattern": pattern})
+
+
 def _unnamed(solver: Solver, node: Node) -> list[Literal]:
     """Return what a name must meet to be none that a schema names."""
-    literals: list[Literal] = [
-        (solver.make(f"match {pattern}", {"pattern": pattern}), False)
-        for pattern, _ in node.patterns
-    ]
+    literals: list[Literal] = [(_matching(solver, one), False) for one, _ in node.patterns]
     if node.properties:
         names = sorted(node.properties)
         literals.append((solver.make(f"one of {names}", {"enum": names}), False))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from uoarm.model import Message, MessageStructure
 from uoarm.server.rosbridge._cdr import serialiser
+from uoarm.server.rosbridge._wire import clock_now
 from uoarm.wire import write_binary
 
 __all__ = ["RawWriter"]
-
-_NANOSECONDS = 1_000_000_000
 
 
 class RawWriter:
@@ -34,7 +32,7 @@ class RawWriter:
         Raises:
             MessageError: the message does not fit, or its structure has no fixed layout.
         """
-        seconds, nanoseconds = divmod(time.time_ns(), _NANOSECONDS)
+        seconds, nanoseconds = clock_now()
         raw = {"secs": seconds, "nsecs": nanoseconds, "bytes": self.prepare()(message)}
         return write_binary({"op": "publish", "topic": self._topic, "msg": raw})
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, TypeAlias
 
@@ -16,12 +15,12 @@ from uoarm.server.rosbridge._hub import Hub
 from uoarm.server.rosbridge._names import find_place, topic_of
 from uoarm.server.rosbridge._stream_runner import is_action
 from uoarm.server.rosbridge._typedefs import full_text, type_name, typedefs
+from uoarm.server.rosbridge._wire import clock_now
 
 __all__ = ["PREFIX", "Rosapi"]
 
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
-_NANOSECONDS = 1_000_000_000
 _NO_PARAMETERS = "there are no parameters here: a component's are in the configuration"
 
 
@@ -168,7 +167,7 @@ class Rosapi:
 
     async def _get_time(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
-        seconds, nanoseconds = divmod(time.time_ns(), _NANOSECONDS)
+        seconds, nanoseconds = clock_now()
         # ROS 1 clients read secs and nsecs, ROS 2 clients sec and nanosec.
         stamp = {"secs": seconds, "nsecs": nanoseconds, "sec": seconds, "nanosec": nanoseconds}
         return {"time": stamp}

@@ -6,6 +6,7 @@ the infinities are null. Octets are base64 in both.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,7 +16,14 @@ from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, check_depth
 from uoarm.wire import dump_parts, write_binary
 
-__all__ = ["check_fields", "read_operation", "write_publish", "write_publish_cbor", "write_ros"]
+__all__ = [
+    "check_fields",
+    "clock_now",
+    "read_operation",
+    "write_publish",
+    "write_publish_cbor",
+    "write_ros",
+]
 
 _TEXTS = (
     "op", "id", "topic", "type", "service", "action", "action_type", "level", "compression",
@@ -23,6 +31,7 @@ _TEXTS = (
 _COUNTS = ("throttle_rate", "queue_length", "fragment_size", "queue_size", "num", "total")
 _MOST = 2**31 - 1
 _MAX_TEXT = 1024
+_NANOSECONDS = 1_000_000_000
 
 
 def read_operation(frame: str | bytes, depth: int) -> dict[str, Any]:
@@ -63,6 +72,11 @@ def check_fields(fields: Mapping[str, Any], needed: tuple[str, ...]) -> None:
             raise ControlMessageError(
                 f"{op}: {name}: expected a number from 0 on, got {value!r:.60}"
             )
+
+
+def clock_now() -> tuple[int, int]:
+    """Return the seconds since the epoch and the nanoseconds beside them."""
+    return divmod(time.time_ns(), _NANOSECONDS)
 
 
 def write_ros(message: Message) -> bytes:
