@@ -20,6 +20,8 @@ from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
+from uoarm import RobotManager
+from uoarm.model import ConnectionState
 from uoarm.wire import protocol_schema, read_binary, write_binary
 
 SECONDS = 20.0
@@ -142,6 +144,16 @@ class Talk:
 def eventually(condition: Callable[[], object], what: str) -> None:
     """Wait until something is so; fail with its name when it does not come about."""
     wait(condition, SECONDS, f"never: {what}")
+
+
+def opened(robot: RobotManager, count: int) -> None:
+    """Wait until so many connections run, and no others are there."""
+
+    def all_run() -> bool:
+        states = [one.state for one in robot.status().connections]
+        return states == [ConnectionState.RUNNING] * count
+
+    eventually(all_run, f"{count} are open")
 
 
 def open_socket(port: int) -> socket.socket:

@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from tests.server.conftest import Enter
 from tests.server.robot import script
-from tests.server.talk import eventually
+from tests.server.talk import opened
 
 from uoarm import RobotManager
 from uoarm.errors import MessageError
-from uoarm.model import ConnectionState, MessageStructure, from_json, to_json
+from uoarm.model import MessageStructure, from_json, to_json
 from uoarm.server.rosbridge._cdr import serialiser
 
 HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
@@ -34,14 +34,6 @@ def structure(**fields: object) -> MessageStructure:
 def numbers(native: str, **more: object) -> dict[str, object]:
     kind = "number" if native.startswith("float") else "integer"
     return {"type": "array", "items": {"type": kind, "x-native-type": native}, **more}
-
-
-def opened(robot: RobotManager, count: int) -> None:
-    def all_run() -> bool:
-        states = [one.state for one in robot.status().connections]
-        return states == [ConnectionState.RUNNING] * count
-
-    eventually(all_run, f"{count} are open")
 
 
 def test_a_plain_python_picture_serialised(enter: Enter, robot: RobotManager) -> None:

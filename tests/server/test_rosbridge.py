@@ -14,22 +14,13 @@ from hypothesis import strategies as st
 from tests.server.conftest import Connect, Enter, Serve
 from tests.server.robot import END, script
 from tests.server.ros import Ros, url
-from tests.server.talk import BESIDE, eventually
+from tests.server.talk import BESIDE, eventually, opened
 
 from uoarm import RobotManager
 from uoarm.errors import ControlMessageError
-from uoarm.model import ConnectionState
 from uoarm.server import Limits, Server
 from uoarm.server.rosbridge._fragments import Fragments
 from uoarm.server.rosbridge._publication import Publication
-
-
-def opened(robot: RobotManager, count: int) -> None:
-    def all_run() -> bool:
-        states = [one.state for one in robot.status().connections]
-        return states == [ConnectionState.RUNNING] * count
-
-    eventually(all_run, f"{count} are open")
 
 
 def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
