@@ -69,7 +69,7 @@ def judge(
 
 def verify_counterexample(verdict: Verdict, producer: Body, consumer: Body) -> None:
     """The counterexample is a JSON value that the producer emits and the consumer refuses."""
-    value = verdict.counterexample
+    value = verdict.build_counterexample()
     where = f"{value!r}{shown(producer, consumer)}"
     if json.loads(json.dumps(value)) != value:
         raise WrongVerdictError(f"not a JSON value: {where}")

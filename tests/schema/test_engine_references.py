@@ -73,7 +73,7 @@ def test_a_reference_leads_to_text(schema: dict[str, Any]) -> None:
     assert check(TEXT, schema).compatible
 
 
-def test_where_the_way_decides_nothing_is_decided() -> None:
+def test_the_way_decides() -> None:
     schema = {
         "$id": HERE,
         "$ref": "list",
@@ -86,19 +86,31 @@ def test_where_the_way_decides_nothing_is_decided() -> None:
             },
         },
     }
-    assert answer(check({"type": "array"}, schema)) == "undecided"
+    assert answer(check({"type": "array", "items": WHOLE}, schema)) == "yes"
+    assert answer(check({"type": "array"}, schema)) == "no"
 
 
 def test_an_anchor_found_late_still_counts() -> None:
-    """The second dynamic anchor stands where only a reference makes it a schema."""
+    """The first dynamic anchor stands where only a reference makes it a schema."""
     schema = {
-        "$ref": "#/parts/list",
-        "parts": {"list": {"$id": "list", "items": {"$dynamicRef": "/#item"}}},
-        "$defs": {"x": {"$id": "/", "$dynamicAnchor": "item", **WHOLE}},
-        "properties": {"also": {"$ref": "#/more"}},
-        "more": {"$id": "more", "$dynamicAnchor": "item", **TEXT},
+        "properties": {"plain": {"$ref": "#/parts/list"}, "other": {"$ref": "#/parts/more"}},
+        "parts": {
+            "list": {
+                "$id": "list",
+                "items": {"$dynamicRef": "#item"},
+                "$defs": {"i": {"$dynamicAnchor": "item", **WHOLE}},
+            },
+            "more": {
+                "$id": "more",
+                "$ref": "list",
+                "$defs": {"i": {"$dynamicAnchor": "item", **TEXT}},
+            },
+        },
     }
-    assert answer(check({"type": "array"}, schema)) == "undecided"
+    lists = {"plain": {"items": WHOLE}, "other": {"items": TEXT}}
+    for pair in ((schema, {"properties": lists}), ({"properties": lists}, schema)):
+        assert answer(check(*pair)) == "yes"
+    assert answer(check(schema, {"properties": {"other": {"items": WHOLE}}})) == "no"
 
 
 def test_two_documents_of_one_name_are_undecided() -> None:

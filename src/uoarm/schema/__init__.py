@@ -5,6 +5,17 @@ Stands on its own: it needs nothing else of uoarm.
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
+from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._verdict import Budget, Loss, Reason, Verdict
+from uoarm.schema._walker import found_in
 
-__all__ = ["Budget", "Loss", "Reason", "SchemaError", "Verdict", "check"]
+__all__ = [
+    "Budget",
+    "Loss",
+    "Reason",
+    "SchemaError",
+    "UnsupportedPatternError",
+    "Verdict",
+    "check",
+    "found_in",
+]

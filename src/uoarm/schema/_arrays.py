@@ -10,12 +10,14 @@ from uoarm.schema._branch import Literal
 from uoarm.schema._counting import build_counted
 from uoarm.schema._distinct import distinct
 from uoarm.schema._layout import Layout
+from uoarm.schema._repeated import Repeated
 from uoarm.schema._results import EMPTY, Found, Unknown
 from uoarm.schema._solve import Asking, Solver, State
 
 __all__ = ["array_leaf"]
 
 _MAX_ITEMS = 4_000_000
+_MAX_WRITTEN = 100
 _MAX_DISTINCT = 300
 _MAX_COUNTS = 8
 
@@ -27,14 +29,14 @@ def array_leaf(solver: Solver, state: State) -> Asking:
         return EMPTY
     if len(layout.counts) > _MAX_COUNTS:
         return Unknown(f"more than {_MAX_COUNTS} contains meet")
-    return (yield from _place(solver, layout, layout.some))
+    return (yield _place(solver, layout, layout.some))
 
 
 def _place(solver: Solver, layout: Layout, demands: Sequence[tuple[int, Literal]]) -> Asking:
     """Choose a position for each demand that some item must meet."""
     if not demands:
         if layout.twice:
-            return (yield from _repeat(solver, layout))
+            return (yield _repeat(solver, layout))
         return (yield from _build(solver, layout, {}))
     (start, literal), rest = demands[0], demands[1:]
     unknown: Unknown | None = None
@@ -48,7 +50,7 @@ def _place(solver: Solver, layout: Layout, demands: Sequence[tuple[int, Literal]
             before, least = layout.at.get(position, []), layout.least
             layout.at[position] = [*before, literal]
             layout.least = max(least, position + 1)
-            result = yield from _place(solver, layout, rest)
+            result = yield _place(solver, layout, rest)
             layout.at[position], layout.least = before, least
             if not before:
                 del layout.at[position]
@@ -111,9 +113,12 @@ def _build(solver: Solver, layout: Layout, fixed: dict[int, Any]) -> Asking:
         if position >= len(items):
             items.extend([items[-1] if items else fixed[position]] * (position - len(items)))
             items.append(fixed[position])
-    if len(items) < layout.least:
+    more = layout.least - len(items)
+    if more > 0:
         result = yield layout.literals(layout.generic)
         if not isinstance(result, Found):
             return result
-        items.extend([result.value] * (layout.least - len(items)))
+        if more > _MAX_WRITTEN:
+            return Found(Repeated([*((item, 1) for item in items), (result.value, more)]))
+        items.extend([result.value] * more)
     return Found(items)

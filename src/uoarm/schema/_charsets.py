@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from typing import TypeAlias
 
 __all__ = ["ANY", "CLASSES", "DOT", "CharSet", "complement", "contains", "union"]
@@ -38,7 +39,8 @@ def complement(chars: CharSet) -> CharSet:
 
 def contains(chars: CharSet, code: int) -> bool:
     """Say whether a code point is in the set."""
-    return any(low <= code <= high for low, high in chars)
+    place = bisect_right(chars, (code, _LAST))
+    return place > 0 and chars[place - 1][1] >= code
 
 
 _DIGIT: CharSet = ((0x30, 0x39),)

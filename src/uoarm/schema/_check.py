@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
+from attrs import evolve
+
 from uoarm.schema._document import Document, Pool
-from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._evaluate import accepts
+from uoarm.schema._errors import BudgetError, OutOfScopeError
+from uoarm.schema._evaluate import Judgements
 from uoarm.schema._explain import explain, find_losses
+from uoarm.schema._meter import Meter
+from uoarm.schema._node import Node
+from uoarm.schema._repeated import build, describe, is_small
 from uoarm.schema._results import Found, Result, Unknown
-from uoarm.schema._solve import BudgetError, Solver
+from uoarm.schema._search import answer
+from uoarm.schema._solve import Solver
 from uoarm.schema._verdict import Budget, Verdict
 
 __all__ = ["check"]
 
 Schema: TypeAlias = Mapping[str, Any] | bool
 _STANDARD = Budget()
+_WRITTEN = 20_000
+"""Parts and characters up to which a counterexample is written out unasked."""
+_SCALARS = frozenset({str, int, float, bool, type(None)})
+_COMPARED = 20_000
+"""Parts of two schemas that are compared before both are read."""
 
 
 def check(
@@ -30,33 +41,70 @@ def check(
     Args:
         producer: JSON Schema of draft 2020-12, or an older one that `$schema` names.
         consumer: likewise. Both may be hostile; the answer comes within the budget.
-        budget: None for the standard one.
+        budget: None for the standard one. What it does not suffice for is undecided.
 
     Raises:
         SchemaError: a schema is malformed; the text says where.
     """
     limits = budget or _STANDARD
-    pool = Pool()
-    try:
-        made, taken = Document(producer, pool), Document(consumer, pool)
-    except OutOfScopeError as error:
-        return Verdict(compatible=False, undecided=str(error))
-    solver = Solver(pool, limits.steps, limits.seconds)
+    meter = Meter(limits.steps, limits.seconds, limits.octets)
+    pool = Pool(meter)
     result: Result
     try:
-        result = solver.solve(((made.root, True), (taken.root, False)))
+        document = other = Document(producer, pool)
+        # What references lead to may differ, even between documents of equal text.
+        if document.refers or not _are_same(producer, consumer):
+            other = Document(consumer, pool)
+        made, taken = document.root, other.root
+        disputed = tuple(document.disputed | other.disputed)
+        with meter.part("the search"):
+            result = Solver(pool, answer).solve(((made, True), (taken, False)))
+        if isinstance(result, Found):
+            return evolve(_refusal(made, taken, result.value, meter), disputed_patterns=disputed)
     except (BudgetError, OutOfScopeError) as error:
         result = Unknown(str(error))
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)
-    if not isinstance(result, Found):
-        return Verdict(compatible=True, losses=find_losses(made.root, taken.root))
-    message = result.value
-    try:
-        proven = accepts(made.root, message) and not accepts(taken.root, message)
-    except OutOfScopeError as error:
-        return Verdict(compatible=False, undecided=str(error))
-    if not proven:
-        return Verdict(compatible=False, undecided="internal: a counterexample did not hold")
-    reasons, excerpt = explain(made.root, taken.root, message)
-    return Verdict(compatible=False, reasons=reasons, counterexample=message, excerpt=excerpt)
+    return Verdict(compatible=True, losses=find_losses(made, taken), disputed_patterns=disputed)
+
+
+def _are_same(one: object, other: object) -> bool:
+    """Say whether two schemas are certainly equal, by a look at their first few thousand parts."""
+    waiting = [(one, other)]
+    for first, second in waiting:
+        if first.__class__ is not second.__class__:
+            return False
+        if isinstance(first, dict) and isinstance(second, dict):
+            if len(waiting) + len(first) > _COMPARED or first.keys() != second.keys():
+                return False
+            waiting.extend((part, second[name]) for name, part in first.items())
+        elif isinstance(first, list) and isinstance(second, list):
+            if len(waiting) + len(first) > _COMPARED or len(first) != len(second):
+                return False
+            waiting.extend(zip(first, second, strict=True))
+        elif first.__class__ not in _SCALARS or first != second:
+            return False
+    return True
+
+
+def _refusal(producer: Node, consumer: Node, message: Any, meter: Meter) -> Verdict:
+    """Return the verdict that a message comes to which the search has found.
+
+    Raises:
+        OutOfScopeError: whether the message is valid is not decided.
+        BudgetError: nor within the budget.
+    """
+    judgements = Judgements(meter.spend)
+    with meter.part("the check of the counterexample"):
+        if not judgements.accepts(producer, message) or judgements.accepts(consumer, message):
+            return Verdict(compatible=False, undecided="internal: a counterexample did not hold")
+    reasons, excerpt = explain(producer, consumer, message, judgements)
+    short = is_small(message, _WRITTEN)
+    return Verdict(
+        compatible=False,
+        reasons=reasons,
+        counterexample=build(message) if short else None,
+        excerpt=build(excerpt) if is_small(excerpt, _WRITTEN) else describe(excerpt),
+        abridged=not short,
+        message=message,
+    )

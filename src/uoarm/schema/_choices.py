@@ -10,7 +10,7 @@ from uoarm.schema._branch import Branch, Choice
 from uoarm.schema._expand import expand
 from uoarm.schema._objects import ObjectView
 from uoarm.schema._results import Result
-from uoarm.schema._solve import Goal, State
+from uoarm.schema._solve import Goal, Solver, State
 from uoarm.schema._tags import contradicts, tags_of
 
 View: TypeAlias = "ObjectView | ArrayView"
@@ -26,12 +26,14 @@ def rank(choice: Choice) -> tuple[bool, int]:
     return not tagged, len(choice.ways)
 
 
-def judge(state: State, view: View | None, choice: Choice, *, many: bool) -> Judged:
+def judge(solver: Solver, state: State, view: View | None, choice: Choice, *, many: bool) -> Judged:
     """Return the branches that may still hold, or None when the choice holds already."""
     if choice.refused is not None and contradicts(state.tags, choice.refused):
         return None
     alive: list[Branch] = []
-    for branch in choice.ways:
+    for number, branch in enumerate(choice.ways):
+        if not number % 64:
+            solver.spend()
         single = len(branch.atoms) + len(branch.literals) == 1 and not branch.choices
         if not (branch.atoms or branch.literals or branch.choices):
             return None

@@ -44,10 +44,20 @@ def check_files(producer: Path, consumer: Path, *, as_json: bool) -> None:
 
 def _read(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_mapping)
+    except (OSError, ValueError, RecursionError) as error:
         click.echo(f"{path}: not JSON: {error}", err=True)
         sys.exit(_UNREADABLE)
+
+
+def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse a key that is given twice: JSON's readers disagree on which of the two is meant."""
+    made: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in made:
+            raise ValueError(f"the key {json.dumps(key)} is given twice in one object")
+        made[key] = value
+    return made
 
 
 def _tell(verdict: Verdict) -> str:
@@ -59,7 +69,12 @@ def _tell(verdict: Verdict) -> str:
         lines.append(f"    may be emitted: {reason.producer}")
         lines.append(f"    is taken:       {reason.consumer}")
     if verdict.incompatible:
-        text = json.dumps(verdict.counterexample)
-        lines.append(f"  counterexample: {text[:400]}")
+        text = json.dumps(verdict.excerpt if verdict.abridged else verdict.counterexample)
+        what = "counterexample, in short" if verdict.abridged else "counterexample"
+        lines.append(f"  {what}: {text[:400]}")
     lines += [f"  note, {loss.path or 'the message'}: {loss.sentence}" for loss in verdict.losses]
+    lines += [
+        f"  note, a pattern: {pattern!r} is read as ECMA-262 does; other engines may differ"
+        for pattern in verdict.disputed_patterns
+    ]
     return "\n".join(lines)

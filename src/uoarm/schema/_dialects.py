@@ -13,6 +13,8 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm.schema._shapes import ANNOTATIONS
+
 __all__ = ["DRAFT_2019", "NEWEST", "Dialect", "dialect_of"]
 
 _NEW_IN_2020 = frozenset({"prefixItems", "$dynamicRef", "$dynamicAnchor"})
@@ -24,6 +26,7 @@ _NEW_IN_7 = frozenset({"if", "then", "else"})
 _NEW_IN_6 = frozenset({"const", "contains", "propertyNames", "$id"})
 _BESIDE_REFERENCE = frozenset({"$ref", "$schema", "definitions"})
 _NEW_DEPENDENCIES = frozenset({"dependentRequired", "dependentSchemas"})
+_OLD_FORMS = frozenset({"dependencies", "items", "exclusiveMinimum", "exclusiveMaximum"})
 _LIMITS = {"exclusiveMinimum": "minimum", "exclusiveMaximum": "maximum"}
 
 
@@ -72,13 +75,23 @@ class Dialect:
 
         `beside_contains` says that `contains` stands somewhere in the document.
         """
-        if "$recursiveRef" in schema and "$recursiveRef" not in self.unknown:
-            return "$recursiveRef is not followed"
+        if "$recursiveRef" in schema and self is NEWEST:
+            return "$recursiveRef is of draft 2019-09, and the schema does not say so"
         if "dependencies" in schema and _NEW_DEPENDENCIES & schema.keys() - self.unknown:
             return "dependencies stands beside the keywords that took its place"
         if self is DRAFT_2019 and beside_contains and "unevaluatedItems" in schema:
             return "unevaluatedItems has its meaning of draft 2019-09, which passes over `contains`"
         return ""
+
+    def agrees(self, other: Dialect, schema: Mapping[str, Any]) -> bool:
+        """Say whether a schema, but for those within it, means the same in another draft."""
+        view, its = self.view(schema), other.view(schema)
+        return _meaning(view) == _meaning(its) and not other.objection(schema, beside_contains=True)
+
+
+def _plain(uri: str) -> str:
+    """Return a draft's URI without what its spellings differ in."""
+    return uri.removesuffix("#").removesuffix("/").replace("https:", "http:", 1)
 
 
 NEWEST = Dialect("https://json-schema.org/draft/2020-12/schema")
@@ -92,17 +105,21 @@ _DRAFT_4 = Dialect(
     alone=True,
     named="id",
 )
-_KNOWN = {one.uri: one for one in (NEWEST, DRAFT_2019, _DRAFT_7, _DRAFT_6, _DRAFT_4)}
+_KNOWN = {_plain(one.uri): one for one in (NEWEST, DRAFT_2019, _DRAFT_7, _DRAFT_6, _DRAFT_4)}
 
 
 def dialect_of(schema: object) -> Dialect | None:
     """Return the draft that a schema names, 2020-12 where it names none; None for any other."""
     named = schema.get("$schema", NEWEST.uri) if isinstance(schema, Mapping) else NEWEST.uri
-    return _KNOWN.get(named.rstrip("#")) if isinstance(named, str) else None
+    return _KNOWN.get(_plain(named)) if isinstance(named, str) else None
+
+
+def _meaning(view: Mapping[str, Any]) -> dict[str, int]:
+    return {name: id(one) for name, one in view.items() if name not in ANNOTATIONS}
 
 
 def _is_old(schema: Mapping[str, Any]) -> bool:
-    return (
+    return not _OLD_FORMS.isdisjoint(schema) and (
         "dependencies" in schema
         or isinstance(schema.get("items"), list)
         or isinstance(schema.get("exclusiveMinimum"), bool)

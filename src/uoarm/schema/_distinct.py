@@ -8,7 +8,7 @@ from typing import Any
 from uoarm.schema._branch import Literal
 from uoarm.schema._results import EMPTY, Found, Result, Unknown
 from uoarm.schema._solve import Goal, Solver
-from uoarm.schema._values import key_of, kind_of
+from uoarm.schema._values import Keys, key_of, kind_of
 
 __all__ = ["Matching", "distinct", "several"]
 
@@ -21,16 +21,20 @@ _GROWTH = {
 
 
 class Matching:
-    """Places, each with candidates, and a value for each that no other place has."""
+    """Places, each with candidates, and a value for each that no other place has.
 
-    def __init__(self) -> None:
+    `keys` lives as long as the candidates.
+    """
+
+    def __init__(self, keys: Keys) -> None:
+        self._keys = keys
         self._candidates: list[Sequence[Any]] = []
         self._holder: dict[object, int] = {}
         self._values: dict[object, Any] = {}
 
     def copy(self) -> Matching:
         """Return a matching that can be changed on its own."""
-        other = Matching()
+        other = Matching(self._keys)
         other._candidates = list(self._candidates)
         other._holder = dict(self._holder)
         other._values = dict(self._values)
@@ -43,7 +47,7 @@ class Matching:
         waiting: list[tuple[int, object]] = [(len(self._candidates) - 1, None)]
         for place, via in waiting:
             for value in self._candidates[place]:
-                key = key_of(value)
+                key = self._keys.of(value)
                 if key in came:
                     continue
                 self._values[key] = value
@@ -66,7 +70,7 @@ class Matching:
 def distinct(solver: Solver, goals: Sequence[Goal]) -> Generator[Goal, Result, Result]:
     """Return one value for each goal, all different."""
     candidates: dict[Goal, list[Any]] = {}
-    matching = Matching()
+    matching = Matching(Keys(solver.spend))
     for goal in goals:
         if goal not in candidates:
             found = yield from several(solver, goal, len(goals))

@@ -11,6 +11,7 @@ from uoarm.schema._distinct import Matching, several
 from uoarm.schema._layout import Layout
 from uoarm.schema._results import EMPTY, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver
+from uoarm.schema._values import Keys
 
 __all__ = ["build_distinct_counted"]
 
@@ -62,7 +63,9 @@ def _options(
 def _choose(solver: Solver, layout: Layout, options: Options) -> Result:
     """Go through the choices; positions that are alike take their options in order."""
     start = tuple(0 for _ in layout.counts)
-    waiting: list[tuple[int, tuple[int, ...], int, Matching]] = [(0, start, 0, Matching())]
+    waiting: list[tuple[int, tuple[int, ...], int, Matching]] = [
+        (0, start, 0, Matching(Keys(solver.spend)))
+    ]
     tries = 0
     while waiting:
         position, counts, last, matching = waiting.pop()

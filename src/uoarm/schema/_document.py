@@ -1,29 +1,49 @@
-"""Documents: a whole schema turned into nodes, its references resolved when they are met."""
+"""Documents: a whole schema turned into nodes, its references resolved when they are met.
+
+One schema that is reached in two dynamic scopes is two nodes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
+from urllib.parse import urlsplit
 
 from uoarm.schema._dialects import DRAFT_2019, NEWEST, dialect_of
 from uoarm.schema._errors import OutOfScopeError, SchemaError
 from uoarm.schema._keywords import fill
-from uoarm.schema._node import Node
-from uoarm.schema._resources import Resources
+from uoarm.schema._meter import Meter
+from uoarm.schema._nfa import UnsupportedPatternError
+from uoarm.schema._node import Node, Reference
+from uoarm.schema._regex import is_disputed
+from uoarm.schema._resources import REFERENCES, Resources
+from uoarm.schema._scopes import Scope, Scopes
 from uoarm.schema._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES, check_keyword
-from uoarm.schema._values import key_of
+from uoarm.schema._values import Keys
 
 __all__ = ["Document", "Pool"]
 
 _MAX_POINTER = 20_000
+_VALUES = frozenset({"const", "enum"})
+_MAX_SCOPED = 5_000
+_UNREAD = frozenset({"contentSchema", "$defs"})
+
+
+_OF_NODE = 1_500
+"""About the octets of a node with its number."""
 
 
 class Pool:
-    """Numbers for contents: equal schemas of one check get equal numbers."""
+    """Numbers for contents: equal schemas of one check get equal numbers.
 
-    def __init__(self) -> None:
+    Args:
+        meter: what is left of the budget of the check.
+    """
+
+    def __init__(self, meter: Meter) -> None:
+        self.meter = meter
         self._numbers: dict[object, int] = {}
-        self.nodes: list[Node] = []
 
     def number(self, content: object) -> int:
         """Return the number of a content, a new one when it was never seen."""
@@ -31,42 +51,44 @@ class Pool:
 
 
 class Document:
-    """One schema with everything it refers to.
+    """One schema with everything it refers to; `disputed` has the patterns in it that are.
 
     Raises:
         SchemaError: something in it is malformed.
+        OutOfScopeError: nothing of it is decided.
     """
 
     def __init__(self, schema: object, pool: Pool) -> None:
         if not isinstance(schema, bool | Mapping):
             raise SchemaError("", "a schema (an object, true or false)", schema)
         self._pool = pool
-        self._nodes: dict[int, Node] = {}
-        self._by_reference: dict[str, Node] = {}
+        self.meter = pool.meter
+        self._keys = Keys(pool.meter.spend)
+        self._nodes: dict[tuple[int, Scope], Node] = {}
+        self.disputed: dict[str, None] = {}
+        self._views: dict[int, tuple[Mapping[str, Any], list[object]]] = {}
+        self._targets: dict[Reference, Node] = {}
         self._dialect = dialect_of(schema) or NEWEST
         self._has_contains = self._dialect is DRAFT_2019 and _mentions(schema, "contains")
         self._resources = Resources(schema, self._dialect)
-        refers = self._resources.refers
-        self._identity = pool.number(("document", id(schema))) if refers else 0
-        self._references: list[str] = []
-        self._dynamic: list[tuple[Node, str]] = []
-        self.root = self._read(schema, "#")
-        for reference in self._references:
-            self.resolve(reference)
-        for node, reference in self._dynamic:
-            if not self._resources.is_static(reference):
-                node.unsupported = "where a $dynamicRef leads depends on the way to it"
-        if self._references and _refers_in_place(self._nodes.values()):
+        self._scopes = Scopes(self._resources)
+        self._check(schema)
+        self._identity = self._identify(schema)
+        base = self._resources.base_in(schema)
+        self.root = self._read(schema, self._scopes.enter((), base))
+        if self._resources.refers and self._refers_in_place():
             self.root.unsupported = "the schema refers to itself without descending into the value"
 
-    def resolve(self, reference: str) -> Node:
-        """Return the node that an absolute reference points to.
+    @property
+    def refers(self) -> bool:
+        """Whether there is any reference in it."""
+        return self._resources.refers
 
-        It is an unsupported one when that is elsewhere.
-        """
-        found = self._by_reference.get(reference)
+    def resolve(self, reference: Reference) -> Node:
+        """Return the node that a reference leads to; it says so where that is not decided."""
+        found = self._targets.get(reference)
         if found is None:
-            found = self._by_reference[reference] = self._find(reference)
+            found = self._targets[reference] = self._find(reference)
         return found
 
     def either(self, nodes: Sequence[Node]) -> Node:
@@ -76,112 +98,202 @@ class Document:
         number = self._pool.number(("either", frozenset(one.number for one in nodes)))
         return Node(number, {"anyOf": [one.raw for one in nodes]}, self, any_of=tuple(nodes))
 
-    def _find(self, reference: str) -> Node:
-        found = self._resources.find(reference)
-        if found is None:
-            return self._strange(f"the reference {reference!r} leads out of the document")
-        schema, base = found
-        if id(schema) not in self._nodes:
-            self._resources.walk(schema, base)
-            self._read(schema, "#")
-        return self._nodes[id(schema)]
+    def _find(self, reference: Reference) -> Node:
+        try:
+            found = self._scopes.lead(*reference)
+        except OutOfScopeError as error:
+            content: tuple[object, ...] = ("not decided", self._identity, reference)
+            return Node(self._pool.number(content), {}, self, unsupported=str(error))
+        if found is not None:
+            self._check(found[0])
+            return self._read(*found)
+        content = ("far", self._dialect.uri, reference.absolute)
+        if self._resources.named or self._resources.dynamic or self._is_loose(reference.absolute):
+            content = (*content, self._identity, reference.scope)
+        cause = f"the reference {reference.absolute!r} leads out of the document"
+        return Node(self._pool.number(content), {}, self, unsupported=cause)
 
-    def _strange(self, cause: str) -> Node:
-        return Node(self._pool.number(("strange", cause)), {}, self, unsupported=cause)
+    def _identify(self, schema: object) -> int:
+        """Return what tells references of this document from those of another.
 
-    def _read(self, schema: object, pointer: str) -> Node:
-        """Read a schema and all below it, children first, with an explicit stack."""
+        Documents of equal content refer to the same schemas, unless a reference depends on where a
+        document without a name came from. What lies outside may itself refer to any schema with a
+        name, and to any dynamic anchor on the way, so that it is the same for two documents only
+        where neither has such, or both are equal.
+        """
+        if not self._resources.refers:
+            return 0
+        if not any(self._is_loose(one) for one in self._resources.far):
+            try:
+                return self._pool.number(("document", self._keys.of(schema)))
+            except (OutOfScopeError, SchemaError):
+                pass
+        return self._pool.number(("document", object()))
+
+    @staticmethod
+    def _is_loose(absolute: str) -> bool:
+        """Say whether a reference that leads out may mean something else elsewhere."""
+        try:
+            return urlsplit(absolute).scheme in {"", "file"}
+        except ValueError:
+            return True
+
+    def _check(self, schema: object) -> None:
+        """Check the shape of a schema and all below it, on an explicit stack; once each."""
         entered: set[int] = set()
-        stack: list[tuple[object, str, bool]] = [(schema, pointer, False)]
+        stack: list[tuple[object, str, bool]] = [(schema, "#", False)]
         while stack:
-            one, where, expanded = stack.pop()
-            if expanded or isinstance(one, bool):
-                self._nodes[id(one)] = self._make(one)
-            elif id(one) not in self._nodes:
-                if id(one) in entered:
-                    raise SchemaError(where, "a finite schema (use $ref)", "an object in itself")
+            one, where, leaving = stack.pop()
+            self.meter.spend()
+            if leaving:
+                entered.discard(id(one))
+            elif id(one) in entered:
+                raise SchemaError(where, "a finite schema (use $ref)", "an object in itself")
+            elif not isinstance(one, bool) and id(one) not in self._views:
                 entered.add(id(one))
                 stack.append((one, where, True))
-                stack.extend((child, at, False) for child, at in self._children(one, where))
-        return self._nodes[id(schema)]
+                stack.extend((child, at, False) for child, at in self._parts(one, where))
 
-    def _children(self, schema: Any, pointer: str) -> list[tuple[object, str]]:
+    def _parts(self, schema: Any, pointer: str) -> list[tuple[object, str]]:
         if len(pointer) > _MAX_POINTER:
             raise OutOfScopeError("the schema is nested too deep")
         if not isinstance(schema, Mapping):
             raise SchemaError(pointer, "a schema (an object, true or false)", schema)
-        found: list[tuple[object, str]] = []
-        for keyword, value in self._dialect.view(schema).items():
-            at = f"{pointer}/{self._dialect.spelled(schema, keyword)}"
-            check_keyword(keyword, value, at)
-            if keyword in SINGLES:
-                found.append((value, at))
-            elif keyword in LISTS:
-                found.extend((one, f"{at}/{n}") for n, one in enumerate(value))
-            elif keyword in MAPS:
-                found.extend((one, f"{at}/{name}") for name, one in value.items())
-            elif keyword in {"$ref", "$dynamicRef"}:
-                self._references.append(self._resources.absolute(schema, value))
-        return found
-
-    def _make(self, schema: Any) -> Node:
-        if isinstance(schema, bool):
-            return self._keep(Node(self._pool.number(schema), schema, self, never=not schema))
         view = self._dialect.view(schema)
-        objection = self._objection(schema)
-        child = self._child_numbers(view)
+        found: list[tuple[object, str]] = []
+        unread: list[tuple[object, str]] = []
+        for keyword, value in view.items():
+            spelled = keyword if view is schema else self._dialect.spelled(schema, keyword)
+            at = f"{pointer}/{spelled}"
+            self.meter.spend(check_keyword(keyword, value, at))
+            if keyword in {"pattern", "patternProperties"}:
+                self._dispute([value] if keyword == "pattern" else value)
+            parts = unread if keyword in _UNREAD else found
+            if keyword in SINGLES:
+                parts.append((value, at))
+            elif keyword in LISTS:
+                parts.extend((one, f"{at}/{n}") for n, one in enumerate(value))
+            elif keyword in MAPS:
+                parts.extend((one, f"{at}/{name}") for name, one in value.items())
+        self._views[id(schema)] = view, [child for child, _ in found]
+        return found + unread
+
+    def _dispute(self, patterns: Iterable[str]) -> None:
+        for pattern in patterns:
+            with suppress(UnsupportedPatternError):
+                if is_disputed(pattern):
+                    self.disputed[pattern] = None
+
+    def _read(self, schema: object, scope: Scope) -> Node:
+        """Read a schema in a scope, and all below it, children first, on an explicit stack."""
+        if scope and len(self._nodes) > _MAX_SCOPED:
+            raise OutOfScopeError("dynamic references lead to too many schemas")
+        stack: list[tuple[Any, Scope, bool]] = [(schema, scope, False)]
+        while stack:
+            one, around, expanded = stack.pop()
+            self.meter.spend()
+            key = id(one), around
+            if key in self._nodes:
+                continue
+            if isinstance(one, bool):
+                self._nodes[key] = Node(self._pool.number(one), one, self, never=not one)
+                continue
+            inner = self._enter(one, around) if self._scopes.matter else around
+            view, children = self._views[id(one)]
+            if expanded:
+                self._nodes[key] = self._make(one, view, inner)
+            else:
+                stack.append((one, around, True))
+                stack.extend((child, inner, False) for child in children)
+        return self._nodes[id(schema), scope]
+
+    def _enter(self, schema: Mapping[str, Any], scope: Scope) -> Scope:
+        base = self._resources.inside(schema).base
+        moved = base != self._resources.around(schema).base
+        return self._scopes.enter(scope, base) if moved else scope
+
+    def _make(self, schema: Mapping[str, Any], view: Mapping[str, Any], scope: Scope) -> Node:
+        objection = self._resources.objection(schema) or self._dialect.objection(
+            schema, beside_contains=self._has_contains
+        )
+        child = self._child_numbers(view, scope)
         content: list[object] = [("not decided", objection)] if objection else []
+        references = []
         for keyword, value in view.items():
             if keyword in child:
                 content.append((keyword, child[keyword]))
-            elif keyword in {"$ref", "$dynamicRef"}:
-                content.append((self._identity, self._resources.absolute(schema, value)))
-            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
-                content.append((keyword, key_of(value)))
-        node = Node(self._pool.number(frozenset(content)), schema, self, unsupported=objection)
-        fill(node, view, lambda one: self._nodes[id(one)])
-        for keyword in ("$ref", "$dynamicRef"):
-            if keyword in view:
-                self._refer(node, keyword, self._resources.absolute(schema, view[keyword]))
-        return self._keep(node)
+            elif keyword in REFERENCES:
+                absolute = self._resources.absolute(schema, value)
+                references.append(Reference(keyword, absolute, scope))
+                content.append((self._identity, references[-1]))
+            elif keyword == "required":
+                content.append((keyword, frozenset(value)))
+            elif keyword in _VALUES or keyword in ANNOTATIONS or keyword.startswith("x-"):
+                continue
+            else:
+                content.append((keyword, self._keys.of(value)))
+        node = Node(-1, schema, self, unsupported=objection)
+        fill(node, view, lambda one: self._nodes[id(one), scope], self._keys.of)
+        if node.values is not None:
+            content.append(("values", frozenset(node.values)))
+        node.number = self._pool.number(frozenset(content))
+        kept = len(node.values or ()) + len(node.required) + len(node.properties)
+        self.meter.hold(_OF_NODE + 200 * kept)
+        for reference in references:
+            self._refer(node, reference)
+        return node
 
-    def _objection(self, schema: Mapping[str, Any]) -> str:
-        """Return why a schema is not decided; empty when it is."""
-        if "$schema" in schema:
-            named = dialect_of(schema)
-            same = named is self._dialect
-            if not same and (named is None or not self._resources.agree(schema, named)):
-                return f"the schema is of another draft: {schema['$schema']}"
-        return self._dialect.objection(schema, beside_contains=self._has_contains)
-
-    def _refer(self, node: Node, keyword: str, reference: str) -> None:
-        if keyword == "$dynamicRef":
-            self._dynamic.append((node, reference))
+    def _refer(self, node: Node, reference: Reference) -> None:
         if node.reference is None:
             node.reference = reference
         else:
-            number = self._pool.number((self._identity, reference))
-            also = Node(number, {"$ref": reference}, self, reference=reference)
-            node.all_of = (*node.all_of, also)
+            number = self._pool.number(frozenset([(self._identity, reference)]))
+            raw = {reference.keyword: reference.absolute}
+            node.all_of = (*node.all_of, Node(number, raw, self, reference=reference))
 
-    def _keep(self, node: Node) -> Node:
-        self._pool.nodes.append(node)
-        return node
-
-    def _child_numbers(self, schema: Any) -> dict[str, object]:
+    def _child_numbers(self, view: Any, scope: Scope) -> dict[str, object]:
         numbers: dict[str, object] = {}
-        for keyword in schema:
-            if keyword in {"contentSchema", "$defs"}:
+
+        def number(one: object) -> int:
+            return self._nodes[id(one), scope].number
+
+        for keyword, value in view.items():
+            if keyword in _UNREAD:
                 continue
             if keyword in SINGLES:
-                numbers[keyword] = self._nodes[id(schema[keyword])].number
+                numbers[keyword] = number(value)
             elif keyword in LISTS:
-                numbers[keyword] = tuple(self._nodes[id(one)].number for one in schema[keyword])
+                numbers[keyword] = tuple(number(one) for one in value)
             elif keyword in MAPS:
-                numbers[keyword] = frozenset(
-                    (name, self._nodes[id(one)].number) for name, one in schema[keyword].items()
-                )
+                numbers[keyword] = frozenset((name, number(one)) for name, one in value.items())
         return numbers
+
+    def _refers_in_place(self) -> bool:
+        """Say whether a schema applies itself to the same value, by references and logic alone.
+
+        Everything that references lead to is read here.
+        """
+        done: set[int] = set()
+        waiting = list(self._nodes.values())
+        for root in waiting:
+            path: set[int] = set()
+            stack: list[tuple[Node, bool]] = [(root, False)]
+            while stack:
+                node, leaving = stack.pop()
+                self.meter.spend()
+                if leaving:
+                    path.discard(id(node))
+                    done.add(id(node))
+                elif id(node) in path:
+                    return True
+                elif id(node) not in done:
+                    path.add(id(node))
+                    stack.append((node, True))
+                    known = len(self._nodes)
+                    stack.extend((one, False) for one in node.applied())
+                    if len(self._nodes) > known:
+                        waiting.extend(list(self._nodes.values())[known:])
+        return False
 
 
 def _mentions(document: object, keyword: str) -> bool:
@@ -194,24 +306,4 @@ def _mentions(document: object, keyword: str) -> bool:
             if isinstance(one, Mapping) and keyword in one:
                 return True
             waiting.extend(one.values() if isinstance(one, Mapping) else one)
-    return False
-
-
-def _refers_in_place(nodes: Iterable[Node]) -> bool:
-    """Say whether a schema applies itself to the same value, by references and logic alone."""
-    done: set[int] = set()
-    for root in list(nodes):
-        path: set[int] = set()
-        stack: list[tuple[Node, bool]] = [(root, False)]
-        while stack:
-            node, leaving = stack.pop()
-            if leaving:
-                path.discard(id(node))
-                done.add(id(node))
-            elif id(node) in path:
-                return True
-            elif id(node) not in done:
-                path.add(id(node))
-                stack.append((node, True))
-                stack.extend((one, False) for one in node.applied())
     return False

@@ -1,8 +1,18 @@
-"""The one error of this package: a schema that is not a schema."""
+"""The one error of this package, a schema that is not a schema, and what ends a check early."""
 
 from __future__ import annotations
 
-__all__ = ["OutOfScopeError", "SchemaError"]
+import reprlib
+
+__all__ = ["BudgetError", "OutOfScopeError", "SchemaError"]
+
+
+class BudgetError(Exception):
+    """The budget ran out; the text says what of it, and which part of the check took longest."""
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 90
 
 
 class OutOfScopeError(Exception):
@@ -13,7 +23,7 @@ class SchemaError(ValueError):
     """A malformed schema: the text says which, where (JSON pointer), what was expected."""
 
     def __init__(self, pointer: str, expected: str, got: object) -> None:
-        shown = repr(got)
+        shown = _SHORT.repr(got)
         shown = shown if len(shown) <= 80 else f"{shown[:77]}..."  # noqa: PLR2004 - a line's worth
         super().__init__(f"{pointer or '#'}: expected {expected}, got {shown}")
         self.pointer = pointer

@@ -9,7 +9,6 @@ The sorts of atoms are listed in `_branch`.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations
 
 from uoarm.schema._atoms import ATOMS, VIOLATIONS
 from uoarm.schema._branch import Branch, Choice, Literal
@@ -84,6 +83,8 @@ def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
 def _check_few(nodes: Sequence[Node]) -> None:
     if len(nodes) > _MAX_RIVALS:
         raise OutOfScopeError(f"a oneOf of more than {_MAX_RIVALS} schemas that may overlap")
+    if nodes:
+        nodes[0].document.meter.spend(len(nodes) ** 2 // 8)
 
 
 def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
@@ -91,12 +92,11 @@ def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
     if certainly_disjoint(possible, kind):
         return Choice([Branch(literals=[(one, True)]) for one in possible])
     _check_few(possible)
-    return Choice(
-        [
-            Branch(literals=[(other, i == j) for j, other in enumerate(possible)])
-            for i in range(len(possible))
-        ]
-    )
+    ways: list[Branch] = []
+    for i, one in enumerate(possible):
+        one.document.meter.spend(1 + len(possible) // 8)
+        ways.append(Branch(literals=[(other, i == j) for j, other in enumerate(possible)]))
+    return Choice(ways)
 
 
 def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
@@ -104,7 +104,11 @@ def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
     if certainly_disjoint(possible, kind):
         return []
     _check_few(possible)
-    return [Branch(literals=[(one, True), (two, True)]) for one, two in combinations(possible, 2)]
+    ways: list[Branch] = []
+    for place, one in enumerate(possible):
+        one.document.meter.spend(1 + len(possible) // 8)
+        ways += [Branch(literals=[(one, True), (two, True)]) for two in possible[place + 1 :]]
+    return ways
 
 
 def _dependencies(node: Node) -> list[Choice]:

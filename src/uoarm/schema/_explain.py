@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
-from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._evaluate import member_rules
+from attrs import frozen
+
+from uoarm.schema._errors import BudgetError, OutOfScopeError
+from uoarm.schema._evaluate import Judgements, member_rules
 from uoarm.schema._failures import failures
 from uoarm.schema._node import Node
+from uoarm.schema._repeated import Repeated, runs_of
 from uoarm.schema._verdict import Loss, Reason
 
 __all__ = ["explain", "find_losses"]
@@ -17,18 +20,26 @@ __all__ = ["explain", "find_losses"]
 Path: TypeAlias = "tuple[str | int, ...]"
 
 _SHOWN = 160
+_MAX_BITS = 4_000
+_MAX_REASONS = 5
+_MAX_NAMES = 20
 _MAX_PAIRS = 5_000
 _EXACT_INTEGERS = 2**53
 
 
-def explain(producer: Node, consumer: Node, message: Any) -> tuple[tuple[Reason, ...], Any]:
-    """Return why the consumer refuses a message, and the part of it that matters."""
+def explain(
+    producer: Node, consumer: Node, message: Any, judgements: Judgements
+) -> tuple[tuple[Reason, ...], Any]:
+    """Return why the consumer refuses a message, and the part of it that matters.
+
+    What the budget does not reach for is left out: the verdict stands without it.
+    """
     try:
-        found = failures(consumer, message)
-    except OutOfScopeError:
+        found = failures(consumer, message, judgements, _MAX_REASONS)
+    except (OutOfScopeError, BudgetError):
         found = [(consumer, message, (), "rules")]
     reasons: list[Reason] = []
-    for node, value, path, keyword in found[:5]:
+    for node, value, path, keyword in found:
         there = _along(producer, path)
         reasons.append(
             Reason(
@@ -126,7 +137,9 @@ def _sentence(keyword: str, node: Node, value: Any) -> str:
     shown = _show(value)
     if keyword == "required":
         missing = [name for name in node.required if name not in value]
-        return f"the field {missing[0]!r} is required and may be missing"
+        if len(missing) == 1:
+            return f"the field {missing[0]!r} is required and may be missing"
+        return f"the fields {_several(missing)} are required and may be missing"
     if keyword == "additionalProperties":
         return f"a field may come that the consumer does not allow: {shown}"
     if keyword == "type":
@@ -138,9 +151,56 @@ def _sentence(keyword: str, node: Node, value: Any) -> str:
     return f"{shown} does not meet what the consumer demands"
 
 
+def _several(names: list[str]) -> str:
+    """Write two names or more, the first of them where there are many."""
+    shown = [repr(name) for name in names[:_MAX_NAMES]]
+    if len(names) > _MAX_NAMES:
+        return f"{', '.join(shown)} and {len(names) - _MAX_NAMES:,} more"
+    return f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
 def _show(value: Any) -> str:
-    try:
-        text = json.dumps(value, ensure_ascii=False, default=str)
-    except (TypeError, ValueError, RecursionError):
-        return "(too deep to show)"
+    """Return a value as JSON text, cut where it is long; what is cut off is never written."""
+    text = ""
+    waiting = [_pieces(value)]
+    while waiting and len(text) <= _SHOWN:
+        piece = next(waiting[-1], None)
+        if piece is None:
+            waiting.pop()
+        elif isinstance(piece, _Part):
+            waiting.append(_pieces(piece.value))
+        else:
+            text += piece
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+@frozen
+class _Part:
+    """A part of a value that is still to be written."""
+
+    value: Any
+
+
+def _pieces(value: Any) -> Iterator[str | _Part]:
+    if isinstance(value, Mapping):
+        yield "{"
+        for number, (name, part) in enumerate(value.items()):
+            yield f"{', ' if number else ''}{_scalar(name)}: "
+            yield _Part(part)
+        yield "}"
+    elif isinstance(value, list | tuple | Repeated):
+        yield "["
+        items = (item for _, item, count in runs_of(value) for _ in range(count))
+        for number, part in enumerate(items):
+            yield ", " if number else ""
+            yield _Part(part)
+        yield "]"
+    else:
+        yield _scalar(value)
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, int) and value.bit_length() > _MAX_BITS:
+        return f"a number of {value.bit_length():,} bits"
+    shown = value[: _SHOWN + 1] if isinstance(value, str) else value
+    return json.dumps(shown, ensure_ascii=False, default=str)

@@ -5,25 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from uoarm.schema._evaluate import Judgements, item_rules, member_rules, named_rules
+from uoarm.schema._evaluate import (
+    Judgements,
+    item_rules,
+    kinds_of_position,
+    member_rules,
+    named_rules,
+)
 from uoarm.schema._node import Node
-from uoarm.schema._values import exact, key_of, kind_of
+from uoarm.schema._repeated import runs_of
+from uoarm.schema._values import exact, kind_of
 
 __all__ = ["failures"]
 
 _MAX_VISITS = 10_000
 
 
-def failures(node: Node, value: object) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
-    """Return the innermost failing schemas: node, value there, path, keyword."""
+def failures(
+    node: Node, value: object, judgements: Judgements, most: int
+) -> list[tuple[Node, Any, tuple[str | int, ...], str]]:
+    """Return some of the innermost failing schemas: node, value there, path, keyword."""
     found: list[tuple[Node, Any, tuple[str | int, ...], str]] = []
     waiting: list[tuple[Node, Any, tuple[str | int, ...]]] = [(node, value, ())]
-    judgements = Judgements()
     visits = 0
-    while waiting and visits < _MAX_VISITS:
+    while waiting and visits < _MAX_VISITS and len(found) < most:
         visits += 1
         one, part, path = waiting.pop()
-        keyword = _failing_keyword(one, part)
+        keyword = _failing_keyword(one, part, judgements)
         deeper = []
         if keyword == "rules":
             deeper = [
@@ -42,22 +50,24 @@ def _direct_parts(node: Node, value: Any) -> list[tuple[Node, Any, tuple[str | i
     parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [(one, value, ()) for one in node.all_of]
     if node.reference is not None:
         parts.append((node.target(), value, ()))
-    if isinstance(value, list):
-        parts += [(rule, value[n], (n,)) for n in range(len(value)) for rule in item_rules(node, n)]
+    if kind_of(value) == "array":
+        for start, item, count in runs_of(value):
+            for n in kinds_of_position(node, start, count):
+                parts += [(rule, item, (n,)) for rule in item_rules(node, n)]
     elif isinstance(value, Mapping):
         parts += [(rule, value[k], (k,)) for k in value for rule in member_rules(node, k)]
     return parts
 
 
-def _failing_keyword(node: Node, value: Any) -> str:
+def _failing_keyword(node: Node, value: Any, judgements: Judgements) -> str:
     kind = kind_of(value)
     if node.kinds is not None and kind not in node.kinds:
         return "type"
     if node.integer_only and kind == "number" and exact(value).denominator != 1:
         return "type"
-    if node.values is not None and key_of(value) not in node.values:
+    if node.values is not None and judgements.key_of(value) not in node.values:
         return "enum"
-    if isinstance(value, list) and not _within(len(value), node.min_items, node.max_items):
+    if kind == "array" and not _within(len(value), node.min_items, node.max_items):
         return "size"
     if isinstance(value, Mapping):
         if not _within(len(value), node.min_properties, node.max_properties):

@@ -24,7 +24,8 @@ class Nfa:
 
     `always` edges are free; `asserts` are free where an assertion holds ("begin", "end",
     "boundary", "inside"); `looks` are free where what follows begins with a match of another
-    automaton, or does not. The last state is never left again.
+    automaton, or does not. The last state is never left again. `disputed` says that an engine which
+    is not one of ECMA-262 reads the pattern otherwise.
     """
 
     def __init__(self) -> None:
@@ -33,6 +34,7 @@ class Nfa:
         self.looks: list[list[tuple[bool, Nfa, int]]] = []
         self.edges: list[list[tuple[CharSet, int]]] = []
         self.first = self.last = 0
+        self.disputed = False
 
     def state(self) -> int:
         """Add a state and return it."""

@@ -5,15 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from attrs import define, field
 
 if TYPE_CHECKING:
     from uoarm.schema._document import Document
+    from uoarm.schema._scopes import Scope
     from uoarm.schema._values import Key
 
-__all__ = ["Node"]
+__all__ = ["Node", "Reference"]
+
+
+class Reference(NamedTuple):
+    """A reference: its keyword, where it points to, and the dynamic scope that it stands in."""
+
+    keyword: str
+    absolute: str
+    scope: Scope
 
 
 @define(eq=False)
@@ -66,11 +75,11 @@ class Node:
     condition: Node | None = None
     then: Node | None = None
     otherwise: Node | None = None
-    reference: str | None = None
+    reference: Reference | None = None
     tags: Mapping[str, AbstractSet[Key]] | None = None
 
     def target(self) -> Node:
-        """Return the node that `$ref` points to."""
+        """Return the node that the reference leads to."""
         assert self.reference is not None
         return self.document.resolve(self.reference)
 

@@ -6,6 +6,7 @@ schema is a set of intervals. Each such case is computed exactly.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Sequence
 from fractions import Fraction
 from itertools import product
@@ -13,7 +14,16 @@ from typing import TypeAlias
 
 from uoarm.schema._branch import Literal
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._intervals import EVERY_NUMBER, NO_NUMBER, Numbers, above, below, counted, points
+from uoarm.schema._intervals import (
+    EVERY_NUMBER,
+    NO_NUMBER,
+    Bound,
+    Numbers,
+    above,
+    below,
+    counted,
+    points,
+)
 from uoarm.schema._node import Node
 from uoarm.schema._numbers import find_number
 from uoarm.schema._results import EMPTY, Found, Result, Unknown
@@ -48,11 +58,15 @@ def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> 
             ("multiple" if holds else "notmultiple", step)
             for step, holds in zip(steps, divides, strict=True)
         ]
-        for low, high in wanted.intervals():
-            spend(1)
+        whole = Fraction(1) in steps and divides[steps.index(Fraction(1))]
+        for number, (low, high) in enumerate(wanted.intervals()):
+            if not number % 8:
+                spend(1)
+            if whole and _holds_no_integer(low, high):
+                continue
             bounds = [("low", *low)] if low is not None else []
             bounds += [("high", *high)] if high is not None else []
-            result = find_number([*held, *bounds], frozenset())
+            result = find_number([*held, *bounds], frozenset(), spend)
             if isinstance(result, Found):
                 return result
             unknown = result if isinstance(result, Unknown) else unknown
@@ -128,6 +142,14 @@ class _Sets:
         otherwise = (yield node.otherwise) if node.otherwise is not None else EVERY_NUMBER
         ways = [counted([holds, then], _both), counted([_outside(holds), otherwise], _both)]
         return counted(ways, _some)
+
+
+def _holds_no_integer(low: Bound, high: Bound) -> bool:
+    if low is None or high is None:
+        return False
+    return math.floor(low[0]) + (low[1] or low[0] != math.floor(low[0])) > math.ceil(high[0]) - (
+        high[1] or high[0] != math.ceil(high[0])
+    )
 
 
 def _own(node: Node) -> list[Numbers]:

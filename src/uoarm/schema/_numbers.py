@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -14,11 +14,20 @@ __all__ = ["find_number"]
 
 _MAX_TRIES = 20_000
 _LARGEST = 2**1000
+_MAX_BITS = 100_000
+_CLOSEST = 20
 _UNWRITTEN = "no number that JSON can write was found between the bounds"
 
 
-def find_number(atoms: Iterable[tuple[Any, ...]], excluded: frozenset[Fraction]) -> Result:
-    """Return a number that meets every atom of `_expand` and is not excluded."""
+def find_number(
+    atoms: Iterable[tuple[Any, ...]],
+    excluded: frozenset[Fraction],
+    spend: Callable[[int], None] = lambda _: None,
+) -> Result:
+    """Return a number that meets every atom of `_expand` and is not excluded.
+
+    `spend` is told how much work is done.
+    """
     low: tuple[Fraction, bool] | None = None
     high: tuple[Fraction, bool] | None = None
     step: Fraction | None = None
@@ -30,6 +39,8 @@ def find_number(atoms: Iterable[tuple[Any, ...]], excluded: frozenset[Fraction])
             high = rest[0], rest[1]
         elif tag == "multiple":
             step = _common(step, Fraction(rest[0]))
+            if step.numerator.bit_length() > _MAX_BITS:
+                return Unknown(f"a common multiple of more than {_MAX_BITS:,} bits")
         elif tag == "notmultiple":
             never.append(Fraction(rest[0]))
     if (
@@ -39,7 +50,7 @@ def find_number(atoms: Iterable[tuple[Any, ...]], excluded: frozenset[Fraction])
     ):
         return EMPTY
     if step is not None:
-        return _on_lattice(step, low, high, never, excluded)
+        return _on_lattice(step, low, high, never, excluded, spend)
     return _anywhere(low, high, never, excluded)
 
 
@@ -58,6 +69,7 @@ def _on_lattice(
     high: tuple[Fraction, bool] | None,
     never: list[Fraction],
     excluded: frozenset[Fraction],
+    spend: Callable[[int], None],
 ) -> Result:
     least = most = None
     if low is not None:
@@ -72,13 +84,16 @@ def _on_lattice(
     if 1 in periods:
         return EMPTY
     skipped = False
+    taken = {int(one / step) for one in excluded if (one / step).denominator == 1}
     for tries, factor in enumerate(_outwards(least, most)):
-        if all(factor % period for period in periods) and factor * step not in excluded:
+        if not tries % 32:
+            spend(1)
+        if factor not in taken and all(factor % period for period in periods):
             written = _as_json(factor * step)
             if written is not None:
                 return Found(written)
             skipped = True
-        if tries > _MAX_TRIES:
+        if tries > _MAX_TRIES + len(taken):
             return Unknown("too many multiples had to be tried")
     return Unknown(_UNWRITTEN) if skipped else EMPTY
 
@@ -145,6 +160,10 @@ def _candidates(
         yield from (low[0], low[0] + 1)
     if high is not None:
         yield from (high[0], high[0] - 1)
+    whole = [Fraction(0)] + [Fraction(math.floor(one[0])) for one in (low, high) if one is not None]
+    for power in range(1, _CLOSEST):
+        for part in (Fraction(1, 2**power), Fraction(1, 10**power), Fraction(1, 3**power)):
+            yield from (one + sign * part for one in whole for sign in (1, -1))
     start = low[0] if low is not None else (high[0] - 1 if high is not None else Fraction(0))
     width = high[0] - start if high is not None and low is not None else Fraction(1)
     for power in range(1, 60):

@@ -111,7 +111,7 @@ def object_leaf(solver: Solver, state: State) -> Asking:
     view = ObjectView(state.atoms)
     if view.most is not None and (view.least > view.most or len(view.has) > view.most):
         return EMPTY
-    return (yield from _meet_demands(solver, view, view.demands, {}))
+    return (yield _meet_demands(solver, view, view.demands, {}))
 
 
 def _meet_demands(
@@ -139,14 +139,14 @@ def _meet_demands(
     for name in known:
         if not all(accepts(node, name) == sign for node, sign in wanted):
             continue
-        result = yield from _with_name(solver, view, rest, extra, name, needed)
+        result = yield _with_name(solver, view, rest, extra, name, needed)
         if isinstance(result, Found):
             return result
         unknown = result if isinstance(result, Unknown) else unknown
     for kind in _name_classes(solver, view, rest):
         named = yield _name_goal(solver, view, [*wanted, *kind], known)
         if isinstance(named, Found):
-            result = yield from _with_name(solver, view, rest, extra, named.value, needed)
+            result = yield _with_name(solver, view, rest, extra, named.value, needed)
             if isinstance(result, Found):
                 return result
             unknown = result if isinstance(result, Unknown) else unknown
@@ -169,7 +169,7 @@ def _with_name(
     result = yield (*view.literals(name), *literals)
     if not isinstance(result, Found):
         return result
-    return (yield from _meet_demands(solver, view, rest, {**extra, name: literals}))
+    return (yield _meet_demands(solver, view, rest, {**extra, name: literals}))
 
 
 def _fill(solver: Solver, view: ObjectView, extra: dict[str, tuple[Literal, ...]]) -> Asking:

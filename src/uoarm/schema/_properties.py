@@ -26,6 +26,7 @@ _NAMES = {
 }  # fmt: skip
 
 
+@lru_cache(maxsize=128)
 def property_chars(text: str) -> CharSet | None:
     """Return the characters of a property as it stands between the braces; None when unknown."""
     key, _, value = text.rpartition("=")

@@ -1,22 +1,38 @@
-"""Regular expressions of ECMA-262 (u flag) as nondeterministic automata.
+"""Regular expressions of ECMA-262 as nondeterministic automata.
 
 A pattern is searched for, not matched whole; `^` and `$` are assertions at the ends of the text.
-What is not regular, or looks behind, raises `UnsupportedPatternError`.
+The grammar is that of the `u` flag, and beyond it what ECMA-262 without the flag reads as plain
+characters (a lone brace, an escaped hyphen). What other engines read otherwise keeps the meaning of
+ECMA-262 and is `disputed`. What ECMA-262 itself gives two meanings, what is not regular, or looks
+behind, raises `UnsupportedPatternError`.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+import re
 from typing import TypeAlias
 
 from uoarm.schema._charsets import ANY, CLASSES, DOT, CharSet, complement, union
+from uoarm.schema._kept import Kept
 from uoarm.schema._nfa import MalformedPatternError, Nfa, UnsupportedPatternError
 from uoarm.schema._properties import property_chars
 
-__all__ = ["compile_pattern"]
+__all__ = ["compile_pattern", "is_disputed"]
 
 _MAX_REPEAT = 1000
 _MAX_DIGITS = 9  # int() refuses thousands of them
+_MAX_ATOMS = 50_000
+_COUNT = re.compile(r"\{([0-9]+)(,([0-9]*))?\}")
+_UP_TO = re.compile(r"\{,[0-9]*\}")
+_NAME = re.compile(r"[A-Za-z_$][A-Za-z0-9_$]*(?=>)")
+_HEX = {"x": re.compile("[0-9A-Fa-f]{2}"), "u": re.compile("[0-9A-Fa-f]{4}")}
+_BRACED = re.compile(r"\{([0-9A-Fa-f]+)\}")
+_LOW_HALF = re.compile(r"\\u([Dd][C-Fc-f][0-9A-Fa-f]{2})")
+_SETS = re.compile(r"\[|&&|--|~~")
+_SURROGATES = range(0xD800, 0xE000)
+_HIGH_HALVES = range(0xD800, 0xDC00)
+_LAST_OF_16_BITS = 0xFFFF
+_LAST = 0x10FFFF
 _CONTROLS = {"f": 12, "n": 10, "r": 13, "t": 9, "v": 11, "0": 0}
 _SYNTAX = set("^$\\.*+?()[]{}|/")
 
@@ -24,19 +40,36 @@ Piece: TypeAlias = "tuple[int, int]"
 """First and last state of a part."""
 
 
-@lru_cache(maxsize=1024)
-def compile_pattern(pattern: str) -> Nfa:
+def _compile(pattern: str) -> Nfa:
     """Return the automaton that accepts the texts in which the pattern is found."""
+    if any(ord(char) in _SURROGATES for char in pattern):
+        raise UnsupportedPatternError("it has half a surrogate pair")
     parser = _Parser(pattern)
     nfa = parser.nfa
     first, last = parser.alternation()
     if parser.at < len(pattern):
         raise MalformedPatternError(f"unbalanced ) in {pattern!r}")
+    if parser.unicode and parser.lenient:
+        raise UnsupportedPatternError("it is written half for the u flag and half without it")
     before = nfa.state()
     nfa.edges[before].append((ANY, before))
     nfa.always[before].append(first)
     _finish(nfa, before, last)
     return nfa
+
+
+_MAX_KEPT = 60_000
+"""States of all automata that are kept, of some 500 octets each."""
+compile_pattern = Kept(_compile, lambda nfa: sum(len(one.always) for one in nfa.parts()), _MAX_KEPT)
+
+
+def is_disputed(pattern: str) -> bool:
+    """Say whether an engine that is not one of ECMA-262 may read a pattern otherwise.
+
+    Raises:
+        UnsupportedPatternError: the pattern is not decided here.
+    """
+    return any(part.disputed for part in compile_pattern(pattern).parts())
 
 
 def _finish(nfa: Nfa, first: int, last: int) -> None:
@@ -48,13 +81,22 @@ def _finish(nfa: Nfa, first: int, last: int) -> None:
 
 
 class _Parser:
-    """Recursive descent over one pattern; depth is bounded."""
+    """Recursive descent over one pattern; depth is bounded.
+
+    `unicode` says that the pattern has what only the `u` flag gives a meaning, `lenient` that it
+    has what only goes without the flag.
+    """
 
     def __init__(self, pattern: str) -> None:
         self.text = pattern
         self.at = 0
         self.nfa = Nfa()
         self._depth = 0
+        self._classes: dict[int, tuple[CharSet, int]] = {}
+        self._atoms = 0
+        self._names: dict[str, int] = {}
+        self.unicode = any(ord(char) > _LAST_OF_16_BITS for char in self.text)
+        self.lenient = False
 
     def alternation(self) -> Piece:
         self._depth += 1
@@ -82,11 +124,19 @@ class _Parser:
     def _atom(self) -> Piece:
         char = self.text[self.at]
         self.at += 1
+        self._atoms += 1
+        if self._atoms > _MAX_ATOMS:
+            raise UnsupportedPatternError("the pattern is too large")
         if char == "(":
             return self._group()
         if char == "[":
-            return self._on(self._char_class())
+            start = self.at
+            if start not in self._classes:  # one that is repeated is read again for each copy
+                self._classes[start] = (self._char_class(), self.at)
+            chars, self.at = self._classes[start]
+            return self._on(chars)
         if char == ".":
+            self.nfa.disputed = True
             return self._on(DOT)
         if char in "^$":
             return self._assert("begin" if char == "^" else "end")
@@ -96,16 +146,19 @@ class _Parser:
             if self._take("B"):
                 return self._assert("inside")
             return self._on(self._escape(in_class=False))
-        if char in "*+?" or (char == "{" and self._looks_counted()):
+        if char in "*+?" or (char == "{" and _COUNT.match(self.text, self.at - 1)):
             raise MalformedPatternError(f"nothing to repeat at {self.at} in {self.text!r}")
+        if char == "{" and _UP_TO.match(self.text, self.at - 1):
+            raise UnsupportedPatternError("engines differ on a repetition without a lower bound")
+        self.lenient |= char in "{}]"
         return self._on(((ord(char), ord(char)),))
 
     def _group(self) -> Piece:
         if self._take("?"):
             if self._take("<"):
-                if self.at < len(self.text) and self.text[self.at] in "=!":
+                if self.text[self.at : self.at + 1] in {"=", "!"}:
                     raise UnsupportedPatternError("it looks behind")
-                self.at = self.text.find(">", self.at) + 1 or len(self.text)
+                self._name()
             elif self._take("="):
                 return self._look(sign=True)
             elif self._take("!"):
@@ -115,6 +168,14 @@ class _Parser:
         piece = self.alternation()
         self._close()
         return piece
+
+    def _name(self) -> None:
+        found = _NAME.match(self.text, self.at)
+        if found is None:
+            raise UnsupportedPatternError("a group of an unknown kind")
+        if self._names.setdefault(found[0], self.at) != self.at:
+            raise UnsupportedPatternError(f"two groups are called {found[0]!r}")
+        self.at = found.end() + 1
 
     def _close(self) -> None:
         if not self._take(")"):
@@ -131,15 +192,21 @@ class _Parser:
         return first, last
 
     def _assert(self, kind: str) -> Piece:
+        if self.text[self.at : self.at + 1] in {"*", "+", "?"} or _COUNT.match(self.text, self.at):
+            raise MalformedPatternError(f"nothing to repeat at {self.at} in {self.text!r}")
+        self.nfa.disputed |= kind != "begin"
         first, last = self.nfa.state(), self.nfa.state()
         self.nfa.asserts[first].append((kind, last))
         return first, last
 
     def _quantified(self, start: int, first: int, last: int) -> Piece:
+        before = self.at
         least, most = self._quantifier()
+        if self.at > before:
+            self._take("?")
+            self.lenient |= self.text.startswith(("(?=", "(?!"), start)
         if (least, most) == (1, 1):
             return first, last
-        self._take("?")
         after = self.at
         pieces = [(first, last)]
         copies = max(least, 1 if most is None else most, 1)
@@ -167,12 +234,12 @@ class _Parser:
             return 1, None
         if self._take("?"):
             return 0, 1
-        if not self._looks_counted():
+        found = _COUNT.match(self.text, self.at)
+        if found is None:
             return 1, 1
-        close = self.text.index("}", self.at)
-        low, comma, high = self.text[self.at + 1 : close].partition(",")
-        self.at = close + 1
-        if max(len(low), len(high)) > _MAX_DIGITS:
+        self.at = found.end()
+        low, comma, high = found[1], found[2], found[3]
+        if max(len(low), len(high or "")) > _MAX_DIGITS:
             raise UnsupportedPatternError(f"a repetition of more than {_MAX_REPEAT}")
         least = int(low)
         most = (int(high) if high else None) if comma else least
@@ -182,39 +249,45 @@ class _Parser:
             raise MalformedPatternError("a repetition from more to less")
         return least, most
 
-    def _looks_counted(self) -> bool:
-        at = self.at if self.text[self.at : self.at + 1] == "{" else self.at - 1
-        close = self.text.find("}", at)
-        if self.text[at : at + 1] != "{" or close < 0:
-            return False
-        low, _, high = self.text[at + 1 : close].partition(",")
-        return low.isdecimal() and (not high or high.isdecimal())
-
     def _char_class(self) -> CharSet:
+        start = self.at
         negated = self._take("^")
         members: CharSet = ()
+        if self.text[self.at : self.at + 1] == "]":
+            self.nfa.disputed = True  # others begin a class with a bracket
         while not self._take("]"):
             if self.at >= len(self.text):
                 raise MalformedPatternError(f"a class is not closed in {self.text!r}")
-            low = self._member()
-            single = len(low) == 1 and low[0][0] == low[0][1]
-            if (
-                single
-                and self.text[self.at : self.at + 1] == "-"
-                and self.text[self.at + 1 : self.at + 2] not in {"]", ""}
-            ):
+            low, single = self._member()
+            if self.text[self.at : self.at + 1] == "-" and self.text[
+                self.at + 1 : self.at + 2
+            ] not in {
+                "]",
+                "",
+            }:
                 self.at += 1
-                high = self._member()
-                if high[0][0] < low[0][0]:
+                high, ends = self._member()
+                self.lenient |= not (single and ends)
+                if not (single and ends):
+                    self.lenient = True  # a hyphen beside \\d and the like is itself
+                    low = union(union(low, high), ((0x2D, 0x2D),))
+                elif high[0][0] < low[0][0]:
                     raise MalformedPatternError("a range from more to less")
-                low = ((low[0][0], high[-1][1]),)
+                else:
+                    low = ((low[0][0], high[0][0]),)
             members = union(members, low)
+        if _SETS.search(self.text, start, self.at):
+            self.nfa.disputed = True  # others have classes in classes
         return complement(members) if negated else members
 
-    def _member(self) -> CharSet:
+    def _member(self) -> tuple[CharSet, bool]:
+        """Return the next characters of a class, and whether they are one, as ranges need."""
         char = self.text[self.at]
         self.at += 1
-        return self._escape(in_class=True) if char == "\\" else ((ord(char), ord(char)),)
+        if char != "\\":
+            return ((ord(char), ord(char)),), True
+        single = self.text[self.at : self.at + 1] not in {*CLASSES, "p", "P"}
+        return self._escape(in_class=True), single
 
     def _escape(self, *, in_class: bool) -> CharSet:
         if self.at >= len(self.text):
@@ -222,7 +295,10 @@ class _Parser:
         char = self.text[self.at]
         self.at += 1
         if char in CLASSES:
+            self.nfa.disputed = True
             return CLASSES[char]
+        if char == "0" and self.text[self.at : self.at + 1].isdigit():
+            raise UnsupportedPatternError("a number in base eight")
         if char in _CONTROLS:
             return ((_CONTROLS[char], _CONTROLS[char]),)
         if char == "b" and in_class:
@@ -231,11 +307,16 @@ class _Parser:
             return self._code(char)
         if char in "pP":
             return self._property(negated=char == "P")
-        if char == "c" and self.text[self.at : self.at + 1].isalpha():
+        if (
+            char == "c"
+            and self.text[self.at : self.at + 1].isascii()
+            and self.text[self.at : self.at + 1].isalpha()
+        ):
             self.at += 1
             code = ord(self.text[self.at - 1]) % 32
             return ((code, code),)
-        if char in _SYNTAX or char == "-" or not char.isalnum():
+        if char in _SYNTAX or not (char.isalnum() or char in "<>"):
+            self.lenient |= not (char in _SYNTAX or (in_class and char == "-"))
             return ((ord(char), ord(char)),)
         raise UnsupportedPatternError(f"\\{char} is not decided here")
 
@@ -244,23 +325,31 @@ class _Parser:
         if not self._take("{") or close < 0:
             raise MalformedPatternError("\\p needs a property in braces")
         name, self.at = self.text[self.at : close], close + 1
+        self.unicode = True
         chars = property_chars(name)
         if chars is None:
             raise UnsupportedPatternError(f"the property {name!r}")
         return complement(chars) if negated else chars
 
     def _code(self, kind: str) -> CharSet:
-        if kind == "u" and self._take("{"):
-            close = self.text.find("}", self.at)
-            digits, self.at = self.text[self.at : close], close + 1
-        else:
-            width = 4 if kind == "u" else 2
-            digits = self.text[self.at : self.at + width]
-            self.at += width
-        try:
-            code = int(digits, 16)
-        except ValueError:
-            raise MalformedPatternError(f"\\{kind} needs hexadecimal digits") from None
+        found = _BRACED.match(self.text, self.at) if kind == "u" else None
+        if found is None:
+            found = _HEX[kind].match(self.text, self.at)
+        if found is None:
+            raise MalformedPatternError(f"\\{kind} needs hexadecimal digits")
+        self.unicode |= found.re is _BRACED
+        self.at = found.end()
+        code = int(found[found.lastindex or 0], 16)
+        if code in _HIGH_HALVES and found.lastindex is None:
+            low = _LOW_HALF.match(self.text, self.at)
+            if low is not None:
+                self.at = low.end()
+                self.unicode = self.nfa.disputed = True
+                code = 0x10000 + (code - 0xD800) * 0x400 + int(low[1], 16) - 0xDC00
+        if code > _LAST:
+            raise MalformedPatternError(f"{code:x} is no character")
+        if code in _SURROGATES:
+            raise UnsupportedPatternError("it has half a surrogate pair")
         return ((code, code),)
 
     def _on(self, chars: CharSet) -> Piece:

@@ -14,6 +14,7 @@ from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._number_goals import find_number_whole
 from uoarm.schema._numbers import find_number
 from uoarm.schema._objects import ObjectView, object_leaf
+from uoarm.schema._repeated import Repeated, is_small, runs_of
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._solve import Asking, Goal, Solver, State, possible_kinds, try_values
 from uoarm.schema._values import exact, kind_of
@@ -21,7 +22,8 @@ from uoarm.schema._words import TooLong, shortest_word
 
 __all__ = ["answer"]
 
-_MAX_TRIED = 100
+_MAX_TRIED = 200
+_MAX_PLACES = 100_000
 
 
 def answer(solver: Solver, goal: Goal) -> Asking:
@@ -29,7 +31,7 @@ def answer(solver: Solver, goal: Goal) -> Asking:
     unknown: Unknown | None = None
     for kind in possible_kinds(goal):
         try:
-            result = yield from _of_kind(solver, State(kind, goal))
+            result = yield _of_kind(solver, State(kind, goal))
         except OutOfScopeError as error:
             result = Unknown(str(error))
         except UnsupportedPatternError as error:
@@ -52,10 +54,10 @@ def _of_kind(solver: Solver, state: State) -> Asking:
     if not state.add(Branch(literals=list(state.goal))):
         return EMPTY
     if state.kind == "null":
-        return try_values([None], state)
+        return try_values(solver, [None], state)
     if state.kind == "boolean":
-        return try_values([False, True], state)
-    return (yield from _search(solver, state))
+        return try_values(solver, [False, True], state)
+    return (yield _search(solver, state))
 
 
 def _search(solver: Solver, state: State) -> Asking:
@@ -63,7 +65,7 @@ def _search(solver: Solver, state: State) -> Asking:
     if finite:
         smallest = min(finite, key=lambda node: len(node.values))  # type: ignore[attr-defined] # a node
         solver.spend(len(smallest.values) // 16)  # type: ignore[attr-defined] # a node
-        return try_values(smallest.values.values(), state)  # type: ignore[attr-defined] # a node
+        return try_values(solver, smallest.values.values(), state)  # type: ignore[attr-defined] # a node
     if not _exclude_composites(solver, state):
         return EMPTY
     while state.choices:
@@ -73,7 +75,7 @@ def _search(solver: Solver, state: State) -> Asking:
         open_choices: list[Choice] = []
         forced: Branch | None = None
         for choice in state.choices:
-            alive = yield from judge(state, view, choice, many=many)
+            alive = yield from judge(solver, state, view, choice, many=many)
             if alive is None:
                 continue
             if not alive:
@@ -87,13 +89,13 @@ def _search(solver: Solver, state: State) -> Asking:
             if not state.add(forced):
                 return EMPTY
             if _is_finite(state):
-                return (yield from _search(solver, state))
+                return (yield _search(solver, state))
             if not _exclude_composites(solver, state):
                 return EMPTY
             continue
         if not state.choices:
             break
-        return (yield from _branch(solver, state))
+        return (yield _branch(solver, state))
     return (yield from _leaf(solver, state))
 
 
@@ -124,7 +126,10 @@ def _branch(solver: Solver, state: State) -> Asking:
         except OutOfScopeError as error:
             unknown = Unknown(str(error))
             continue
-        result = yield from _search(solver, trial)
+        octets = trial.octets()
+        solver.meter.hold(octets)
+        result = yield _search(solver, trial)
+        solver.meter.release(octets)
         if isinstance(result, Found):
             return result
         if isinstance(result, Unknown):
@@ -132,32 +137,22 @@ def _branch(solver: Solver, state: State) -> Asking:
     return unknown or EMPTY
 
 
-def _without_choices(solver: Solver, state: State) -> Generator[Goal, Result, Result | None]:
+def _without_choices(
+    solver: Solver, state: State
+) -> Generator[Goal | Asking, Result, Result | None]:
     """Leave the choices aside: there may be no value even so, or one that happens to do."""
     if any(atom[0] == "least" and atom[1] > _MAX_TRIED for atom in state.atoms):  # type: ignore[operator] # a size
         return None
     try:
         found = yield from _leaf(solver, state)
         if isinstance(found, Found):
-            if not _is_small(found.value):
+            if not is_small(found.value, _MAX_TRIED):
                 return None
-            found = try_values([found.value], state)
+            found = try_values(solver, [found.value], state)
             return found if isinstance(found, Found) else None
     except (OutOfScopeError, UnsupportedPatternError, TooLong):
         return None
     return found if isinstance(found, Empty) else None
-
-
-def _is_small(value: object) -> bool:
-    waiting = [value]
-    for one in waiting:
-        if len(waiting) > _MAX_TRIED:
-            return False
-        if isinstance(one, dict):
-            waiting.extend(one.values())
-        elif isinstance(one, list):
-            waiting.extend(one)
-    return True
 
 
 def _leaf(solver: Solver, state: State) -> Asking:
@@ -169,7 +164,8 @@ def _leaf(solver: Solver, state: State) -> Asking:
             for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
             if kind_of(value) == "number"
         )
-        return find_number([a for a in state.atoms if a[0] != "notin"], excluded)
+        solver.spend(len(excluded) // 16)
+        return find_number([a for a in state.atoms if a[0] != "notin"], excluded, solver.spend)
     if state.kind == "string":
         return _find_string(solver, state)
     if state.kind == "array":
@@ -185,20 +181,21 @@ def _find_string(solver: Solver, state: State) -> Result:
             least = max(least, size)
         elif tag == "most":
             most = size if most is None else min(most, size)
-    found = shortest_word(
-        list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "match")),
-        list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "nomatch")),
-        least,
-        most,
-        [
-            value
-            for atom in state.atoms
-            if atom[0] == "notin"
-            for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
-            if isinstance(value, str)
-        ],
-        solver.spend,
-    )
+    with solver.meter.part("patterns"):
+        found = shortest_word(
+            list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "match")),
+            list(dict.fromkeys(str(a[1]) for a in state.atoms if a[0] == "nomatch")),
+            least,
+            most,
+            [
+                value
+                for atom in state.atoms
+                if atom[0] == "notin"
+                for value in atom[1].values.values()  # type: ignore[attr-defined] # a node
+                if isinstance(value, str)
+            ],
+            solver.meter,
+        )
     return EMPTY if found is None else Found(found)
 
 
@@ -226,8 +223,12 @@ def _shape(value: object) -> dict[str, object]:
             "required": list(value),
             "additionalProperties": False,
         }
-    assert isinstance(value, list | tuple)
-    shape: dict[str, object] = {"minItems": len(value), "maxItems": len(value)}
-    if value:
-        shape["prefixItems"] = [{"const": one} for one in value]
+    assert isinstance(value, list | tuple | Repeated)
+    size = len(value)
+    shape: dict[str, object] = {"minItems": size, "maxItems": size}
+    if size > _MAX_PLACES:
+        raise TooLong(f"an array of {size:,} items would have to be told apart from others")
+    if size:
+        items = [item for _, item, count in runs_of(value) for _ in range(count)]
+        shape["prefixItems"] = [{"const": one} for one in items]
     return shape

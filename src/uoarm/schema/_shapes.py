@@ -29,11 +29,17 @@ _COUNTS = frozenset(
 )  # fmt: skip
 _NUMBERS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf"})
 _STRINGS = frozenset({"$ref", "$anchor", "$dynamicRef", "$dynamicAnchor", "$id", "pattern"})
+_SIZED = (dict, list, str, Mapping)
 _TYPES = ("null", "boolean", "integer", "number", "string", "array", "object")
 
 
-def check_keyword(keyword: str, value: object, pointer: str) -> None:
-    """Raise SchemaError unless the keyword's value has the right shape."""
+def check_keyword(keyword: str, value: object, pointer: str) -> int:
+    """Check that the keyword's value has the right shape; return how much work it was.
+
+    Raises:
+        SchemaError: it has another.
+    """
+    work = len(value) // 16 if isinstance(value, _SIZED) else 0
     if keyword in SINGLES:
         _demand(isinstance(value, bool | Mapping), pointer, "a schema", value)
     elif keyword in LISTS:
@@ -42,7 +48,7 @@ def check_keyword(keyword: str, value: object, pointer: str) -> None:
         _demand(_is_map(value), pointer, "schemas by name", value)
         if keyword == "patternProperties":
             for pattern in value:  # type: ignore[attr-defined] # a map
-                _demand_pattern(pattern, pointer)
+                work += _demand_pattern(pattern, pointer)
     elif keyword in _COUNTS:
         _demand(_is_count(value), pointer, "a whole number, zero or more", value)
     elif keyword in _NUMBERS:
@@ -52,7 +58,7 @@ def check_keyword(keyword: str, value: object, pointer: str) -> None:
     elif keyword in _STRINGS:
         _demand(isinstance(value, str), pointer, "a string", value)
         if keyword == "pattern":
-            _demand_pattern(value, pointer)
+            work += _demand_pattern(value, pointer)
     elif keyword == "uniqueItems":
         _demand(isinstance(value, bool), pointer, "true or false", value)
     elif keyword == "enum":
@@ -66,6 +72,7 @@ def check_keyword(keyword: str, value: object, pointer: str) -> None:
         names = value if isinstance(value, list) else [value]
         known = bool(names) and all(isinstance(n, str) and n in _TYPES for n in names)
         _demand(known, pointer, f"a type of {', '.join(_TYPES)}", value)
+    return work
 
 
 def _demand(holds: bool, pointer: str, expected: str, got: object) -> None:  # noqa: FBT001
@@ -73,13 +80,14 @@ def _demand(holds: bool, pointer: str, expected: str, got: object) -> None:  # n
         raise SchemaError(pointer, expected, got)
 
 
-def _demand_pattern(pattern: Any, pointer: str) -> None:
+def _demand_pattern(pattern: Any, pointer: str) -> int:
+    """Compile a pattern; return how many states it has."""
     try:
-        compile_pattern(pattern)
+        return len(compile_pattern(pattern).always)
     except MalformedPatternError as error:
         raise SchemaError(pointer, f"a regular expression ({error})", pattern) from error
     except UnsupportedPatternError:
-        return
+        return 1
 
 
 def _is_map(value: object) -> bool:

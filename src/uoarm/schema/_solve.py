@@ -1,15 +1,15 @@
 """The search for one value that meets every literal of a goal.
 
-Goals are answered by generators that ask for sub-goals; `Solver.solve` runs them on an explicit
-stack and remembers answers. A goal that is met again while it is being answered counts as empty:
+Goals are answered by generators that ask for sub-goals, or for what another generator comes to, as
+a function calls another; `Solver.solve` runs them on an explicit stack and remembers the answers to
+goals. A goal that is met again while it is being answered counts as empty:
 a least value never contains itself (the least fixpoint). An emptiness that leaned on such a goal
 holds only within it and is not remembered.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from collections.abc import Set as AbstractSet
 from typing import Any, TypeAlias
 
@@ -18,27 +18,33 @@ from attrs import define, field
 from uoarm.schema._branch import KINDS, Atom, Branch, Choice, Literal
 from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import OutOfScopeError
-from uoarm.schema._evaluate import accepts
+from uoarm.schema._evaluate import Judgements
 from uoarm.schema._expand import expand
+from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._node import Node
 from uoarm.schema._results import EMPTY, Empty, Found, Result, Unknown
 from uoarm.schema._tags import contradicts, tags_of
 from uoarm.schema._values import Key, kind_of
+from uoarm.schema._words import TooLong
 
-__all__ = ["Asking", "BudgetError", "Goal", "Solver", "State"]
+__all__ = ["Asking", "Goal", "Solver", "State"]
 
 Goal: TypeAlias = "tuple[Literal, ...]"
-Asking: TypeAlias = Generator[Goal, Result, Result]
+Asking: TypeAlias = Generator["Goal | Asking", Result, Result]
 GoalKey: TypeAlias = "frozenset[tuple[int, bool]]"
 
 
-class BudgetError(Exception):
-    """The budget ran out; the text says which part."""
+_GIVEN_UP = (OutOfScopeError, UnsupportedPatternError, TooLong)
+_OF_FRAME = 2_000
+_OF_ANSWER = 300
+"""About the octets of a goal under way, and of an answer that is remembered."""
 
 
 @define
 class _Frame:
-    key: GoalKey
+    """A goal under way, or part of the work for the goal below it, which has no key."""
+
+    key: GoalKey | None
     work: Asking
     low: int
     unknown: Unknown | None = None
@@ -89,6 +95,10 @@ class State:
             raise OutOfScopeError(cause)
         return True
 
+    def octets(self) -> int:
+        """Return about the memory that a copy takes."""
+        return 8 * (len(self.atoms) + len(self.choices)) + 80 * (len(self.seen) + len(self.tags))
+
     def copy(self) -> State:
         """Return a state that can be changed on its own."""
         return State(
@@ -114,15 +124,15 @@ class Solver:
     """Answers goals within a budget.
 
     Args:
-        pool: numbers contents, shared with the documents of the goals.
-        steps: sub-goals and branches at most.
-        seconds: at most.
+        pool: numbers contents, shared with the documents of the goals; its meter is spent.
+        answer: makes the work for one goal.
     """
 
-    def __init__(self, pool: Pool, steps: int, seconds: float) -> None:
+    def __init__(self, pool: Pool, answer: Callable[[Solver, Goal], Asking]) -> None:
+        self._answer = answer
         self._pool = pool
-        self._steps = steps
-        self._deadline = time.monotonic() + seconds
+        self.meter = pool.meter
+        self.spend = pool.meter.spend
         self._memo: dict[GoalKey, Result] = {}
         self._made: dict[str, Node] = {}
 
@@ -130,54 +140,60 @@ class Solver:
         """Return a value that meets every literal of a goal.
 
         Raises:
-            BudgetError: steps or seconds ran out.
+            BudgetError: the budget ran out.
         """
-        from uoarm.schema._search import answer  # noqa: PLC0415 - the two call each other
-
         frames: list[_Frame] = []
         active: dict[GoalKey, int] = {}
-
-        def push(asked: Goal, key: GoalKey) -> None:
-            active[key] = len(frames)
-            frames.append(_Frame(key, answer(self, asked), len(frames)))
-
-        first = _key(goal)
-        if first is None:
-            return EMPTY
-        push(goal, first)
-        result: Result | None = None
+        result = self._ask(goal, frames, active)
+        failure: Exception | None = None
         while frames:
             frame = frames[-1]
             try:
-                asked = frame.work.send(result)  # type: ignore[arg-type] # None starts it
+                if failure is not None:
+                    thrown, failure = failure, None
+                    asked = frame.work.throw(thrown)
+                else:
+                    asked = frame.work.send(result)  # type: ignore[arg-type] # None starts it
             except StopIteration as done:
                 result = self._finish(frames, active, done.value)
-                continue
-            self.spend()
-            key = _key(asked)
-            if key is None:
-                result = EMPTY
-            elif key in self._memo:
-                result = self._memo[key]
-            elif key in active:
-                frame.low = min(frame.low, active[key])
-                result = EMPTY
+            except _GIVEN_UP as error:
+                if frame.key is not None:
+                    raise
+                failure = error
+                self._finish(frames, active, EMPTY)
             else:
-                push(asked, key)
-                result = None
-                continue
-            if isinstance(result, Unknown):
-                frame.unknown = result
+                result = self._ask(asked, frames, active)
         assert result is not None
         return result
 
-    def spend(self, steps: int = 1) -> None:
-        """Count work; raises BudgetError when there was too much."""
-        self._steps -= steps
-        if self._steps < 0:
-            raise BudgetError("the budget of steps ran out")
-        if self._steps % 64 == 0 and time.monotonic() > self._deadline:
-            raise BudgetError("the budget of time ran out")
+    def _ask(
+        self, asked: Goal | Asking, frames: list[_Frame], active: dict[GoalKey, int]
+    ) -> Result | None:
+        """Answer at once where that is possible; otherwise begin the work."""
+        result: Result
+        if not isinstance(asked, tuple):
+            self._begin(frames, None, asked)
+            return None
+        self.spend(1 + len(asked) // 16)
+        key = _key(asked)
+        if key is None:
+            return EMPTY
+        if key in self._memo:
+            result = self._memo[key]
+        elif key in active:
+            frames[-1].low = min(frames[-1].low, active[key])
+            result = EMPTY
+        else:
+            active[key] = len(frames)
+            self._begin(frames, key, self._answer(self, asked))
+            return None
+        if isinstance(result, Unknown):
+            frames[-1].unknown = result
+        return result
+
+    def _begin(self, frames: list[_Frame], key: GoalKey | None, work: Asking) -> None:
+        self.meter.hold(_OF_FRAME)
+        frames.append(_Frame(key, work, len(frames)))
 
     def make(self, name: str, schema: Any) -> Node:
         """Return the node of a schema that the search itself made up, one for each name."""
@@ -188,11 +204,17 @@ class Solver:
 
     def _finish(self, frames: list[_Frame], active: dict[GoalKey, int], result: Result) -> Result:
         frame = frames.pop()
-        del active[frame.key]
+        self.meter.release(_OF_FRAME)
         depth = len(frames)
+        if frame.key is None:
+            frames[-1].low = min(frames[-1].low, frame.low)
+            frames[-1].unknown = frame.unknown or frames[-1].unknown
+            return result
+        del active[frame.key]
         if isinstance(result, Empty) and frame.unknown is not None:
             result = frame.unknown
         if isinstance(result, Found) or frame.low >= depth:
+            self.meter.hold(_OF_ANSWER + 8 * len(frame.key))
             self._memo[frame.key] = result
         if frames:
             parent = frames[-1]
@@ -203,11 +225,12 @@ class Solver:
         return result
 
 
-def try_values(values: Iterable[Any], state: State) -> Result:
+def try_values(solver: Solver, values: Iterable[Any], state: State) -> Result:
     """Return the first of some values that meets the whole goal."""
+    judgements = Judgements(solver.spend)
     for value in values:
         if kind_of(value) == state.kind and all(
-            accepts(node, value) == sign for node, sign in state.goal
+            judgements.accepts(node, value) == sign for node, sign in state.goal
         ):
             return Found(value)
     return EMPTY

@@ -37,6 +37,8 @@ def contradicts(known: Tags, node: Node) -> bool:
 
 def certainly_disjoint(nodes: Sequence[Node], kind: str) -> bool:
     """Say whether no value of a kind can meet two of some schemas, as far as is seen at once."""
+    if any(node.unsupported for node in nodes):
+        return False
     if all(node.values is not None for node in nodes):
         return _apart([node.values.keys() for node in nodes if node.values is not None])
     if kind != "object" or not nodes:

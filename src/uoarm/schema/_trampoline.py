@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from uoarm.schema._errors import OutOfScopeError
 
-__all__ = ["run"]
+__all__ = ["Memory", "run"]
 
 _MAX_DEPTH = 20_000
 
 Q = TypeVar("Q")
 A = TypeVar("A")
+Asked_contra = TypeVar("Asked_contra", contravariant=True)
+Told = TypeVar("Told")
+
+
+class Memory(Protocol[Asked_contra, Told]):
+    """Remembers answers, so that what is shared is worked out once."""
+
+    def find(self, question: Asked_contra) -> Told | None:
+        """Return the answer to a question, None where it is not known; may raise what it raised."""
+
+    def keep(self, question: Asked_contra, answer: Told | OutOfScopeError) -> None:
+        """Take in an answer, or the error that came instead of one."""
 
 
 def run(
     question: Q,
     answer: Callable[[Q], Generator[Q, A, A]],
-    observe: Callable[[Q, A], None] | None = None,
+    memory: Memory[Q, A] | None = None,
 ) -> A:
     """Answer a question by running its generator; what it yields is answered the same way.
 
-    An OutOfScopeError of an answer is thrown into whatever asked for it. `observe` is told every
-    question with its answer.
+    An OutOfScopeError of an answer is thrown into whatever asked for it.
     """
     stack = [answer(question)]
     asking = [question]
@@ -39,19 +50,29 @@ def run(
         except StopIteration as done:
             stack.pop()
             result = done.value
-            asked = asking.pop()
-            if observe is not None:
-                observe(asked, done.value)
+            if memory is not None:
+                memory.keep(asking[-1], done.value)
+            asking.pop()
+            continue
         except OutOfScopeError as error:
             stack.pop()
-            asking.pop()
             failure = error
-        else:
+            if memory is not None:
+                memory.keep(asking[-1], error)
+            asking.pop()
+            continue
+        result = None
+        if memory is not None:
+            try:
+                result = memory.find(asked)
+            except OutOfScopeError as error:
+                failure = error
+                continue
+        if result is None:
             if len(stack) > _MAX_DEPTH:
                 raise OutOfScopeError(f"more than {_MAX_DEPTH:,} schemas within one another")
             stack.append(answer(asked))
             asking.append(asked)
-            result = None
     if failure is not None:
         raise failure
     return result  # type: ignore[return-value] # the last generator returned it

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
-from typing import TypeAlias
+from hashlib import blake2b
+from itertools import groupby
+from typing import Any, TypeAlias
 
 from uoarm.schema._errors import OutOfScopeError, SchemaError
+from uoarm.schema._repeated import Repeated
 
-__all__ = ["Key", "exact", "key_of", "kind_of"]
+__all__ = ["Key", "Keys", "exact", "is_composite", "key_of", "kind_of"]
 
-_MAX_NESTED = 100
+_MAX_BITS = 100_000
+_SCALARS = frozenset({str, int, float, bool, type(None)})
 
 Key: TypeAlias = "tuple[object, ...]"
 
@@ -31,14 +35,102 @@ def kind_of(value: object) -> str:
         return "number"
     if isinstance(value, str):
         return "string"
-    return "array" if isinstance(value, list | tuple) else "object"
+    return "array" if isinstance(value, list | tuple | Repeated) else "object"
 
 
 def key_of(value: object) -> Key:
     """Return a hashable form that is equal exactly when the JSON values are."""
+    return Keys().of(value)
+
+
+class Keys:
+    """Keys of the parts of values that live as long as this; each part is keyed once.
+
+    An array or object is keyed by a digest of the keys of its parts, so that one whose parts are
+    shared costs what it takes to store, not what it takes to write.
+
+    Args:
+        spend: is told of each array and object.
+    """
+
+    def __init__(self, spend: Callable[[int], None] = lambda _: None) -> None:
+        self._spend = spend
+        self._known: dict[int, Key] = {}
+        self._scalars = 0
+
+    def of(self, value: object) -> Key:
+        """Return the key of a value.
+
+        Raises:
+            SchemaError: it is no JSON value.
+        """
+        if not is_composite(value):
+            self._scalars += 1
+            if not self._scalars % 32:
+                self._spend(1)
+            return _scalar_key(value)
+        known = self._known.get(id(value))
+        return self._composite(value) if known is None else known
+
+    def _composite(self, value: object) -> Key:
+        waiting: list[tuple[Any, bool]] = [(value, False)]
+        around: set[int] = set()
+        while waiting:
+            one, entered = waiting.pop()
+            if id(one) in self._known:
+                continue
+            if entered:
+                around.discard(id(one))
+                self._known[id(one)] = self._digest(one)
+                continue
+            if id(one) in around:
+                raise SchemaError("", "a JSON value", "an array or object in itself")
+            around.add(id(one))
+            waiting.append((one, True))
+            waiting.extend(
+                (part, False) for part in _composites(one) if id(part) not in self._known
+            )
+        return self._known[id(value)]
+
+    def _digest(self, value: Any) -> Key:
+        self._spend(1)
+        digest = blake2b(digest_size=32)
+        if isinstance(value, Mapping):
+            if not all(isinstance(name, str) for name in value):
+                raise SchemaError("", "a JSON value", value)
+            for name in sorted(value):
+                digest.update(_octets(("string", name)) + _octets(self.of(value[name])))
+            return ("object", digest.digest())
+        if isinstance(value, Repeated):
+            runs = [(self.of(item), count) for item, count in value.runs]
+        else:
+            runs = [(self.of(item), 1) for item in value]
+        for key, same in groupby(runs, lambda run: run[0]):
+            digest.update(_octets(key) + b"%d;" % sum(count for _, count in same))
+        return ("array", digest.digest())
+
+
+def is_composite(value: object) -> bool:
+    """Say whether a value is an array or an object."""
+    if value.__class__ in _SCALARS:
+        return False
+    return isinstance(value, Mapping | list | tuple | Repeated)
+
+
+def _composites(value: Any) -> list[Any]:
+    if isinstance(value, Mapping):
+        parts: Any = value.values()
+    else:
+        parts = (item for item, _ in value.runs) if isinstance(value, Repeated) else value
+    return [part for part in parts if is_composite(part)]
+
+
+def _scalar_key(value: object) -> Key:
     if value is None or isinstance(value, bool):
         return ("literal", value is None, bool(value))
     if isinstance(value, int):
+        if value.bit_length() > _MAX_BITS:
+            raise OutOfScopeError(f"a number of more than {_MAX_BITS:,} bits")
         return ("number", value)
     if isinstance(value, float):
         if not math.isfinite(value):
@@ -47,25 +139,19 @@ def key_of(value: object) -> Key:
         return ("number", int(number) if number.denominator == 1 else number)
     if isinstance(value, str):
         return ("string", value)
-    return _composite_key(value, 0, {})
+    raise SchemaError("", "a JSON value", value)
 
 
-def _composite_key(value: object, depth: int, done: dict[int, Key]) -> Key:
-    """Return the key of an array or object; a part that is shared is keyed once."""
-    if id(value) in done:
-        return done[id(value)]
-    if depth > _MAX_NESTED:
-        raise OutOfScopeError(f"a constant value of more than {_MAX_NESTED} levels")
-
-    def part(one: object) -> Key:
-        composite = isinstance(one, Mapping | list | tuple)
-        return _composite_key(one, depth + 1, done) if composite else key_of(one)
-
-    if isinstance(value, Mapping):
-        key: Key = ("object", frozenset((name, part(one)) for name, one in value.items()))
-    elif isinstance(value, list | tuple):
-        key = ("array", tuple(part(one) for one in value))
+def _octets(key: Key) -> bytes:
+    """Return a key as octets of which none begin another."""
+    kind, content = str(key[0]), key[1]
+    if kind == "literal":
+        text = b"1" if content else b"2" if key[2] else b"3"
+    elif kind == "string":
+        text = str(content).encode("utf-8", "surrogatepass")
+    elif isinstance(content, bytes):
+        text = content
     else:
-        raise SchemaError("", "a JSON value", value)
-    done[id(value)] = key
-    return key
+        number: Any = content
+        text = b"%x/%x" % (number.numerator, number.denominator)
+    return b"%c%d:%b" % (kind.encode()[0], len(text), text)

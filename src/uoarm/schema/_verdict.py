@@ -6,6 +6,8 @@ from typing import Any
 
 from attrs import asdict, field, frozen
 
+from uoarm.schema._repeated import build, describe
+
 __all__ = ["Budget", "Loss", "Reason", "Verdict"]
 
 
@@ -14,12 +16,14 @@ class Budget:
     """How much a check may cost before it answers undecided.
 
     Attributes:
-        steps: sub-questions and branches.
-        seconds: time.
+        steps: sub-questions, branches and parts of values that are looked at.
+        seconds: time, of the whole check.
+        octets: memory that the check holds, besides the two schemas themselves.
     """
 
-    steps: int = 200_000
+    steps: int = 1_000_000
     seconds: float = 10.0
+    octets: int = 200 * 2**20
 
 
 @frozen
@@ -60,9 +64,13 @@ class Verdict:
         undecided: why nobody knows; None when the question is decided.
         reasons: why it is refused.
         counterexample: a message valid for the producer and invalid for the consumer. Read it
-            only when `incompatible`: None is a message too.
-        excerpt: the part of the counterexample that matters.
+            only when `incompatible` and not `abridged`: None is a message too.
+        abridged: whether the message is too long to be written out unasked;
+            `build_counterexample` does it.
+        excerpt: the part of the counterexample that matters; told in short where it is long.
         losses: what is accepted but not kept whole.
+        disputed_patterns: patterns of either side that engines which are not of ECMA-262, such as
+            Python's `re` and Rust's `regex`, read otherwise. The verdict rests on ECMA-262.
     """
 
     compatible: bool
@@ -71,6 +79,9 @@ class Verdict:
     counterexample: Any = field(default=None, hash=False)
     excerpt: Any = field(default=None, hash=False)
     losses: tuple[Loss, ...] = ()
+    abridged: bool = False
+    disputed_patterns: tuple[str, ...] = ()
+    _message: Any = field(default=None, hash=False, eq=False, repr=False)
 
     @property
     def incompatible(self) -> bool:
@@ -78,5 +89,23 @@ class Verdict:
         return not self.compatible and self.undecided is None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verdict as plain JSON values."""
-        return {**asdict(self), "incompatible": self.incompatible}
+        """Return the verdict as plain JSON values; an abridged counterexample in short."""
+        return {
+            "compatible": self.compatible,
+            "undecided": self.undecided,
+            "reasons": tuple(asdict(one) for one in self.reasons),
+            "counterexample": describe(self._message) if self.abridged else self.counterexample,
+            "excerpt": self.excerpt,
+            "losses": tuple(asdict(one) for one in self.losses),
+            "abridged": self.abridged,
+            "disputed_patterns": self.disputed_patterns,
+            "incompatible": self.incompatible,
+        }
+
+    def build_counterexample(self) -> Any:
+        """Return the counterexample of a refusal, written out however long it is.
+
+        Parts that are equal may be one object, so that it is held in less memory than its JSON
+        text, which can be longer than any memory.
+        """
+        return build(self._message) if self.abridged else self.counterexample

@@ -7,10 +7,12 @@ must not begin with. Free edges are followed when it is known what comes next.
 
 from __future__ import annotations
 
-from functools import lru_cache
+import re
+from collections.abc import Callable
 from typing import TypeAlias
 
 from uoarm.schema._charsets import CLASSES, contains
+from uoarm.schema._kept import Kept
 from uoarm.schema._nfa import Nfa, UnsupportedPatternError
 from uoarm.schema._regex import compile_pattern
 
@@ -18,6 +20,9 @@ __all__ = ["WalkState", "Walker", "found_in", "walker_of"]
 
 _START, _WORD, _OTHER, _END = range(4)
 _MAX_THREADS = 3_000
+_MAX_WALKED = 100_000
+_MAX_KEPT = 200_000
+"""Threads that one walker, and all that are kept, remember, of some 200 octets each."""
 
 Duty: TypeAlias = "tuple[bool, int, WalkState]"
 """Whether the rest must or must not match, which automaton is looking, and how far it is."""
@@ -40,6 +45,7 @@ class Walker:
             for sign, inner, target in looks:
                 self._looks[state].append((sign, len(self._lookers), target))
                 self._lookers.append(Walker(inner))
+        self.weight = 1
         self._steps: dict[tuple[WalkState, int], WalkState] = {}
         self._accepting: dict[WalkState, bool] = {}
         self.start = self.begin(_START)
@@ -55,7 +61,13 @@ class Walker:
                 kept = self._advance(duties, code) if targets else None
                 if kept is not None:
                     reached.update((to, kept) for to in targets)
-            known = self._steps[state, code] = (follows, frozenset(reached))
+            known = (follows, frozenset(reached))
+            self.weight += 1 + len(reached)
+            if self.weight > _MAX_WALKED:
+                self._steps.clear()
+                self._accepting.clear()
+                self.weight = 1
+            self._steps[state, code] = known
         return known
 
     def accepts(self, state: WalkState) -> bool:
@@ -126,20 +138,37 @@ def _holds(kind: str, before: int, follows: int) -> bool:
     return ((before == _WORD) != (follows == _WORD)) == (kind == "boundary")
 
 
-@lru_cache(maxsize=1024)
-def walker_of(pattern: str) -> Walker:
-    """Return the walker of a pattern, which remembers what it has walked."""
+def _make(pattern: str) -> Walker:
     return Walker(compile_pattern(pattern))
 
 
-def found_in(pattern: str, text: str) -> bool:
-    """Say whether a pattern is found in a text, with ECMA-262 meaning.
+walker_of = Kept(_make, lambda one: one.weight, _MAX_KEPT)
+"""Returns the walker of a pattern, which remembers what it has walked."""
+
+
+def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: None) -> bool:
+    """Say whether a pattern is found in a text, with ECMA-262 meaning; `spend` is told of work.
 
     Raises:
         UnsupportedPatternError: the pattern is not decided here.
     """
     walker = walker_of(pattern)
     state = walker.start
-    for char in text:
-        state = walker.step(state, ord(char))
+    at, end = 0, len(text)
+    while at < end:
+        char = text[at]
+        after = walker.step(state, ord(char))
+        at += 1
+        if after is state:  # and stays so while the character is the same
+            at = _end_of_run(text, at, char)
+        state = after
+        if not at % 64:
+            spend(1)
     return walker.accepts(state)
+
+
+def _end_of_run(text: str, at: int, char: str) -> int:
+    if at + 1 >= len(text) or text[at] != char or text[at + 1] != char:
+        return at
+    found = re.compile(f"[^{re.escape(char)}]", re.DOTALL).search(text, at)
+    return len(text) if found is None else found.start()

@@ -1,0 +1,80 @@
+"""What is left of a budget: spent by all parts of one check, and what each of them has cost."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from uoarm.schema._errors import BudgetError
+
+__all__ = ["Meter"]
+
+_LOOKS = 32
+"""Steps after which the clock is read; each is some ten microseconds of work."""
+
+
+class Meter:
+    """Counts steps, time and octets, and raises BudgetError when one of them ran out.
+
+    Octets are those of what is kept: nodes, remembered answers, states, automata and values.
+    """
+
+    def __init__(
+        self,
+        steps: int,
+        seconds: float,
+        octets: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._clock = clock
+        self._steps = steps
+        self._octets = octets
+        self._look = steps
+        self._part = "reading the schemas"
+        self._costs: dict[str, float] = {}
+        self._since = clock()
+        self._deadline = self._since + seconds
+
+    def spend(self, steps: int = 1) -> None:
+        """Count work."""
+        self._steps -= steps
+        if self._steps < self._look:
+            self._check()
+
+    def hold(self, octets: int) -> None:
+        """Count memory that is kept."""
+        self._octets -= octets
+        if self._octets < 0:
+            raise BudgetError(self._told("memory"))
+
+    def release(self, octets: int) -> None:
+        """Take back memory that was counted and is kept no longer."""
+        self._octets += octets
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Count the time that passes within as that of a part."""
+        around = self._part
+        self._turn(name)
+        try:
+            yield
+        finally:
+            self._turn(around)
+
+    def _check(self) -> None:
+        if self._steps < 0:
+            raise BudgetError(self._told("steps"))
+        self._look = self._steps - _LOOKS
+        if self._clock() > self._deadline:
+            raise BudgetError(self._told("time"))
+
+    def _told(self, of: str) -> str:
+        self._turn(self._part)
+        most = max(self._costs, key=lambda part: self._costs[part])
+        return f"the budget of {of} ran out; what took longest was {most}"
+
+    def _turn(self, part: str) -> None:
+        now = self._clock()
+        self._costs[self._part] = self._costs.get(self._part, 0.0) + now - self._since
+        self._part, self._since = part, now

@@ -1,0 +1,145 @@
+"""Long arrays kept short: runs of one item, and what is built or told of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
+from typing import Any
+
+__all__ = ["Repeated", "build", "describe", "is_small", "runs_of"]
+
+_TOLD = 200
+_TOLD_TEXT = 60
+_TOLD_ITEMS = 3
+
+
+class Repeated:
+    """An array of which neighbours that are the same item are kept once, with their number."""
+
+    __slots__ = ("_length", "runs")
+
+    def __init__(self, runs: Iterable[tuple[Any, int]]) -> None:
+        self.runs = tuple(runs)
+        self._length = sum(count for _, count in self.runs)
+
+    def __len__(self) -> int:
+        return self._length
+
+
+def runs_of(array: Any) -> Iterator[tuple[int, Any, int]]:
+    """Yield the first position, the item and the length of each run of an array.
+
+    Neighbours that are the very same object are a run in other arrays, too.
+    """
+    position = 0
+    if not isinstance(array, Repeated):
+        before: Any = None
+        for now, item in enumerate(array):
+            if item is not before and now > 0:
+                yield position, before, now - position
+                position = now
+            before = item
+        if len(array):
+            yield position, before, len(array) - position
+        return
+    for item, count in array.runs:
+        yield position, item, count
+        position += count
+
+
+def is_small(value: object, most: int) -> bool:
+    """Say whether a value has at most so many parts and characters, written out."""
+    waiting = [value]
+    size = 0
+    while waiting:
+        one = waiting.pop()
+        size += 1
+        if isinstance(one, str | Mapping | list | tuple | Repeated):
+            size += len(one)
+        if size > most:
+            return False
+        if isinstance(one, Mapping):
+            waiting.extend(one.values())
+        elif isinstance(one, Repeated):
+            waiting.extend(item for item, count in one.runs for _ in range(count))
+        elif isinstance(one, list | tuple):
+            waiting.extend(one)
+    return True
+
+
+def build(value: Any) -> Any:
+    """Return a value with every array written out; equal parts stay shared."""
+    built: dict[int, Any] = {}
+    waiting = [value]
+    while waiting:
+        one = waiting[-1]
+        missing = [part for part in _parts(one) if id(part) not in built]
+        if missing and id(one) not in built:
+            waiting.extend(missing)
+            continue
+        waiting.pop()
+        if isinstance(one, Mapping):
+            built[id(one)] = {name: built[id(part)] for name, part in one.items()}
+        elif isinstance(one, Repeated | list | tuple):
+            items: list[Any] = []
+            for _, item, count in runs_of(one):
+                items.extend([built[id(item)]] * count)
+            built[id(one)] = items
+        else:
+            built[id(one)] = one
+    return built[id(value)]
+
+
+def describe(value: Any) -> Any:
+    """Return a short JSON value that tells what a long one is like."""
+    return _Telling().tell(value)
+
+
+class _Telling:
+    """One description, of at most `_TOLD` parts."""
+
+    def __init__(self) -> None:
+        self._left = _TOLD
+
+    def tell(self, value: Any) -> Any:
+        root: list[Any] = [None]
+        waiting: list[tuple[Any, Any, Any]] = [(value, root, 0)]
+        for one, holder, place in waiting:
+            holder[place] = told = self._shallow(one)
+            if isinstance(told, dict):
+                names = list(islice(one, self._take(len(one))))
+                told.update(dict.fromkeys(names))
+                waiting.extend((one[name], told, name) for name in names)
+                if len(names) < len(one):
+                    told["..."] = f"{len(one) - len(names):,} more members"
+            elif isinstance(told, list):
+                shown = 0
+                for _, item, count in islice(runs_of(one), self._take(_TOLD_ITEMS)):
+                    waiting.append((item, told, len(told)))
+                    told.append(None)
+                    told += [f"... {count - 1:,} more of the same"] if count > 1 else []
+                    shown += count
+                told += [f"... {len(one) - shown:,} more"] if shown < len(one) else []
+        return root[0]
+
+    def _take(self, parts: int) -> int:
+        taken = min(parts, self._left)
+        self._left -= taken
+        return taken
+
+    def _shallow(self, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {}
+        if isinstance(value, Repeated | list | tuple):
+            return []
+        if isinstance(value, str) and len(value) > _TOLD_TEXT:
+            return f"{value[:_TOLD_TEXT]}... ({len(value):,} characters)"
+        return value
+
+
+def _parts(value: Any) -> list[Any]:
+    if isinstance(value, Mapping):
+        return list(value.values())
+    if isinstance(value, Repeated):
+        return [item for item, _ in value.runs]
+    return list(value) if isinstance(value, list | tuple) else []

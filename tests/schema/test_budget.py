@@ -1,0 +1,161 @@
+"""One budget for the whole check: counted in steps, time and octets, whatever the schemas are."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.schema._hostile import HOSTILE, chain, rows
+from tests.schema._reference import Reference
+
+from uoarm.schema import Budget, check
+from uoarm.schema._errors import BudgetError
+from uoarm.schema._meter import Meter
+
+PATIENT = 1_000.0
+ANY: dict[str, object] = {"type": "integer"}
+
+
+@pytest.mark.parametrize("depth", [21, 60, 400])
+def test_a_chain_that_doubles_costs_its_length(depth: int) -> None:
+    verdict = check(*chain(depth), budget=Budget(steps=100 * depth, seconds=PATIENT))
+    assert verdict.incompatible
+    assert verdict.abridged
+    assert verdict.counterexample is None
+    assert len(str(verdict.to_dict())) < 50_000
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer"),
+    [
+        (rows(3_900_000, {"type": "string"}), rows(0, ANY)),
+        (rows(4_000_000, rows(4_000_000, rows(4_000_000, ANY))), {"maxItems": 7}),
+        (rows(4_000_000, {"type": "string", "minLength": 4_000_000}), False),
+        (rows(3_000_000, ANY), {"uniqueItems": True}),
+        ({"prefixItems": [{"const": "x"}], **rows(2_000_000, ANY)}, {"prefixItems": [ANY]}),
+        (rows(2_000_000, ANY), {"items": {"minimum": 1}}),
+    ],
+)
+def test_a_long_counterexample_is_told_and_not_built(producer: Any, consumer: Any) -> None:
+    verdict = check(producer, consumer, budget=Budget(steps=2_000, seconds=PATIENT))
+    assert verdict.incompatible
+    assert verdict.abridged
+    assert verdict.counterexample is None
+    assert len(str(verdict.to_dict())) < 5_000
+    assert "more of the same" in str(verdict.to_dict()["counterexample"])
+
+
+def test_a_long_counterexample_is_built_when_asked_for() -> None:
+    producer = {"prefixItems": [{"const": "x"}], **rows(30_000, {"type": "array", "minItems": 2})}
+    consumer = {"maxItems": 7}
+    built = check(producer, consumer).build_counterexample()
+    assert built[0] == "x"
+    assert built[1:] == [[0, 0]] * 29_999 or len(built) == 30_000
+    assert Reference(producer).accepts(built)
+    assert not Reference(consumer).accepts(built)
+
+
+def test_a_short_one_is_there_at_once() -> None:
+    verdict = check(rows(500, ANY), {"maxItems": 7})
+    assert not verdict.abridged
+    assert verdict.counterexample == verdict.build_counterexample() == [0] * 500
+
+
+def test_a_shared_constant_costs_what_it_takes_to_store() -> None:
+    for name, fits in (
+        ("constant of 2**40 items into itself", True),
+        ("constant of 2**40 items, shared", False),
+    ):
+        verdict = check(*HOSTILE[name](), budget=Budget(steps=5_000, seconds=PATIENT))
+        assert verdict.compatible is fits
+        assert verdict.undecided is None
+
+
+def clocked(seconds: float) -> Meter:
+    """A meter whose clock is one second on each time that it is read."""
+    ticks = count()
+    return Meter(10**9, seconds, 10**9, clock=lambda: next(ticks))
+
+
+def spend_often(meter: Meter, steps: int) -> None:
+    for _ in range(2_000):
+        meter.spend(steps)
+
+
+def test_what_ran_out_is_told_with_the_part_that_took_longest() -> None:
+    meter = clocked(50.0)
+    with meter.part("the search"), pytest.raises(BudgetError, match=r"time.*the search"):
+        spend_often(meter, 1)
+    with pytest.raises(BudgetError, match="memory"):
+        Meter(10, 1.0, 1_000).hold(1_001)
+    with pytest.raises(BudgetError, match="steps"):
+        Meter(10, 1.0, 1_000).spend(11)
+
+
+@pytest.mark.parametrize("step", [1, 3, 7, 64, 1_000])
+def test_the_clock_is_read_often_however_steps_are_counted(step: int) -> None:
+    with pytest.raises(BudgetError, match="time"):
+        spend_often(clocked(10.0), step)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_few_steps_end_a_check_at_once(name: str) -> None:
+    """Whatever is not counted would go on; the limit of the test run is what notices."""
+    pair = HOSTILE[name]()
+    for steps in (0, 100, 2_000):
+        check(*pair, budget=Budget(steps=steps, seconds=PATIENT))
+
+
+LIMITED = """
+import resource, sys
+from tests.schema._hostile import HOSTILE
+from uoarm.schema import Budget, check
+for name, make in HOSTILE.items():
+    pair = make()
+    pages = int(open("/proc/self/statm").read().split()[0])
+    room = pages * resource.getpagesize() + 2**28
+    resource.setrlimit(resource.RLIMIT_AS, (room, resource.RLIM_INFINITY))
+    try:
+        check(*pair, budget=Budget(steps=8_000, seconds=1_000))
+    except MemoryError:
+        print(name)
+    resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+"""
+FLAT = """
+import sys
+from tests.schema._hostile import HOSTILE, deep
+from uoarm.schema import Budget, check
+nested = "(?:a" * 6 + ")" * 6
+looks = "(?=a" * 3 + ")" * 3
+pairs = {name: make() for name, make in HOSTILE.items()}
+pairs["groups"] = {"pattern": nested}, {"pattern": nested + "b"}
+pairs["looks"] = {"pattern": looks}, {"pattern": looks + "b"}
+pairs["malformed"] = {"enum": deep(400)}, True
+check({"type": "integer", "pattern": "a"}, {"type": "string"})  # imports what it needs
+depth, frame = 0, sys._getframe()
+while frame:
+    depth, frame = depth + 1, frame.f_back
+sys.setrecursionlimit(depth + 60)
+for name, pair in pairs.items():
+    try:
+        check(*pair, budget=Budget(steps=8_000, seconds=1_000)).to_dict()
+    except RecursionError:
+        print(name)
+    except ValueError as error:
+        assert name == "malformed", (name, error)
+"""
+
+
+@pytest.mark.parametrize("code", [LIMITED, FLAT], ids=["memory", "recursion"])
+def test_neither_memory_nor_the_stack_runs_out(code: str) -> None:
+    """In a process that may grow by 256 MB, and in one whose stack has room for sixty frames."""
+    root = Path(__file__).parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2_000:]
+    assert done.stdout == ""
