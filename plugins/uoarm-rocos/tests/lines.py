@@ -14,9 +14,11 @@ from pathlib import Path
 
 from typing_extensions import Self
 
+from uoarm.testing import patience
+
 __all__ = ["LIMIT", "PseudoTerminal", "fresh_link", "listening"]
 
-LIMIT = 5.0
+LIMIT = patience()
 _LINKS = tempfile.TemporaryDirectory(prefix="uoarm-rocos-")
 _COUNT = itertools.count()
 

@@ -41,7 +41,7 @@ class Events:
     def until(self, wanted: Callable[[Any], bool]) -> Any:
         """Return the first that is wanted, or fail when it does not come."""
         seen: list[Any] = []
-        end = time.monotonic() + 3 * LIMIT
+        end = time.monotonic() + LIMIT
         while True:
             assert time.monotonic() < end, f"it never came; there were {seen[-5:]}"
             try:

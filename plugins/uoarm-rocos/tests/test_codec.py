@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from pathlib import Path
 
@@ -12,10 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lxml import etree
 from strategies import messages
+from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._errors import WireError
 from uoarm_rocos._limits import Limits
 from uoarm_rocos._messages import Call, CatalogueMessage, Data, Heartbeat, WireMessage
+
+from uoarm.errors import ConfigurationError
 
 PAGE = Path(__file__).parents[3] / "docs" / "rocos-profile.md"
 XSD = etree.XMLSchema(etree.parse(Path(uoarm_rocos.__file__).with_name("profile.xsd")))
@@ -201,3 +205,15 @@ def test_limits_are_the_callers() -> None:
     with pytest.raises(WireError, match="100 are allowed"):
         small.write(Call(0, 1, "x", {"text": "a" * 100}))
     assert small.read(b'<heartbeat seq="7"/>') == Heartbeat(7)
+
+
+def test_a_catalogue_without_end_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for endless in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(ConfigurationError, match="not a regular file"):
+            load_catalogue(endless)
+    large = tmp_path / "large.xml"
+    with large.open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(ConfigurationError, match="16,777,216 are allowed"):
+        load_catalogue(large)

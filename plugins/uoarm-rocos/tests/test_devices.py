@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,6 +31,7 @@ from uoarm_rocos.simulate import (
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
+from uoarm.testing import wait
 
 ANY = MessageStructure(True)
 PULSE = endpoint("clip", "pulseOximetry")
@@ -42,10 +42,7 @@ OXIMETERS = [("contec-cms50dplus", "contec"), ("nonin-1", "nonin-1"), ("nonin-2"
 def wait_open(bridge: Any, name: str) -> None:
     """Opening a port throws away what waits in it, so wait until it is open."""
     line = bridge._named(name)._line
-    end = time.monotonic() + LIMIT
-    while line._transport is None:
-        assert time.monotonic() < end
-        time.sleep(0.001)
+    wait(lambda: line._transport is not None)
 
 
 @pytest.mark.parametrize(("driver", "kind"), OXIMETERS)
@@ -202,8 +199,7 @@ def test_a_measurement_that_nobody_asked_for_is_not_acknowledged_and_a_broken_on
             call = threading.Thread(target=lambda: replies(bridge.call(PRESSURE, {})))
             call.start()
             waiting = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
-            while not waiting._waiting:
-                time.sleep(0.001)
+            wait(lambda: waiting._waiting)
             device.write(frame)
             assert device.read(4) == b"PWA1"
             assert replies.get()["systolic"] == 105
@@ -220,17 +216,15 @@ def test_a_call_ends_when_nobody_measures_and_when_the_cable_is_out() -> None:
 
             def ask() -> None:
                 try:
-                    bridge.call(PRESSURE, {}, timeout=60)
+                    bridge.call(PRESSURE, {}, timeout=2 * LIMIT)
                 except BridgeError as error:
                     failures(str(error))
 
             monitor = bridge._devices["cuff"]  # type: ignore[attr-defined]  # no public way to see
-            while monitor._waiting:  # the first call, which the core gave up a moment earlier
-                time.sleep(0.001)
+            wait(lambda: not monitor._waiting)  # the first call, which the core has given up
             call = threading.Thread(target=ask)
             call.start()
-            while not monitor._waiting:
-                time.sleep(0.001)
+            wait(lambda: monitor._waiting)
             device.cut()
             assert "is lost" in failures.get()
             call.join(LIMIT)
@@ -274,14 +268,13 @@ def test_a_call_whose_measurement_cannot_be_acknowledged_fails_at_once(
 
     def ask() -> None:
         try:
-            monitor.call(api, {}, 60)
+            monitor.call(api, {}, 2 * LIMIT)
         except BridgeError as error:
             failures(str(error))
 
     call = threading.Thread(target=ask, daemon=True)
     call.start()
-    while not monitor._waiting:
-        time.sleep(0.001)
+    wait(lambda: monitor._waiting)
     line.brings = ua767_frame(Measurement(105, 76, 82, 65))
     assert failures.get() == "the line to cuff is lost: it takes nothing"
     call.join(LIMIT)

@@ -21,7 +21,6 @@ def plotted(file: Path, seconds: float) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
     )
 
 

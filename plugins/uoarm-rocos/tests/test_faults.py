@@ -91,7 +91,7 @@ def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:
     ):
         drive = endpoint("robot", "driveStraight", "service")
         with pytest.raises(BridgeError, match=r"lost: .*closed the connection"):
-            bridge.call(drive, {"distance": 5, "speed": 0.01}, timeout=60)
+            bridge.call(drive, {"distance": 5, "speed": 0.01}, timeout=2 * LIMIT)
 
 
 def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -> None:

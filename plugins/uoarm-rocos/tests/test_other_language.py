@@ -23,9 +23,7 @@ NODE = shutil.which("node")
 FLOW = endpoint("thermometer", "bodyTemperature")
 PLACE = endpoint("thermometer", "choosePlace", "service")
 
-pytestmark = pytest.mark.skipif(
-    NODE is None, reason="node is not installed here: apt install nodejs"
-)
+pytestmark = pytest.mark.needs("node")
 
 
 @contextmanager

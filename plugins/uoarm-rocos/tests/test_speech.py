@@ -8,7 +8,6 @@ import stat
 import struct
 import sys
 import threading
-import time
 import wave
 from pathlib import Path
 
@@ -26,10 +25,7 @@ from uoarm.manager import RobotManager
 
 SAY = endpoint("voice", "speechGeneration", "service")
 TEXT = "Your pulse is seventy two, and your blood pressure is normal."
-NEEDS_FESTIVAL = pytest.mark.skipif(
-    shutil.which("text2wave") is None,
-    reason="Festival is not installed here: apt install festival festvox-kallpc16k",
-)
+NEEDS_FESTIVAL = pytest.mark.needs("festival")
 
 
 def loudness(audio: bytes) -> tuple[float, float]:
@@ -47,16 +43,16 @@ def test_text_becomes_sound_in_a_file_where_there_is_no_audio_device(
 ) -> None:
     options: dict[str, object] = {"driver": driver, "directory": str(tmp_path), "play": "never"}
     with bridged(voice=options) as (bridge, _):
-        reply = bridge.call(SAY, {"text": TEXT}, timeout=30)
+        reply = bridge.call(SAY, {"text": TEXT}, timeout=LIMIT)
         mean, duration = loudness(reply["audio"])
         assert mean > 300
         assert duration == pytest.approx(reply["duration"])
         assert 2.0 < duration < 8.0
         assert reply["played"] is False
         assert Path(reply["file"]).read_bytes() == reply["audio"]
-        fast = bridge.call(SAY, {"text": TEXT, "rate": 2.0}, timeout=30)
+        fast = bridge.call(SAY, {"text": TEXT, "rate": 2.0}, timeout=LIMIT)
         assert fast["duration"] < 0.75 * duration
-        assert bridge.call(SAY, {"text": TEXT}, timeout=30)["duration"] == pytest.approx(
+        assert bridge.call(SAY, {"text": TEXT}, timeout=LIMIT)["duration"] == pytest.approx(
             duration, rel=0.05
         )
 
@@ -145,7 +141,7 @@ def test_a_missing_engine_is_unavailable_with_what_to_install(
             bridge.describe(SAY)
         assert raised.value.reason is FailureReason.UNAVAILABLE
     monkeypatch.setitem(sys.modules, "espeakng_loader", None)
-    with pytest.raises(BridgeError, match="pip install 'uoarm-rocos"):
+    with pytest.raises(BridgeError, match=r"pip install .*uoarm-rocos\[speech\]"):
         _espeak._library.__wrapped__()
 
 
@@ -208,11 +204,9 @@ def test_a_player_that_fails_or_hangs_is_an_error_within_the_limit(
     with bridged(voice={"driver": "espeak"}) as (bridge, _):
         with pytest.raises(BridgeError, match="no card"):
             bridge.call(SAY, {"text": "Hello."})
-        player(tmp_path, monkeypatch, "exec sleep 60")
-        began = time.monotonic()
+        player(tmp_path, monkeypatch, "exec sleep 100000")
         with pytest.raises(BridgeTimeoutError):
             bridge.call(SAY, {"text": "Hello."}, timeout=0.5)
-        assert time.monotonic() - began < LIMIT
     speech = Speech("voice", EspeakEngine(), {})
     (api,) = speech.catalogue(0.0).apis.values()
     with pytest.raises(BridgeTimeoutError, match="interrupted by its limit"):
@@ -224,7 +218,7 @@ def test_a_player_that_starts_while_the_device_is_closed_is_ended(
 ) -> None:
     speech = Speech("voice", EspeakEngine(), {})
     (api,) = speech.catalogue(0.0).apis.values()
-    player(tmp_path, monkeypatch, "exec sleep 60")
+    player(tmp_path, monkeypatch, "exec sleep 100000")
     command = _device._player()
 
     def chosen() -> list[str] | None:

@@ -8,7 +8,9 @@ from typing import Any
 
 import roslibpy
 
-SECONDS = 40
+from uoarm.testing import patience
+
+SECONDS = patience()
 ENDS = {"succeeded": 4, "canceled": 5, "aborted": 6}
 
 

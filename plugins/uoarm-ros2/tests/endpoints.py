@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from typing import Any
 
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
+from uoarm.testing import patience, wait
 
 INT64 = "std_msgs/msg/Int64"
 
@@ -31,20 +30,12 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
 
 def known(bridge: Bridge, *nodes: str) -> None:
     """Wait until the bridge sees these nodes with their endpoints."""
-    until(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
+    wait(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
 
 
 def matched(channel: Channel, count: int) -> None:
     """Wait until a channel has so many peers."""
-    until(lambda: channel.facts()["matched"] == count)
-
-
-def until(true: Callable[[], bool]) -> None:
-    """Wait until something is so, twenty seconds at most."""
-    deadline = time.monotonic() + 20.0
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait(lambda: channel.facts()["matched"] == count)
 
 
 class Inbox:
@@ -62,14 +53,14 @@ class Inbox:
     def numbers(self) -> list[int]:
         return [message["data"] for message in self.messages]
 
-    def wait_for(self, count: int, timeout: float = 20.0) -> list[Any]:
+    def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
         with self._changed:
             assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
                 f"{len(self.messages)} of {count} messages"
             )
             return list(self.messages)
 
-    def wait_until(self, wanted: Any, timeout: float = 20.0) -> Any:
+    def wait_until(self, wanted: Any, timeout: float = patience()) -> Any:
         """Wait for a message of which `wanted` is true."""
 
         def found() -> Any:

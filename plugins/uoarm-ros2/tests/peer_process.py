@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 import time
@@ -23,6 +24,8 @@ from std_msgs.msg import Int64, String
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
 from test_msgs.srv import BasicTypes
+
+PATIENCE = float(os.environ["PATIENCE"])
 
 
 def profile(
@@ -108,7 +111,7 @@ class Doer:
         self.node.create_subscription(native, topic, take, profile(**qos))
         return {}
 
-    def report(self, topic: str, expected: int, timeout: float = 20.0) -> dict[str, Any]:
+    def report(self, topic: str, expected: int, timeout: float = PATIENCE) -> dict[str, Any]:
         deadline = time.monotonic() + timeout
         seen = self.seen[topic]
         while len(seen) < expected and time.monotonic() < deadline:
@@ -116,7 +119,7 @@ class Doer:
         return {"seen": list(seen)}
 
     def subscriptions(self, topic: str, expected: int) -> dict[str, Any]:
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENCE
         publisher = self.publishers[topic]
         while publisher.get_subscription_count() != expected and time.monotonic() < deadline:
             time.sleep(0.005)
@@ -149,8 +152,8 @@ class Doer:
 
     def call(self, name: str, value: bool) -> dict[str, Any]:
         client = self.node.create_client(SetBool, name, callback_group=self.group)
-        assert client.wait_for_service(10.0)
-        reply = client.call(SetBool.Request(data=value), 10.0)
+        assert client.wait_for_service(PATIENCE)
+        reply = client.call(SetBool.Request(data=value), PATIENCE)
         self.node.destroy_client(client)
         return {"success": reply.success, "message": reply.message}
 
@@ -186,7 +189,7 @@ class Doer:
         return {}
 
     def goal_ends(self) -> dict[str, Any]:
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + PATIENCE
         while not self.ends and time.monotonic() < deadline:
             time.sleep(0.01)
         return {"ends": self.ends}

@@ -6,6 +6,7 @@ import json
 import os
 import queue
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,8 +14,28 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-_FAREWELL_SECONDS = 0.5
-DOMAIN = 20 + os.getpid() % 80  # for this test run alone; DDS ports end at domain 101 on Linux
+from uoarm.testing import patience
+
+
+def _reserved_domain() -> int:
+    """A domain that, with the next one, no other process of tests on this machine uses.
+
+    It is held by a socket that lasts as long as this process. DDS ports end at domain 101 on Linux.
+    """
+    for step in range(0, 80, 2):
+        domain = 20 + (os.getpid() * 2 + step) % 80
+        held = socket.socket(socket.AF_UNIX)
+        try:
+            held.bind(f"\0uoarm-tests-domain-{domain}")
+        except OSError:
+            held.close()
+        else:
+            held.detach()
+            return domain
+    raise RuntimeError("all ROS domains are taken by other tests")
+
+
+DOMAIN = _reserved_domain()
 
 
 class Peer:
@@ -26,11 +47,11 @@ class Peer:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env={**os.environ, **environment},
+            env={**os.environ, "PATIENCE": str(patience()), **environment},
         )
         self._answers: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         threading.Thread(target=self._listen, daemon=True).start()
-        assert self._answer(20.0)["ready"]
+        assert self._answer()["ready"]
 
     @property
     def pid(self) -> int:
@@ -42,14 +63,14 @@ class Peer:
         self._process.stdin.write(json.dumps({"op": op, **arguments}) + "\n")
         self._process.stdin.flush()
 
-    def answer(self, timeout: float = 20.0) -> dict[str, Any]:
+    def answer(self) -> dict[str, Any]:
         """Wait for the answer to something that was started."""
-        return self._answer(timeout)
+        return self._answer()
 
     def do(self, op: str, **arguments: object) -> dict[str, Any]:
         """Tell the peer to do something and wait until it says that it has."""
         self.start(op, **arguments)
-        return self._answer(40.0)
+        return self._answer()
 
     def kill(self) -> None:
         """End it without any farewell."""
@@ -72,13 +93,13 @@ class Peer:
         with suppress(BrokenPipeError):
             self._process.stdin.close()
         try:
-            self._process.wait(_FAREWELL_SECONDS)
+            self._process.wait(patience())
         except subprocess.TimeoutExpired:
             self.kill()
         self._process.stdout.close()
 
-    def _answer(self, timeout: float) -> dict[str, Any]:
-        answer = self._answers.get(timeout=timeout)
+    def _answer(self) -> dict[str, Any]:
+        answer = self._answers.get(timeout=2 * patience())  # the peer waits for others itself
         assert answer is not None, "the peer process ended"
         assert "failed" not in answer, answer
         return answer

@@ -23,8 +23,10 @@ from websockets.sync.client import connect
 
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.model import Budget, Spending
 from uoarm.server import Settings, serve_in_thread
 from uoarm.server.rosbridge._cdr import serialiser
+from uoarm.testing import patience
 from uoarm.wire import read_binary
 
 SIZE = 921_600
@@ -67,9 +69,9 @@ def test_a_picture_of_ros_2_comes_out_as_ros_2_has_it(peer: Callable[..., Peer])
         client.send(json.dumps(wish))
         doer.do("subscriptions", topic="/raw/pictures", expected=1)
         doer.do("publish", topic="/raw/pictures", count=1, first=7, size=SIZE)
-        frame = client.recv(timeout=20)
+        frame = client.recv(timeout=patience())
     assert isinstance(frame, bytes)
-    told: Any = read_binary(frame, depth=8)
+    told: Any = read_binary(frame, Spending(Budget(depth=8)))
     picture: Any = deserialize_message(told["msg"]["bytes"], Image)
     assert (picture.height, picture.step) == (7, SIZE)
     assert bytes(picture.data) == bytes(SIZE)

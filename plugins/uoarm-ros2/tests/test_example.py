@@ -15,6 +15,7 @@ from typing import IO
 import pytest
 
 from uoarm.manager import RobotManager
+from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[3]
 EXAMPLE = ROOT / "examples" / "ros2"
@@ -65,7 +66,7 @@ def lines(stream: IO[str] | None, count: int) -> list[str]:
 def interrupted(process: subprocess.Popen[str]) -> int:
     """The exit code after Ctrl-C, which must end it in time."""
     process.send_signal(signal.SIGINT)
-    return process.wait(10.0)
+    return process.wait(patience())
 
 
 def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
@@ -79,7 +80,7 @@ def test_a_talker_started_by_hand_is_heard(run: Run) -> None:
 
 def test_the_doctor_says_what_is_used(run: Run) -> None:
     (doctor,) = commands(1)
-    told, _ = run(doctor).communicate(timeout=30.0)
+    told, _ = run(doctor).communicate(timeout=patience())
     for word in ("rclpy", "distribution", "rmw", "domain"):
         assert re.search(rf"^  {word} +\S", told, re.MULTILINE), told
 
@@ -89,7 +90,7 @@ def test_a_camera_of_ros_feeds_python_which_feeds_ros(run: Run) -> None:
     in_background(run, camera)
     faces = run(listener.removesuffix("&"))
     resolving = run(resolve)
-    plan, _ = resolving.communicate(timeout=30.0)
+    plan, _ = resolving.communicate(timeout=patience())
     assert resolving.returncode == 0
     assert all(word in plan for word in ("ros_camera", "detector", "face_topic", "is_bigendian"))
     chain = run(request)
@@ -105,7 +106,7 @@ def test_every_command_of_the_page_is_run_here() -> None:
 def test_the_status_shows_what_ros_knows(run: Run) -> None:
     in_background(run, commands(0)[0])
     with RobotManager.from_file(EXAMPLE / "robot.yaml") as robot, robot.request("chatter") as chat:
-        chat.get(timeout=10.0)
+        chat.get(timeout=patience())
         ((channel,),) = (component.channels for component in robot.status().components)
     facts = dict(channel.facts)
     assert channel.port == "output.default"

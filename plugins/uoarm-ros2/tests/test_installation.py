@@ -11,6 +11,7 @@ from peers import DOMAIN
 from uoarm_ros2 import uoarm_bridge_types
 from uoarm_ros2._installation import Wheel, installation, wheels
 
+from uoarm.bridge import install_command
 from uoarm.config import assign
 from uoarm.model import BridgeSpec, Robot
 
@@ -64,12 +65,13 @@ def test_a_missing_rclpy_names_what_to_install() -> None:
         "import sys; sys.modules['rclpy'] = None\n"
         "from uoarm_ros2 import uoarm_bridge_types\n"
         "kind = uoarm_bridge_types()[0]\n"
-        "print(kind.doctor()['rclpy'])\n"
+        "try: kind.doctor()\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
         "try: kind.create('ros', {})\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )
     missing, raised = output(code).splitlines()
-    assert "pip install 'uoarm-ros2[jazzy]'" in missing
+    assert install_command("uoarm-ros2", "jazzy") in missing
     assert raised.startswith("PluginError bridge 'ros': rclpy cannot be imported")
 
 
@@ -93,8 +95,16 @@ def output(code: str, **environment: str) -> str:
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
-        timeout=30,
         check=True,
         env={**kept, **environment},
     )
     return done.stdout.strip()
+
+
+def test_topics_have_their_full_names_and_nothing_else_is_one() -> None:
+    topic = uoarm_bridge_types()[0].topic
+    assert topic is not None
+    assert topic(("chatter", "std_msgs/msg/String"), {}) == "/chatter"
+    assert topic(("/chatter",), {}) == "/chatter"
+    assert topic(("/add", "example_interfaces/srv/AddTwoInts"), {}) == ""
+    assert topic(("/go", "test_msgs/action/Fibonacci", "goal"), {}) == ""

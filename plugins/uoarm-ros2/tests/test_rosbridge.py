@@ -47,6 +47,5 @@ def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
             capture_output=True,
             text=True,
             check=False,
-            timeout=100,
         )
     assert done.stdout == "done\n", done.stdout + done.stderr

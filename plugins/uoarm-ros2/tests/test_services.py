@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -21,6 +20,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import Health, Role
+from uoarm.testing import patience
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -80,12 +80,10 @@ def test_a_late_answer_is_a_time_out_and_hurts_nobody(bridge: Bridge, peer: Star
 def test_a_server_that_is_killed_in_mid_call_ends_the_call(bridge: Bridge, peer: Start) -> None:
     server = peer("server")
     server.do("serve", name="/mortal", delay=30.0)
-    started = time.monotonic()
     threading.Timer(0.5, server.kill).start()
     with pytest.raises(BridgeError, match="went away in mid-call") as caught:
-        bridge.call(service("/mortal", BASIC), request(), timeout=20.0)
+        bridge.call(service("/mortal", BASIC), request(), timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
-    assert time.monotonic() - started < 10.0
 
 
 def test_what_cannot_be_called_says_why(bridge: Bridge, peer: Start) -> None:
@@ -109,7 +107,7 @@ def test_a_hasty_call_does_not_say_that_there_is_no_server(bridge: Bridge) -> No
     ):
         bridge.call(hasty, request(), timeout=0.2)
     with pytest.raises(BridgeError, match="no server of /nowhere"):
-        bridge.call(hasty, request(), timeout=30.0)
+        bridge.call(hasty, request(), timeout=patience())
 
 
 def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:

@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 from attrs import evolve
-from endpoints import INT64, Inbox, endpoint, known, matched, sink, source, until
+from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
 from peers import Peer
 from uoarm_ros2._middleware import Station
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Health, Role
+from uoarm.testing import wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -173,7 +174,7 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
     bad.do("advertise", topic="/named", reliability="best_effort")
     event = events.event(Health.DEGRADED, "publisher /bad offers (best_effort")
     assert "UNKNOWN" not in event.cause
-    until(lambda: len(looks) > 12)
+    wait(lambda: len(looks) > 12)
     assert channel.facts()["qos_clashes"] == 1
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from typing import Any
 
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
+from uoarm.testing import patience, wait
 
-__all__ = ["Inbox", "endpoint", "looked", "sink", "source", "stamped", "until"]
+__all__ = ["Inbox", "endpoint", "looked", "sink", "source", "stamped"]
 
 
 def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
@@ -33,21 +32,14 @@ def stamped(data: Any, sec: int = 1) -> Any:
     return {"tm": {"sec": sec, "nsec": 2}, "data": data}
 
 
-def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def looked(bridge: Bridge, path: str = "") -> None:
     """Wait until the bridge has seen who is there, from when on it tells of changes.
 
     With a path, until it has seen that component alive: others of its name may have died before.
     """
     attendance: Any = vars(bridge)["_attendance"]
-    until(lambda: attendance._conditions is not None)
-    until(lambda: not path or attendance._conditions.get(path) == "alive")
+    wait(lambda: attendance._conditions is not None)
+    wait(lambda: not path or attendance._conditions.get(path) == "alive")
 
 
 class Inbox:
@@ -65,14 +57,14 @@ class Inbox:
     def numbers(self) -> list[int]:
         return [message["data"] for message in self.messages]
 
-    def wait_for(self, count: int, timeout: float = 20.0) -> list[Any]:
+    def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
         with self._changed:
             assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
                 f"{len(self.messages)} of {count} messages"
             )
             return list(self.messages)
 
-    def event(self, health: Health, words: str, timeout: float = 20.0) -> HealthEvent:
+    def event(self, health: Health, words: str, timeout: float = patience()) -> HealthEvent:
         """Wait for a health event with these words in its cause."""
 
         def found() -> HealthEvent | None:

@@ -18,9 +18,11 @@ from typing import Any
 
 import pytest
 
+from uoarm.testing import wait
+
 sys.path.insert(0, str(Path(__file__).parent))
 
-from endpoints import Inbox, until
+from endpoints import Inbox
 from uoarm_rtm._shape import Choice, Enumeration, Listing, Record, Scalar, Shape, Text
 
 from uoarm.bridge import Bridge, Registry
@@ -202,7 +204,7 @@ def test_a_lifecycle_goes_round(bridge: Bridge, at: Endpoint) -> None:
         # One that waits for a key in `on_execute` cannot be deactivated before that returns.
         assert "it answers RTC_ERROR and is still active" in str(error)  # noqa: PT017 - else it fails
         pytest.skip(str(error))
-    until(lambda: bridge.call(at, {"action": "state"})["state"] == begun)
+    wait(lambda: bridge.call(at, {"action": "state"})["state"] == begun)
 
 
 @pytest.mark.parametrize("at", of(Role.SERVICE, "@configuration"))

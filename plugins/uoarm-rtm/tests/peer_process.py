@@ -29,6 +29,8 @@ from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet
 from uoarm_rtm.errors import IdlError
 
+from uoarm.testing import patience
+
 
 class Wanted(PortServant):
     """A CorbaPort that requires one interface."""
@@ -87,7 +89,7 @@ class _Service:
                 "path": [1.0],
             }
         if operation == "stuck":
-            time.sleep(3.0)
+            threading.Event().wait()
         if operation == "sleep":
             time.sleep(arguments["seconds"])
             return {}
@@ -144,7 +146,7 @@ class Process:
 
     def held(self) -> bool:
         """Wait until a writer waits; returns whether that came."""
-        return self._held.wait(20)
+        return self._held.wait(patience())
 
     def let_go(self) -> None:
         self._free.set()
@@ -254,7 +256,7 @@ class Process:
 
     def _take(self, message: Any) -> None:
         self._held.set()
-        self._free.wait(20)
+        self._free.wait(patience())
         self._received.append(plain(message))
 
     def _called(self, name: str) -> None:

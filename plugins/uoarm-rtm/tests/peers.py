@@ -13,6 +13,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from uoarm.testing import patience
+
 __all__ = ["Peer"]
 
 HERE = Path(__file__).parent
@@ -43,7 +45,7 @@ class Peer:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait(patience())
         self._hush()
 
     def _hush(self) -> None:
@@ -65,7 +67,7 @@ class Peer:
             self.thaw()
             self._hush()
             try:
-                self.process.wait(10)
+                self.process.wait(patience())
             except subprocess.TimeoutExpired:
                 self.kill()
 
@@ -76,4 +78,4 @@ class Peer:
                 self._answers.put(line)
 
     def _answer(self) -> Any:
-        return json.loads(self._answers.get(timeout=20))
+        return json.loads(self._answers.get(timeout=patience()))

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, sink, source, stamped, until
+from endpoints import Inbox, endpoint, sink, source, stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from peers import Peer
@@ -19,6 +19,7 @@ from uoarm_rtm._buffering import BufferPolicy, buffer_policy, policy_properties,
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
+from uoarm.testing import patience, wait
 
 Start = Callable[..., Peer]
 OUT = Role.OUTPUT, "Talker.rtc", "out"
@@ -57,15 +58,15 @@ def test_a_buffer_that_blocks_waits_for_the_other_side() -> None:
     with ThreadPoolExecutor(1) as other:
         reading = other.submit(buffer.read)
         assert buffer.write(b"a")
-        assert reading.result(20) == b"a"
+        assert reading.result(patience()) == b"a"
         assert buffer.write(b"b")
         writing = other.submit(buffer.write, b"c")
         assert buffer.read() == b"b"
-        assert writing.result(20)
+        assert writing.result(patience())
         assert buffer.take() == [b"c"]
         taking = other.submit(buffer.take)
         buffer.close()
-        assert taking.result(20) == []
+        assert taking.result(patience()) == []
     assert not buffer.write(b"d")
 
 
@@ -194,7 +195,7 @@ def test_the_buffer_of_an_out_port_overflows_as_asked(
 
     def take(message: Any) -> None:
         taken.set()
-        assert free.wait(20)
+        assert free.wait(patience())
         inbox(message)
 
     buffer: dict[str, Any] = {"length": 3, "full_policy": policy}
@@ -203,13 +204,13 @@ def test_the_buffer_of_an_out_port_overflows_as_asked(
     wish: dict[str, Any] = {"subscription": "new", "push_policy": "all", "outport_buffer": buffer}
     source(bridge, endpoint(*OUT, **wish), take)
     component.count(0, 1)
-    assert taken.wait(20)
+    assert taken.wait(patience())
     with ThreadPoolExecutor(1) as pool:
         writing = ask(component, pool, "count", 1, 10)
         if policy != "block":
-            writing.result(20)
+            writing.result(patience())
         free.set()
-        writing.result(20)
+        writing.result(patience())
     inbox.wait_for(len(expected))
     assert inbox.numbers() == expected
 
@@ -256,9 +257,9 @@ def test_our_buffer_before_an_in_port_overflows_as_asked(
             into.send(stamped(number))
         assert caught.value.reason is FailureReason.REFUSED
     component.let_go()
-    until(lambda: [each["data"] for each in component.received()] == expected)
+    wait(lambda: [each["data"] for each in component.received()] == expected)
     assert into.facts()["dropped"] == 6
-    until(lambda: into.facts()["count"] == len(expected))
+    wait(lambda: into.facts()["count"] == len(expected))
 
 
 def test_our_buffer_before_an_in_port_may_wait_for_room(bridge: Bridge, peer: Start) -> None:
@@ -295,7 +296,7 @@ def test_an_in_port_that_pulls_may_wait_for_a_message(bridge: Bridge, peer: Star
     with ThreadPoolExecutor(1) as pool:
         fetching = ask(component, pool, "fetch")
         into.send(stamped(1))
-        assert fetching.result(20) == 1
+        assert fetching.result(patience()) == 1
 
 
 def test_a_death_behind_our_buffer_is_told_and_ends_the_sending(
@@ -314,7 +315,7 @@ def test_a_death_behind_our_buffer_is_told_and_ends_the_sending(
             return error.reason is FailureReason.UNAVAILABLE
         return False
 
-    until(told)
+    wait(told)
     assert any(each.channel is into for each in events.messages)
 
 

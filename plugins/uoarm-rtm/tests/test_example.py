@@ -14,6 +14,7 @@ import pytest
 
 from uoarm.errors import ResolutionError
 from uoarm.manager import RobotManager
+from uoarm.testing import patience
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 ROS = importlib.util.find_spec("rclpy") is not None and importlib.util.find_spec("uoarm_ros2")
@@ -61,7 +62,7 @@ def test_a_component_started_by_hand_is_heard(address: str, tmp_path: Path) -> N
             RobotManager.from_file(configuration(address, tmp_path)) as robot,
             robot.request("counter", validate="always") as numbers,
         ):
-            one, two = numbers.get(timeout=10.0), numbers.get(timeout=10.0)
+            one, two = numbers.get(timeout=patience()), numbers.get(timeout=patience())
             assert two["data"] == one["data"] + 1
 
 
@@ -81,9 +82,9 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
         assert say(talker) == "talking on /chatter\n"
         with (
             RobotManager.from_file(file) as robot,
-            robot.request("parrot", validate="always", timeout=20.0) as said,
+            robot.request("parrot", validate="always", timeout=patience()) as said,
         ):
-            words = said.get(timeout=20.0)["text"].split(", ")
+            words = said.get(timeout=patience())["text"].split(", ")
             assert words[0] == words[1]
             assert words[0].startswith("hello ")
         assert MAPPED in file.read_text()
@@ -92,4 +93,4 @@ def test_a_chain_through_ros_and_rtc_and_its_refusal(
             RobotManager.from_file(file) as robot,
             pytest.raises(ResolutionError, match=r"(?s)'text' is required .* map: {text: data}"),
         ):
-            robot.request("parrot", timeout=20.0)
+            robot.request("parrot", timeout=patience())

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from endpoints import Inbox, endpoint, sink, source, stamped, until
+from endpoints import Inbox, endpoint, sink, source, stamped
 from peers import Peer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Role
+from uoarm.testing import wait
 
 IDL = str(Path(__file__).parent / "types.idl")
 Start = Callable[..., Peer]
@@ -35,7 +36,7 @@ def test_an_out_port_delivers_everything_in_order(
     assert inbox.numbers() == list(range(8))
     assert inbox.messages[3] == {"tm": {"sec": 3, "nsec": 0}, "data": 3}
     assert channel.facts()["count"] == 8
-    until(lambda: channel.facts()["state"] == "inactive")
+    wait(lambda: channel.facts()["state"] == "inactive")
     channel.close()
     assert component.connectors() == [0, 0]
     component.count(8, 9)
@@ -51,7 +52,7 @@ def test_other_subscriptions_end_with_the_newest(
     at = endpoint(Role.OUTPUT, "Talker.rtc", "out", subscription=subscription, rate=100)
     source(bridge, at, inbox)
     component.count(0, 50)
-    until(lambda: 49 in inbox.numbers())
+    wait(lambda: 49 in inbox.numbers())
     assert inbox.numbers() == sorted(set(inbox.numbers()))
 
 
@@ -116,7 +117,7 @@ def test_a_message_that_does_not_fit_never_leaves(bridge: Bridge, peer: Start, n
 
 
 def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: Start) -> None:
-    bridge = make_bridge(idl=IDL)
+    bridge = make_bridge(idl=IDL, call_timeout=60)
     odd = peer("Odd", "IDL:Odd/Deep:1.0", IDL)
     camera = peer("Camera", "IDL:RTC/CameraImage:1.0")
     seen = Inbox()

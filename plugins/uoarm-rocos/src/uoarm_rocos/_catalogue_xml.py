@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -29,10 +30,18 @@ def load_catalogue(path: str | Path) -> Catalogue:
         ConfigurationError: it cannot be read, or is no catalogue; the text says where.
     """
     try:
-        data = Path(path).read_bytes()
+        data = _octets(Path(path))
         return read_catalogue(parse(data, Limits(octets=_MOST_OCTETS)))
     except (OSError, WireError) as error:
         raise ConfigurationError(f"catalogue {str(path)!r}: {error}") from error
+
+
+def _octets(path: Path) -> bytes:
+    """Read a regular file: a device or pipe could go on for ever. One too many tells the parser."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError("it is not a regular file")
+    with path.open("rb") as file:
+        return file.read(_MOST_OCTETS + 1)
 
 
 def write_catalogue(catalogue: Catalogue, envelope: str = "") -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 from importlib.metadata import PackageNotFoundError, version
 
+from uoarm.bridge import install_command
+
 __all__ = ["doctor"]
 
 
@@ -17,7 +19,7 @@ def doctor() -> dict[str, str]:
     try:
         espeak = f"espeakng-loader {version('espeakng-loader')} (GPL-3.0-or-later)"
     except PackageNotFoundError:
-        espeak = "not installed: pip install 'uoarm-rocos[speech]'"
+        espeak = f"not installed: {install_command('uoarm-rocos', 'speech')}"
     festival = shutil.which("text2wave") or "not installed: apt install festival festvox-kallpc16k"
     return {
         "pyserial": str(serial.__version__),

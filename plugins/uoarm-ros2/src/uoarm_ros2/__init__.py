@@ -5,17 +5,12 @@ Importing this package imports no middleware; making a bridge does.
 
 from __future__ import annotations
 
-from uoarm.bridge import Bridge, BridgeType, hookimpl
+from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
-from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake
+from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
-
-_INSTALL = (
-    "rclpy cannot be imported: install it with `pip install 'uoarm-ros2[jazzy]'` (or [kilted]), "
-    "or source the ROS 2 installation before starting Python"
-)
 
 
 @hookimpl
@@ -28,7 +23,9 @@ def uoarm_bridge_types() -> list[BridgeType]:
             create=_create,
             options_schema=BRIDGE_OPTIONS,
             check_endpoint=mistake,
+            topic=topic_name,
             doctor=_doctor,
+            contract=1,
         )
     ]
 
@@ -37,7 +34,7 @@ def _create(name: str, options: Options) -> Bridge:
     try:
         from uoarm_ros2._bridge import Ros2Bridge  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        raise PluginError(f"bridge {name!r}: {_INSTALL} ({error})") from error
+        raise PluginError(f"bridge {name!r}: {_missing(error)}") from error
     return Ros2Bridge(name, options)
 
 
@@ -45,5 +42,13 @@ def _doctor() -> dict[str, str]:
     try:
         from uoarm_ros2._middleware import environment  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        return {"rclpy": f"missing: {_INSTALL} ({error})"}
+        raise PluginError(_missing(error)) from error
     return environment()
+
+
+def _missing(error: ImportError) -> str:
+    command = install_command("uoarm-ros2", "jazzy")
+    return (
+        f"rclpy cannot be imported: install it with {command} (or [kilted]), or source the ROS 2 "
+        f"installation before starting Python ({error})"
+    )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from attrs import field, frozen
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.bridge import reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
 from uoarm_ros2._qos import QosWish, wish_from
 from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
@@ -115,15 +115,12 @@ def address_of(endpoint: Endpoint) -> Address:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    try:
+    with reading_endpoint(endpoint):
         address = _address(endpoint.address)
         _fits(address, endpoint.role)
         if address.kind == ACTION and endpoint.role is not Role.SERVICE:
             part = address.part or _default_part(endpoint)
             address = Address(address.name, address.type, part)
-    except ValueError as error:
-        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
     return address
 
 
@@ -133,11 +130,8 @@ def settings_of(endpoint: Endpoint) -> Settings:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    try:
+    with reading_endpoint(endpoint):
         return _settings(endpoint.options)
-    except ValueError as error:
-        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
@@ -148,6 +142,13 @@ def mistake(address: tuple[str, ...], options: Options) -> str:
     except ValueError as error:
         return str(error)
     return ""
+
+
+def topic_name(address: tuple[str, ...], options: Options) -> str:
+    """Return the topic that an address names, or "" for an action or a service."""
+    del options
+    read = _address(address)
+    return f"/{read.name.lstrip('/')}" if read.kind in (MESSAGE, "") and not read.part else ""
 
 
 def _address(parts: tuple[str, ...]) -> Address:

@@ -26,6 +26,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             options_schema=BRIDGE_OPTIONS,
             check_endpoint=mistake,
             doctor=_doctor,
+            contract=1,
         )
     ]
 
@@ -42,5 +43,5 @@ def _doctor() -> dict[str, str]:
     try:
         from uoarm_rtm._doctor import environment  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        return {"omniORB": f"missing: {_INSTALL} ({error})"}
+        raise PluginError(f"{_INSTALL} ({error})") from error
     return environment()

@@ -7,7 +7,7 @@ from typing import Literal
 
 from attrs import field, frozen
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.bridge import reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
 from uoarm_rtm._buffering import POLICY_OPTIONS, buffer_policy, policy_properties, push_policy
 
@@ -140,12 +140,9 @@ def address_of(endpoint: Endpoint) -> Address:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    try:
+    with reading_endpoint(endpoint):
         address = _address(endpoint.address)
         _fits(address, endpoint.role)
-    except ValueError as error:
-        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
     return address
 
 
@@ -155,11 +152,8 @@ def settings_of(endpoint: Endpoint) -> Settings:
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
-    try:
+    with reading_endpoint(endpoint):
         return _settings(endpoint.options)
-    except ValueError as error:
-        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
-        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:

@@ -132,6 +132,9 @@ def _compile(text: bytes, directory: Path, package: str, folder: Path, shown: st
             (work / package).rename(folder)
     except BridgeError as error:
         raise BridgeError(str(error).replace(str(work / _MAIN), shown), error.reason) from None
+    except OSError as error:
+        text_ = f"the cache of compiled IDL cannot be written: {error}"
+        raise BridgeError(text_, FailureReason.UNAVAILABLE) from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

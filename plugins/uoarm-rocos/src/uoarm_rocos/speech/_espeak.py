@@ -11,6 +11,7 @@ import time
 from functools import cache
 from typing import Any
 
+from uoarm.bridge import install_command
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rocos.speech._engine import Engine, Sound
 
@@ -22,7 +23,6 @@ _UTF8 = 1
 _WORDS_A_MINUTE = 175
 # British English is the voice file that is called `en`.
 _FILES = {"en-gb": "en"}
-_INSTALL = "install it with: pip install 'uoarm-rocos[speech]' (eSpeak NG, GPL-3.0-or-later)"
 _CALLBACK = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.c_void_p
 )
@@ -72,7 +72,7 @@ def _library() -> tuple[Any, int]:
     try:
         import espeakng_loader  # noqa: PLC0415 - an optional package
     except ImportError as error:
-        text = f"eSpeak NG is not there: {_INSTALL}"
+        text = f"eSpeak NG is not there: {_install()}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     try:
         library = ctypes.CDLL(str(espeakng_loader.get_library_path()))
@@ -108,3 +108,8 @@ def _samples(library: Any, text: str, voice: str, rate: float, end: float) -> by
     if failed:
         raise BridgeError(f"eSpeak NG failed with its error {failed}", FailureReason.RAISED)
     return b"".join(parts)
+
+
+def _install() -> str:
+    command = install_command("uoarm-rocos", "speech")
+    return f"install it with: {command} (eSpeak NG, GPL-3.0-or-later)"
