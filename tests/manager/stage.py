@@ -8,6 +8,7 @@ from queue import SimpleQueue
 from typing import Annotated, TypedDict
 
 from uoarm.local import Range
+from uoarm.testing import patience
 
 Small = Annotated[int, Range(0, 255)]
 Wide = Annotated[int, Range(-32768, 32767)]
@@ -90,7 +91,7 @@ def take_renamed(message: Renamed) -> Renamed:
 
 
 def stuck(message: Narrow) -> Narrow:
-    gate.wait(30)
+    gate.wait(patience())
     return message
 
 
@@ -99,7 +100,7 @@ def greet(message: Narrow) -> Broad:
 
 
 def hang(message: Narrow) -> Narrow:
-    gate.wait(30)
+    gate.wait(patience())
     return message
 
 
@@ -130,7 +131,7 @@ class Slow:
     """Hangs while it is built."""
 
     def __init__(self) -> None:
-        gate.wait(30)
+        gate.wait(patience())
 
     def __call__(self, message: Narrow) -> Narrow:
         return message

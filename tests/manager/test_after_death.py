@@ -56,7 +56,7 @@ def test_after_a_death_the_next_candidate_is_chosen(
         assert camera.plan.provider.component.name == "next"
     assert robot.resolve("camera").provider.component.name == "next"
     bridge.emitter("best", NUMBER)
-    assert robot.survey()[0].provider == "best"
+    assert robot.check_availability()[0].provider == "best"
 
 
 def test_a_bridge_that_is_lost_is_asked_again_about_components_that_were_not_open(
@@ -86,12 +86,12 @@ def test_a_survey_says_why_a_candidate_cannot_be_had(
     robot: RobotManager, bridge: MemoryBridge
 ) -> None:
     bridge.die("best")
-    (camera,) = robot.survey()
+    (camera,) = robot.check_availability()
     assert (camera.name, camera.provider) == ("camera", "next")
     assert [one.component for one in camera.candidates] == ["best", "next"]
     assert "no component" in camera.candidates[0].cause
     assert camera.candidates[1].cause == ""
     bridge.die("next")
-    (camera,) = robot.survey()
+    (camera,) = robot.check_availability()
     assert camera.provider is None
     assert "no component" in camera.cause

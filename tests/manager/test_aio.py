@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+import inspect
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from uoarm import RobotManager
+from uoarm import AsyncConnection, AsyncRobotManager, Connection, RobotManager
 from uoarm.config import loads
-from uoarm.manager import AsyncRobotManager
-from uoarm.testing import Emitter, MemoryBridge
+from uoarm.model import ConnectionState, Health, Message, StatusEvent
+from uoarm.testing import Emitter, Loop, MemoryBridge, hanging, patience, wait
 
 NUMBER = {"type": "integer"}
 ROBOT = """
@@ -19,7 +23,11 @@ bridges: {one: {plugin: memory}}
 functions:
   camera:
     components: [{name: camera, bridge: one, output: {endpoint: [camera]}}]
+  echo:
+    components:
+      - {name: echo, bridge: one, input: {endpoint: [echo]}, output: {endpoint: [echo]}}
 """
+OF_THE_THREADED = {"course", "on_wake"}
 
 
 @pytest.fixture
@@ -33,8 +41,13 @@ def camera(bridge: MemoryBridge) -> Emitter:
 
 
 @pytest.fixture
-def robot(bridge: MemoryBridge, camera: Emitter) -> Iterator[RobotManager]:
-    del camera  # is there first
+def echo(bridge: MemoryBridge) -> Loop:
+    return bridge.loop("echo", NUMBER)
+
+
+@pytest.fixture
+def robot(bridge: MemoryBridge, camera: Emitter, echo: Loop) -> Iterator[RobotManager]:
+    del camera, echo  # are there first
     with RobotManager(loads(ROBOT), bridges={"one": bridge}) as robot:
         yield robot
 
@@ -63,7 +76,7 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
 ) -> None:
     async def play() -> None:
         async with await AsyncRobotManager(robot).request("camera") as connection:
-            reading = asyncio.ensure_future(connection.get(60))
+            reading = asyncio.ensure_future(connection.get(patience()))
             await asyncio.sleep(0)  # it waits now
             camera.emit(5)
             for _ in range(turns):
@@ -71,6 +84,133 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
             asked = reading.cancel()
             await asyncio.wait({reading})
             assert reading.cancelled() is asked
-            assert (await connection.get(60) if asked else reading.result()) == 5
+            assert (await connection.get(patience()) if asked else reading.result()) == 5
+
+    asyncio.run(play())
+
+
+def _members(one: type) -> dict[str, Any]:
+    return {name: member for name, member in vars(one).items() if not name.startswith("_")}
+
+
+def _parameters(member: Callable[..., object]) -> list[inspect.Parameter]:
+    return list(inspect.signature(getattr(member, "__func__", member)).parameters.values())
+
+
+@pytest.mark.parametrize(
+    ("threaded", "twin"), [(RobotManager, AsyncRobotManager), (Connection, AsyncConnection)]
+)
+def test_each_method_has_a_twin_with_the_same_parameters(threaded: type, twin: type) -> None:
+    wanted = {k: v for k, v in _members(threaded).items() if k not in OF_THE_THREADED}
+    found = _members(twin)
+    assert wanted.keys() - found.keys() == set()
+    for name, member in wanted.items():
+        assert type(found[name]) is type(member), name
+        if not isinstance(member, property):
+            assert _parameters(found[name]) == _parameters(member), name
+
+
+def test_attributes_have_twins(robot: RobotManager) -> None:
+    async def play() -> None:
+        twin = AsyncRobotManager(robot)
+        assert (twin.config, twin.registry) == (robot.config, robot.registry)
+        async with await twin.request("camera") as connection:
+            (threaded,) = robot.connections()
+            for name in [name for name in vars(threaded) if name not in OF_THE_THREADED]:
+                assert getattr(connection, name) == getattr(threaded, name)
+            assert repr(connection) == "<AsyncConnection c1 to 'camera': running, camera>"
+            (same,) = twin.connections()
+            assert same.id == "c1"
+        assert repr(twin) == "<AsyncRobotManager in memory: 2 functions, 0 connections>"
+
+    asyncio.run(play())
+
+
+def test_a_request_that_is_cancelled_leaves_nothing_open(
+    bridge: MemoryBridge, robot: RobotManager
+) -> None:
+    async def play() -> None:
+        twin = AsyncRobotManager(robot)
+        for turns in range(10):
+            with hanging(bridge, "_open_source") as hang:
+                asked = asyncio.ensure_future(twin.request("camera"))
+                await asyncio.to_thread(hang.entered.wait, 10)
+                if turns % 2:
+                    hang.release()  # it opens as it is cancelled
+                asked.cancel()
+                await asyncio.wait({asked})
+                assert asked.cancelled()
+            await asyncio.to_thread(wait, lambda: not robot.connections())
+            await asyncio.to_thread(wait, lambda: bridge.open_channels == 0)
+
+    asyncio.run(play())
+
+
+def test_one_that_hangs_does_not_keep_others_from_being_killed(
+    bridge: MemoryBridge, robot: RobotManager
+) -> None:
+    async def play() -> None:
+        twin = AsyncRobotManager(robot)
+        connection = await twin.request("echo")
+        with hanging(bridge, "_open_source") as hang:
+            asked = [asyncio.ensure_future(twin.request("camera")) for _ in range(40)]
+            await asyncio.to_thread(hang.entered.wait, 10)
+            await connection.kill()
+            assert connection.state is ConnectionState.CLOSED
+            for one in asked:
+                one.cancel()
+
+    asyncio.run(play())
+    wait(lambda: not robot.connections())
+
+
+def test_callbacks_and_listeners_are_called_in_the_loop(
+    bridge: MemoryBridge, camera: Emitter, robot: RobotManager
+) -> None:
+    async def play() -> None:
+        twin, loop = AsyncRobotManager(robot), threading.current_thread()
+        told: asyncio.Queue[tuple[threading.Thread, object]] = asyncio.Queue()
+
+        def hear(what: Message | StatusEvent) -> None:
+            told.put_nowait((threading.current_thread(), what))
+
+        async with await twin.request("camera", on_message=hear) as connection:
+            camera.emit(1)
+            assert await told.get() == (loop, 1)
+            end = connection.subscribe(lambda _: end())  # may end itself
+            camera.emit(2)
+            assert await told.get() == (loop, 2)
+            end_listening = twin.listen(hear)
+            bridge.report(Health.DEGRADED, "hot")
+            thread, event = await told.get()
+            while isinstance(event, StatusEvent) and event.subject != "bridge one":
+                thread, event = await told.get()  # of the request
+            assert thread is loop
+            assert isinstance(event, StatusEvent)
+            end_listening()
+
+    asyncio.run(play())
+
+
+def test_what_is_sent_can_be_flushed(robot: RobotManager) -> None:
+    async def play() -> None:
+        async with await AsyncRobotManager(robot).request("echo") as connection:
+            await connection.send(3)
+            assert await connection.flush(10)
+            assert await connection.get(patience()) == 3
+            await connection.close()
+            assert (connection.ended, connection.cause, connection.gaps) == (True, "", ())
+
+    asyncio.run(play())
+
+
+def test_it_reads_a_file_and_says_what_can_be_had(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("{version: 1, bridges: {}, functions: {}}")
+
+    async def play() -> None:
+        async with AsyncRobotManager.from_file(file) as twin:
+            assert await twin.check_availability() == ()
+            assert not twin.status().bridges
 
     asyncio.run(play())

@@ -9,6 +9,7 @@ from tests.manager import stage
 
 from uoarm import ResolutionError, RobotManager
 from uoarm.resolve import NoPlanError
+from uoarm.testing import patience
 
 Make = Callable[[str], RobotManager]
 
@@ -60,7 +61,7 @@ def test_the_suggested_lines_do_mend_it(make_robot: Make) -> None:
     manager = make_robot(robot("narrow", "take_renamed", ", map: {amount: value}"))
     with manager.request("wanted", validate="always") as connection:
         stage.script.put({"value": 7})
-        assert connection.get(10) == {"amount": 7}
+        assert connection.get(patience()) == {"amount": 7}
 
 
 def test_the_adapter_is_applied_to_every_message(make_robot: Make) -> None:
@@ -68,7 +69,7 @@ def test_the_adapter_is_applied_to_every_message(make_robot: Make) -> None:
     with make_robot(text).request("wanted", validate="always") as connection:
         for value in (0, 255):
             stage.script.put({"value": value})
-        assert [connection.get(10) for _ in range(2)] == [{"value": 1}, {"value": -509}]
+        assert [connection.get(patience()) for _ in range(2)] == [{"value": 1}, {"value": -509}]
 
 
 def test_a_scale_that_leaves_the_range_is_refused(make_robot: Make) -> None:

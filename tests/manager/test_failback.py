@@ -7,13 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 from attrs import evolve
-from tests.waiting import wait
 
 from uoarm import Connection, RobotManager
 from uoarm.config import loads
 from uoarm.manager._failback import Failback
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
-from uoarm.testing import Census, ManualClock, MemoryBridge
+from uoarm.testing import Census, ManualClock, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
 PATIENCE = 1000.0
@@ -94,7 +93,7 @@ def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) 
     connection = stage.robot.request("face")
     stage.lose_best(connection)
     stage.spare.emit(1)
-    assert connection.get(5) == 1
+    assert connection.get(patience()) == 1
     stage.revive_best()
     stage.look_twice()
     assert [gap.after for gap in connection.gaps] == [("spare", "finder"), ("best", "finder")]
@@ -102,7 +101,7 @@ def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) 
     assert cameras(stage) == ["best"]
     stage.spare.emit(2)
     stage.best.emit(3)
-    assert connection.get(5) == 3
+    assert connection.get(patience()) == 3
     assert stage.two.open_channels == 2  # the finder's own
 
 
@@ -132,7 +131,7 @@ def test_all_that_share_what_is_fed_return_together(stage: Stage) -> None:
     assert [len(one.gaps) for one in (moved, later, deeper)] == [2, 1, 1]
     assert cameras(stage) == ["best"]
     stage.best.emit(4)
-    assert [one.get(5) for one in (moved, later, deeper)] == [4, 4, 4]
+    assert [one.get(patience()) for one in (moved, later, deeper)] == [4, 4, 4]
     assert not stage.failback.look()  # nothing is left to look for
 
 
@@ -147,7 +146,7 @@ def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
     assert cameras(stage) == ["spare"]
     assert stage.one.open_channels == 0  # what was opened of the better one is closed again
     stage.spare.emit(5)
-    assert connection.get(5) == 5
+    assert connection.get(patience()) == 5
     del joined.users["c99"]
     stage.look_twice()
     assert [gap.after[0] for gap in connection.gaps] == ["spare", "best"]

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from attrs import evolve
-from tests.waiting import wait
 
 from uoarm import ConnectionClosedError, RobotManager
+from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.manager import _failover
-from uoarm.model import ConnectionState, FailoverPolicy, Health, Robot, StatusEvent
-from uoarm.testing import Census, Emitter, Loop, ManualClock, MemoryBridge
+from uoarm.model import ConnectionState, Endpoint, FailoverPolicy, Health, Robot, StatusEvent
+from uoarm.testing import (
+    Census,
+    Emitter,
+    Hang,
+    Loop,
+    ManualClock,
+    MemoryBridge,
+    hanging,
+    patience,
+    wait,
+)
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 1000}
 WIDER = {"type": "integer", "minimum": 0, "maximum": 2000}
@@ -80,7 +91,7 @@ def test_the_next_candidate_goes_on_behind_the_same_handle(make: Make) -> None:
     stage.one.die("best", "it was unplugged")
     wait(lambda: connection.gaps)
     stage.next.emit(2)
-    assert [connection.get(5), connection.get(5)] == [1, 2]
+    assert [connection.get(patience()), connection.get(patience())] == [1, 2]
     (gap,) = connection.gaps
     assert (gap.before, gap.after, gap.position) == (("best",), ("next",), 1)
     assert "it was unplugged" in gap.cause
@@ -105,16 +116,48 @@ def test_what_died_is_closed_and_what_goes_on_is_in_the_status(make: Make) -> No
     assert stage.robot.status().components == ()
 
 
+def test_the_change_is_told_before_what_died_has_closed(
+    make: Make, caplog: pytest.LogCaptureFixture
+) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    (channel,) = stage.one._open
+    with hanging(channel, "_close"):
+        stage.one.die("best")
+        wait(lambda: connection.gaps and stage.replaced())
+        assert not connection.gaps[0].counted
+        assert "given up" not in caplog.text  # nor was its close
+    wait(lambda: connection.gaps[0].counted)
+
+
+def test_with_failover_off_other_events_do_not_wait_for_what_died(
+    make: Make, caplog: pytest.LogCaptureFixture
+) -> None:
+    stage = make(FailoverPolicy(enabled=False))
+    stage.robot.request("camera")
+    stage.robot.request("face")
+    (channel,) = stage.one._open
+    with hanging(channel, "_close") as hang:
+        stage.one.die("best")
+        assert hang.entered.wait(patience())
+        stage.two.report(Health.DEGRADED, "hot")
+        wait(lambda: any(event.subject == "bridge two" for event in stage.events))
+        assert "given up" not in caplog.text
+
+
 def test_a_component_in_the_middle_stays_open_when_its_feed_is_replaced(make: Make) -> None:
     stage = make()
     connection = stage.robot.request("face")
     stage.best.emit(1)
-    assert connection.get(5) == 1
+    assert connection.get(patience()) == 1
     stage.one.die("best")
     wait(lambda: connection.gaps)
     stage.next.emit(2)
-    assert connection.get(5) == 2
+    assert connection.get(patience()) == 2
     assert connection.gaps[0].after == ("next", "finder")
+    wait(stage.replaced)
+    (told,) = [event for event in stage.events if event.change == "replaced"]
+    assert told.cause.endswith("; next goes on")
 
 
 def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> None:
@@ -123,9 +166,35 @@ def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> 
     stage.one.die("best")
     wait(lambda: one.gaps and two.gaps)
     stage.next.emit(5)
-    assert (one.get(5), two.get(5)) == (5, 5)
+    assert (one.get(patience()), two.get(patience())) == (5, 5)
     (shared,) = [live for live in stage.robot.status().components if live.name == "next"]
     assert sorted(shared.users) == ["c1", "c2"]
+
+
+def test_a_takeover_that_comes_too_late_takes_over_nothing(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_failover, "_OPEN_SECONDS", 2.0)
+    stage = make()
+    one, two = stage.robot.request("camera"), stage.robot.request("face")
+    opened = stage.two._open_source
+
+    def hang_at_next(endpoint: Endpoint, *given: Any) -> Channel:
+        if endpoint.component == "next":
+            hang.wait()
+        return opened(endpoint, *given)
+
+    hang = Hang()
+    monkeypatch.setattr(stage.two, "_open_source", hang_at_next)
+    stage.one.die("best")
+    wait(lambda: one.gaps and two.gaps)
+    hang.release()
+    wait(lambda: {one.name for one in stage.robot.status().components} == {"last", "finder"})
+    wait(lambda: stage.two.open_channels == 3)
+    stage.last.emit(3)
+    for connection in (one, two):
+        assert connection.get(patience()) == 3
+        assert [gap.after[0] for gap in connection.gaps] == ["last"]
 
 
 def test_a_takeover_that_comes_too_late_still_lets_go_of_what_died(
@@ -151,10 +220,10 @@ def test_one_death_after_the_other_goes_down_the_candidates_and_then_ends(make: 
     stage.two.die("next")
     wait(lambda: len(connection.gaps) == 2)
     stage.last.emit(7)
-    assert connection.get(5) == 7
+    assert connection.get(patience()) == 7
     stage.two.die("last", "the last one fell")
     with pytest.raises(ConnectionClosedError, match=r"the last one fell(.|\n)*nothing takes over"):
-        connection.get(5)
+        connection.get(patience())
     assert connection.state is ConnectionState.FAILED
 
 
@@ -172,7 +241,7 @@ def test_when_no_candidate_fits_the_difference_is_told(make: Make) -> None:
     stage.two.die("last")
     stage.one.die("best")
     with pytest.raises(ConnectionClosedError, match="'next' is no heir: its output 'default' is"):
-        connection.get(5)
+        connection.get(patience())
 
 
 def test_with_failover_off_a_death_ends_the_connection(make: Make) -> None:
@@ -180,7 +249,7 @@ def test_with_failover_off_a_death_ends_the_connection(make: Make) -> None:
     connection = stage.robot.request("camera")
     stage.one.die("best", "it was unplugged")
     with pytest.raises(ConnectionClosedError, match="it was unplugged"):
-        connection.get(5)
+        connection.get(patience())
     assert connection.gaps == ()
 
 
@@ -191,7 +260,7 @@ def test_too_many_changes_within_a_minute_end_the_connection(make: Make) -> None
     wait(lambda: connection.gaps)
     stage.two.die("next")
     with pytest.raises(ConnectionClosedError, match="changed 1 times within a minute"):
-        connection.get(5)
+        connection.get(patience())
 
 
 def _revive(bridge: MemoryBridge, name: str) -> Emitter:
@@ -207,8 +276,75 @@ def test_it_waits_for_the_dead_to_come_back_where_it_is_told_to(make: Make) -> N
     revived = _revive(stage.one, "best")
     wait(lambda: connection.gaps)
     revived.emit(3)
-    assert connection.get(5) == 3
+    assert connection.get(patience()) == 3
     assert connection.gaps[0].after == ("best",)
+
+
+def test_while_it_waits_it_says_so_and_for_what(make: Make) -> None:
+    stage = make(FailoverPolicy(wait=60.0))
+    connection = stage.robot.request("face")
+    for name in ("next", "last"):
+        stage.two.die(name)
+    stage.one.die("best", "it was unplugged")
+    wait(lambda: connection.state is ConnectionState.WAITING)
+    assert "it was unplugged" in connection.cause
+    (status,) = stage.robot.status().connections
+    assert (status.state, status.components) == (ConnectionState.WAITING, ("finder",))
+    assert status.cause == connection.cause
+    assert not connection.ended
+    revived = _revive(stage.one, "best")
+    wait(stage.replaced)
+    assert (connection.state, connection.cause) == (ConnectionState.RUNNING, "")
+    revived.emit(3)
+    assert connection.get(patience()) == 3
+    told = [event for event in stage.events if event.subject == "connection c1"]
+    changes = ["opening", "running", "waiting", "running", "replaced"]
+    assert [event.change for event in told] == changes
+    assert "it was unplugged" in told[2].cause
+
+
+def test_a_connection_that_waits_can_be_killed(make: Make) -> None:
+    stage = make(FailoverPolicy(wait=60.0))
+    connection = stage.robot.request("camera")
+    for name in ("next", "last"):
+        stage.two.die(name)
+    stage.one.die("best")
+    wait(lambda: connection.state is ConnectionState.WAITING)
+    connection.kill()
+    assert (connection.state, connection.cause) == (ConnectionState.CLOSED, "")
+    assert stage.robot.status().connections == ()
+
+
+def test_when_another_component_dies_while_it_waits_it_needs_both(make: Make) -> None:
+    stage = make(FailoverPolicy(wait=60.0))
+    connection = stage.robot.request("face")
+    for name in ("next", "last"):
+        stage.two.die(name)
+    stage.one.die("best")
+    wait(lambda: connection.state is ConnectionState.WAITING)
+    stage.two.die("finder")
+    wait(lambda: stage.robot.status().components == ())
+    revived = _revive(stage.one, "best")
+    assert connection.state is ConnectionState.WAITING
+    stage.two.loop("finder", NUMBER)
+    wait(stage.replaced)
+    revived.emit(3)
+    assert connection.get(patience()) == 3
+    assert len(connection.gaps) == 1
+
+
+def test_what_died_lately_is_the_last_to_be_chosen_again(make: Make) -> None:
+    stage = make()
+    connection = stage.robot.request("camera")
+    stage.one.die("best")
+    wait(lambda: len(connection.gaps) == 1)
+    _revive(stage.one, "best")
+    stage.two.die("next")
+    wait(lambda: len(connection.gaps) == 2)
+    _revive(stage.two, "next")
+    stage.two.die("last")
+    wait(lambda: len(connection.gaps) == 3)  # nothing else is left, and best failed before next
+    assert [gap.after for gap in connection.gaps] == [("next",), ("last",), ("best",)]
 
 
 def test_it_returns_to_the_better_candidate_and_hears_no_message_twice(make: Make) -> None:
@@ -224,7 +360,7 @@ def test_it_returns_to_the_better_candidate_and_hears_no_message_twice(make: Mak
     assert "available again" in connection.gaps[1].cause
     revived.emit(4)
     stage.next.emit(5)
-    assert connection.get(5) == 4
+    assert connection.get(patience()) == 4
     with pytest.raises(TimeoutError):
         connection.get(0.1)
 
@@ -236,7 +372,7 @@ def test_without_a_return_it_stays_where_it_is(make: Make) -> None:
     wait(lambda: connection.gaps)
     _revive(stage.one, "best")
     stage.next.emit(1)
-    assert connection.get(5) == 1
+    assert connection.get(patience()) == 1
     assert len(connection.gaps) == 1
 
 
@@ -247,7 +383,7 @@ def test_a_bridge_that_dies_takes_all_its_components_out_of_the_choice(make: Mak
     wait(lambda: connection.gaps)
     stage.two.report(Health.LOST, "its process ended")
     with pytest.raises(ConnectionClosedError, match="its process ended"):
-        connection.get(5)
+        connection.get(patience())
 
 
 def test_a_kill_while_it_is_replaced_closes_everything(make: Make) -> None:

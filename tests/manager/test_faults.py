@@ -7,13 +7,12 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 import pytest
-from tests.waiting import wait
 
 from uoarm import RobotManager, UoarmError
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeTimeoutError, ResolutionError
-from uoarm.testing import Background, Census, MemoryBridge, hanging, lying, raising
+from uoarm.testing import Background, Census, MemoryBridge, hanging, lying, patience, raising, wait
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -55,9 +54,9 @@ class Scene:
         )
 
     def works(self) -> None:
-        with self.robot.request("filter", timeout=10) as connection:
+        with self.robot.request("filter", timeout=patience()) as connection:
             self.camera.emit(7)
-            assert connection.get(10) == 7
+            assert connection.get(patience()) == 7
 
 
 @pytest.fixture
@@ -101,7 +100,7 @@ def test_a_bridge_that_does_not_close_is_left_behind_in_time(
 ) -> None:
     scene.works()
     with FAULTS[fault](getattr(scene, side), "_close"):
-        Background(scene.robot.close).result(20)
+        Background(scene.robot.close).result(patience())
     assert scene.left.closed
     assert scene.right.closed
 
@@ -128,7 +127,7 @@ def test_a_component_that_raises_is_counted_and_does_not_end_the_flow(
     with scene.robot.request("filter") as connection:
         scene.camera.emit(1)
         scene.camera.emit(2)
-        assert connection.get(10) == 2
+        assert connection.get(patience()) == 2
         (route,) = [one for one in scene.robot.status().routes if one.consumer == "filter.default"]
         assert dict(route.dropped) == {"failed": 1}
         assert route.last_error == "RuntimeError: no"
@@ -141,6 +140,6 @@ def test_a_callback_that_raises_is_counted_and_does_not_end_the_flow(scene: Scen
     with scene.robot.request("filter", on_message=fail) as connection:
         scene.camera.emit(1)
         scene.camera.emit(2)
-        connection.course.drain(10)
+        connection.course.drain(patience())
         (route,) = [one for one in scene.robot.status().routes if one.consumer.startswith("c")]
         assert dict(route.dropped) == {"failed": 2}

@@ -22,6 +22,7 @@ from uoarm import (
 )
 from uoarm.manager._live import LiveComponent
 from uoarm.model import ConnectionState, StatusMap, Step
+from uoarm.testing import patience
 
 Make = Callable[[str], RobotManager]
 HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
@@ -68,7 +69,7 @@ def test_messages_flow_from_the_source_to_the_application(make_robot: Make) -> N
     with robot.request("wanted", validate="always") as connection:
         for value in range(3):
             stage.script.put({"value": value})
-        assert [connection.get(10)["value"] for _ in range(3)] == [0, 1, 2]
+        assert [connection.get(patience())["value"] for _ in range(3)] == [0, 1, 2]
         routes = {(route.producer, route.consumer): route for route in robot.status().routes}
         assert routes["narrow.default", "wanted.default"].delivered == 3
         assert routes["wanted.default", connection.id].delivered == 3
@@ -92,8 +93,8 @@ def test_a_source_that_dies_fails_every_connection_that_needs_it(make_robot: Mak
     stage.script.put(RuntimeError("the cable is out"))
     for connection in (first, second):
         with pytest.raises(ConnectionClosedError, match=r"narrow.*the cable is out"):
-            connection.get(10)
-    assert failed.wait(10)
+            connection.get(patience())
+    assert failed.wait(patience())
     assert first.state is second.state is ConnectionState.FAILED
     assert nothing_is_open(robot)
 
@@ -104,11 +105,11 @@ def test_a_component_that_two_connections_need_is_opened_once(make_robot: Make) 
     second = robot.request("wanted")
     assert stage.built == ["counted"]
     stage.script.put({"value": 1})
-    assert first.get(10) == second.get(10) == {"value": 1}
+    assert first.get(patience()) == second.get(patience()) == {"value": 1}
     first.kill()
     assert stage.closed == []
     stage.script.put({"value": 2})
-    assert second.get(10) == {"value": 2}
+    assert second.get(patience()) == {"value": 2}
     second.kill()
     assert stage.closed == ["counted"]
     assert nothing_is_open(robot)
@@ -120,7 +121,7 @@ def test_killing_twice_and_from_a_callback_is_harmless(make_robot: Make) -> None
     connection = robot.request("wanted")
     connection.subscribe(lambda _: connection.kill())
     stage.script.put({"value": 1})
-    assert ended.wait(10)
+    assert ended.wait(patience())
     connection.kill()
     assert nothing_is_open(robot)
     with pytest.raises(ConnectionClosedError):
@@ -141,7 +142,7 @@ def test_a_bridge_that_hangs_while_opening_is_given_up_and_named(make_robot: Mak
     assert not robot.status().connections
     with robot.request("narrow") as other:
         stage.script.put({"value": 5})
-        assert other.get(10) == {"value": 5}
+        assert other.get(patience()) == {"value": 5}
 
 
 def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(
@@ -166,7 +167,7 @@ def test_a_component_that_hangs_in_send_stalls_nobody_else(make_robot: Make) -> 
     with robot.request("narrow") as direct, robot.request("wanted"):
         for value in range(50):
             stage.script.put({"value": value})
-        assert [direct.get(10)["value"] for _ in range(50)] == list(range(50))
+        assert [direct.get(patience())["value"] for _ in range(50)] == list(range(50))
 
 
 def test_a_lie_is_counted_and_not_forwarded(make_robot: Make) -> None:
@@ -174,7 +175,7 @@ def test_a_lie_is_counted_and_not_forwarded(make_robot: Make) -> None:
     with robot.request("wanted", validate="always") as connection:
         for message in ({"value": 256}, {"valu": 1}, {"value": 1}):
             stage.script.put(message)
-        assert connection.get(10) == {"value": 1}
+        assert connection.get(patience()) == {"value": 1}
         (route,) = [r for r in robot.status().routes if r.producer == "narrow.default"]
         assert route.invalid == 2
         assert dict(route.dropped) == {"invalid": 2}
@@ -184,21 +185,21 @@ def test_a_shared_edge_is_checked_as_the_strictest_of_its_users_wishes(make_robo
     robot = make_robot(HEAD + source() + step("wanted", "take_broad", "narrow"))
     with robot.request("wanted") as careless:
         stage.script.put({"value": 256})
-        assert careless.get(10) == {"value": 256}
+        assert careless.get(patience()) == {"value": 256}
         with robot.request("wanted", validate="always") as careful:
             for value in (256, 1):
                 stage.script.put({"value": value})
-            assert careful.get(10) == {"value": 1}
-        assert careless.get(10) == {"value": 1}
+            assert careful.get(patience()) == {"value": 1}
+        assert careless.get(patience()) == {"value": 1}
         stage.script.put({"value": 256})
-        assert careless.get(10) == {"value": 256}
+        assert careless.get(patience()) == {"value": 256}
 
 
 def test_the_application_feeds_an_input_and_is_told_of_a_mismatch(make_robot: Make) -> None:
     robot = make_robot(HEAD + step("wanted", "take_broad", None))
     with robot.request("wanted", validate="sampled") as connection:
         connection.send({"value": -5})
-        assert connection.get(10) == {"value": -5}
+        assert connection.get(patience()) == {"value": -5}
         with pytest.raises(MessageError, match=r"wanted\.default: value"):
             connection.send({"value": "five"})
         with pytest.raises(UsageError, match="no input 'other'"):
@@ -243,11 +244,20 @@ def test_events_come_numbered_and_in_order(make_robot: Make) -> None:
     closed = wait_for(robot, "closed")
     robot.listen(events.append)
     robot.request("narrow").kill()
-    assert closed.wait(10)
+    assert closed.wait(patience())
     robot.close()
     assert [event.number for event in events] == list(range(1, len(events) + 1))
     changes = [event.change for event in events if event.subject == "connection c1"]
     assert changes == ["opening", "running", "closed"]
+
+
+def test_an_unknown_way_to_validate_is_refused_with_those_there_are(make_robot: Make) -> None:
+    robot = make_robot(HEAD + source())
+    with pytest.raises(
+        UsageError, match="'allways': expected off, sampled or always; did you mean 'always'"
+    ):
+        robot.request("narrow", validate="allways")
+    assert nothing_is_open(robot)
 
 
 def test_asyncio_reads_waits_and_kills(make_robot: Make) -> None:

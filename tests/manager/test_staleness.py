@@ -10,8 +10,8 @@ from uoarm import RobotManager
 from uoarm.bridge import HealthEvent
 from uoarm.config import loads
 from uoarm.manager._staleness import StalenessWatch
-from uoarm.model import Expectation, Health
-from uoarm.testing import Collector, Emitter, ManualClock, MemoryBridge
+from uoarm.model import ConnectionState, Expectation, Health
+from uoarm.testing import Collector, Emitter, ManualClock, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -39,7 +39,9 @@ class Stage:
         self.robot = RobotManager(loads(ROBOT), bridges={"memory": self.bridge}, clock=self.clock)
         self.robot._staleness.close()
         self.told: list[HealthEvent] = []
-        self.watch = StalenessWatch(self.robot._pool.components, self.told.append, self.clock)
+        self.watch = StalenessWatch(
+            self.robot._pool.components, self.robot._pool.edges, self.told.append, self.clock
+        )
 
     def play(self, messages: int, seconds: float) -> None:
         """Emit messages evenly over a time, looking after each."""
@@ -124,5 +126,126 @@ def test_the_next_candidate_takes_over_from_a_stale_one() -> None:
         clock.advance(3)
         replaced.wait(1)
         following.emit(1)
-        assert connection.get(5) == 1
+        assert connection.get(patience()) == 1
         assert "is stale" in connection.gaps[0].cause
+
+
+CHAIN = """
+version: 1
+bridges: {memory: {}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: memory, priority: 2, output: {endpoint: [best]EXPECT}}
+      - {name: spare, bridge: memory, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - name: detector
+        bridge: memory
+        priority: 2
+        input: {from: camera, endpoint: [detector]}
+        output: {endpoint: [detector], expect: {rate: 10, patience: 2}}
+      - name: second
+        bridge: memory
+        priority: 1
+        input: {from: camera, endpoint: [second]}
+        output: {endpoint: [second]}
+"""
+SPOKEN_FOR = ", expect: {rate: 10, patience: 2}"
+
+
+class Chain:
+    """Two cameras and two detectors, of which the better ones are expected to give 10 Hz."""
+
+    def __init__(self, expect: str) -> None:
+        self.clock = ManualClock()
+        self.bridge = MemoryBridge("memory", {})
+        self.best, self.spare = (self.bridge.emitter(one, NUMBER) for one in ("best", "spare"))
+        self.detector = self.bridge.loop("detector", NUMBER)
+        self.bridge.loop("second", NUMBER)
+        robot = loads(CHAIN.replace("EXPECT", expect))
+        self.robot = RobotManager(robot, bridges={"memory": self.bridge}, clock=self.clock)
+        self.robot._staleness.close()
+        self.handled = Collector()
+        self.robot.listen(self.handled.deliver)
+        self.face = self.robot.request("face")
+
+    def play(self, camera: Emitter, rate: float, seconds: float) -> None:
+        """Emit evenly, and look after each message has passed."""
+        for number in range(int(seconds * rate)):
+            camera.emit(number)
+            assert self.face.get(patience()) == number
+            self.pass_by(1 / rate)
+
+    def pass_by(self, seconds: float) -> None:
+        """Let time pass, and have what is stale then replaced before going on."""
+        self.clock.advance(seconds)
+        stale = len(self.robot._staleness.recent())
+        self.robot._staleness.look()
+        if len(self.robot._staleness.recent()) > stale:
+            before = self.face.gaps
+            wait(lambda: self.face.gaps != before)
+
+    def fall_silent(self) -> None:
+        """Let time pass without a message until something is stale, ten seconds at most."""
+        before = self.face.gaps
+        for _ in range(20):
+            if self.face.gaps == before:
+                self.pass_by(0.5)
+
+    def moves(self) -> list[tuple[str, ...]]:
+        return [gap.after for gap in self.face.gaps]
+
+
+@pytest.fixture
+def chain(request: pytest.FixtureRequest) -> Iterator[Chain]:
+    made = Chain(getattr(request, "param", SPOKEN_FOR))
+    yield made
+    made.robot.close()
+
+
+def test_a_detector_that_gets_too_little_is_not_blamed_for_it(chain: Chain) -> None:
+    chain.play(chain.best, 10, 5)
+    chain.fall_silent()
+    chain.play(chain.spare, 4, 120)
+    assert chain.moves() == [("spare", "detector")]
+    assert chain.face.state is ConnectionState.RUNNING
+    assert "component 'best' was lost: output 'default' is stale" in chain.face.gaps[0].cause
+
+
+@pytest.mark.parametrize("chain", [""], indirect=True)
+def test_what_feeds_one_with_an_expectation_is_stale_when_it_falls_silent(chain: Chain) -> None:
+    chain.play(chain.best, 10, 5)
+    chain.fall_silent()
+    chain.play(chain.spare, 10, 5)
+    assert chain.moves() == [("spare", "detector")]
+
+
+def test_a_detector_that_gets_enough_and_gives_too_little_is_stale(
+    chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chain.detector, "take", lambda _: None)
+    chain.robot._staleness.look()
+    for number in range(20):
+        chain.best.emit(number)
+        chain.clock.advance(0.1)
+    chain.pass_by(0.1)
+    assert chain.moves() == [("best", "second")]
+
+
+def test_a_new_request_does_not_go_to_what_was_stale_either(chain: Chain) -> None:
+    chain.play(chain.best, 10, 5)
+    chain.fall_silent()
+    assert chain.robot.request("face").plan == chain.face.plan
+    assert chain.robot.request("camera").plan.provider.component.name == "spare"
+    chain.bridge.die("spare")
+    chain.handled.wait_for(lambda event: event.subject == "component spare")
+    assert chain.robot.resolve("camera").provider.component.name == "best"
+
+
+def test_what_was_stale_is_forgiven_in_the_end(chain: Chain) -> None:
+    chain.play(chain.best, 10, 5)
+    chain.fall_silent()
+    assert chain.robot.resolve("camera").provider.component.name == "spare"
+    chain.clock.advance(301)
+    assert chain.robot.resolve("camera").provider.component.name == "best"

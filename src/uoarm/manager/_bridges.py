@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Mapping
-from itertools import chain
 
 from uoarm import _bounded
 from uoarm.bridge import Bridge, HealthEvent, Registry
@@ -20,6 +20,7 @@ __all__ = ["BridgeSet"]
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
+_RETIRE_SECONDS = 10.0
 _FINE = Health.OK, ""
 
 
@@ -33,6 +34,7 @@ class BridgeSet:
         ready: instances to use instead of making them; closed with the others.
         clock: seconds, for the waits between restarts.
         listening: where hosts on other machines join.
+        origin: the configuration file, for those who look at the processes of hosts.
     """
 
     def __init__(
@@ -43,7 +45,9 @@ class BridgeSet:
         ready: Mapping[str, Bridge],
         clock: Clock,
         listening: Listening | None = None,
+        origin: str = "",
     ) -> None:
+        self._origin = origin
         self._specs = specs
         self._registry = registry
         self._listener = listener
@@ -51,6 +55,7 @@ class BridgeSet:
         self._restarts = Restarts(clock)
         self._turns: dict[str, threading.Lock] = {}
         self._dead: dict[str, list[Bridge]] = {}
+        self._retiring: set[threading.Thread] = set()
         self._health: dict[str, tuple[Health, str]] = {}
         self._lock = threading.Lock()
         self._closed = False
@@ -79,23 +84,43 @@ class BridgeSet:
                 return bridge
             bridge = self._start(name)
             with self._lock:
-                if not self._closed:
+                keep = not self._closed
+                if keep:
                     self._bridges[name] = bridge
-                    self._health.pop(name, None)
+                    was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
                     bridge.watch(self._heard)
-                    return bridge
-        bridge.close()
-        raise ConnectionClosedError("the robot manager is closed")
+        if not keep:
+            bridge.close()
+            raise ConnectionClosedError("the robot manager is closed")
+        if was_lost:
+            self._listener(HealthEvent(name, Health.OK, "it was started again"))
+        return bridge
+
+    def is_in_use(self, bridge: Bridge) -> bool:
+        """Say whether a bridge is the one that bears its name now."""
+        return self._bridges.get(bridge.name) is bridge
 
     def retire(self, name: str) -> None:
-        """Close a bridge that was lost. Failures while closing are logged."""
+        """Close a bridge that was lost, in a thread of its own: it may hang as it dies.
+
+        Failures while closing are logged.
+        """
+
+        def close() -> None:
+            for bridge in dead:
+                try:
+                    bridge.close()
+                except BridgeError as error:
+                    _log.warning("%s", error)
+            with self._lock:
+                self._retiring.discard(thread)
+
+        thread = threading.Thread(target=close, name=f"uoarm-retire-{name}", daemon=True)
         with self._lock:
             dead = self._dead.pop(name, [])
-        for bridge in dead:
-            try:
-                bridge.close()
-            except BridgeError as error:
-                _log.warning("%s", error)
+            if dead:
+                self._retiring.add(thread)
+                thread.start()
 
     def statuses(self) -> tuple[BridgeStatus, ...]:
         """Return what the status map shows: bridges that were started, those that died included."""
@@ -110,23 +135,32 @@ class BridgeSet:
                 open_channels=0 if bridge is None else bridge.open_channels,
                 cause=health.get(name, _FINE)[1],
                 assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
+                process=None if bridge is None else bridge.process_id,
             )
             for name, bridge in known.items()
         )
 
     def close(self) -> list[BridgeError]:
-        """Close every bridge, and the link to other machines; return what failed."""
+        """Close every bridge, and the link to other machines; return what failed.
+
+        Waits ten seconds at most for bridges that were lost.
+        """
         with self._lock:
             self._closed = True
-            bridges = [*self._bridges.values(), *chain.from_iterable(self._dead.values())]
+            bridges = [*self._bridges.values()]
             self._bridges.clear()
-            self._dead.clear()
+            dead = tuple(self._dead)
+        for name in dead:
+            self.retire(name)
         failures: list[BridgeError] = []
         for close in (*(bridge.close for bridge in bridges), self.machines.close):
             try:
                 close()
             except BridgeError as error:
                 failures.append(error)
+        deadline = time.monotonic() + _RETIRE_SECONDS
+        for thread in tuple(self._retiring):
+            thread.join(max(0.0, deadline - time.monotonic()))
         return failures
 
     def _state(self, name: str) -> Health | None:
@@ -142,13 +176,16 @@ class BridgeSet:
     def _heard(self, event: HealthEvent) -> None:
         """Note what happens to a whole bridge, then tell the listener.
 
-        One that is lost is there for nobody from this moment on: `get` makes a new one.
+        One that is lost is there for nobody from this moment on: `get` makes a new one, which
+        bears the same name, so that nothing more is heard of the lost one.
         """
         if event.channel is None and event.component is None:
             with self._lock:
                 self._health[event.bridge] = event.health, event.cause
                 if event.health is Health.LOST and event.bridge in self._bridges:
-                    self._dead.setdefault(event.bridge, []).append(self._bridges.pop(event.bridge))
+                    lost = self._bridges.pop(event.bridge)
+                    lost.watch(None)
+                    self._dead.setdefault(event.bridge, []).append(lost)
             if event.health is Health.LOST:
                 self._restarts.died(event.bridge, event.cause)
         self._listener(event)
@@ -158,7 +195,7 @@ class BridgeSet:
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         if spec.host is not None:
-            return start_hosted(spec, spec.host, self._restarts, self.machines)
+            return start_hosted(spec, spec.host, self._restarts, self.machines, self._origin)
         return _bounded.run(
             f"starting bridge {name!r}",
             _START_SECONDS,

@@ -26,12 +26,17 @@ class Condition:
         self._told: dict[Hashable, tuple[Health, str]] = {}
 
     def note(self, event: HealthEvent) -> bool:
-        """Take note of an event about a part; False when a worse one elsewhere covers it up."""
+        """Take note of an event about a part; True when that is news of the whole.
+
+        It is none when a worse one elsewhere covers it up, or when all was well before.
+        """
         before, told = (self.health, self.cause), (event.health, event.cause)
         self._told[_part(event)] = told
         worst = max(self._told.values(), key=lambda one: _BETTER_TO_WORSE.index(one[0]))
         self.health, self.cause = told if told[0] is worst[0] else worst
         now = self.health, self.cause
+        if before[0] is now[0] is Health.OK:
+            return False
         return now == told or now != before
 
 

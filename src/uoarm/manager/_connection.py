@@ -9,6 +9,7 @@ from typing import final
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.flow import QueueClosed
 from uoarm.manager._course import Course
+from uoarm.manager._life import GOING_ON
 from uoarm.model import ConnectionState, ConnectionStatus, Deliver, Gap, Message, Plan
 
 __all__ = ["Connection"]
@@ -38,7 +39,7 @@ class Connection:
 
     @property
     def cause(self) -> str:
-        """Why the connection ended; empty while it runs and after `kill`."""
+        """Why the connection ended, or for what it waits; empty while it runs and after `kill`."""
         return self.course.life.cause
 
     @property
@@ -103,7 +104,7 @@ class Connection:
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.
         """
-        if self.state is not ConnectionState.RUNNING:
+        if self.state not in GOING_ON:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
         self.course.opened.ends.sender(port).send(message)
 
@@ -127,6 +128,10 @@ class Connection:
         """End the connection and close what only it used. Once is enough; bounded in time."""
         self.course.end(ConnectionState.CLOSED, "")
 
+    def close(self) -> None:
+        """End the connection: another name for `kill`, the word of the paper."""
+        self.kill()
+
     def on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""
         self.course.reception.inbox.on_wake(wake)
@@ -137,11 +142,15 @@ class Connection:
             id=self.id,
             function=self.plan.function,
             state=self.state,
-            components=tuple(step.component.name for step in self.plan.steps),
+            components=self.course.components(),
             cause=self.cause,
             lost=self.course.history.lost,
             ended=self.course.history.ended,
         )
+
+    def __repr__(self) -> str:
+        components = " -> ".join(step.component.name for step in self.plan.steps)
+        return f"<Connection {self.id} to {self.plan.function!r}: {self.state.value}, {components}>"
 
     def __enter__(self) -> Connection:
         return self

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Callable
 
 from uoarm.errors import ConnectionClosedError
 from uoarm.flow import Route
+from uoarm.manager._heirs import names
 from uoarm.manager._history import History
 from uoarm.manager._life import Life
 from uoarm.manager._live import LiveComponent
@@ -44,6 +46,7 @@ class Course:
         self.life = Life()
         self.history = History()
         self.succeeding = threading.Lock()
+        self._numbers = itertools.count(2)  # of its plans, also of those opened in vain
         self._tell: Callable[[], None] | None = None
 
     @property
@@ -95,8 +98,31 @@ class Course:
         It stands `beside` the plan so far where that is not dead.
         """
         first = self.opened
-        user = f"{self.id}#{self.history.changes + 2}"
+        user = f"{self.id}#{next(self._numbers)}"
         return OpenPlan(plan, user, first.pool, first.validate, first.clock, beside)
+
+    def wait(self, cause: str) -> None:
+        """Wait for what can take over, and tell of it; nothing new where it waits already."""
+        if self.life.wait(cause):
+            self._changed()
+
+    def change(self, swap: Callable[[], None]) -> None:
+        """Do a quick `swap` of plans that no end can come between.
+
+        Raises:
+            ConnectionClosedError: the connection has ended.
+        """
+        waited = self.life.state is ConnectionState.WAITING
+        if not self.life.change(swap):
+            raise ConnectionClosedError(f"connection {self.id} has ended: {self.life.cause}")
+        if waited:
+            self._changed()
+
+    def components(self) -> tuple[str, ...]:
+        """Return the components of the plan; while it waits, those that are left of it."""
+        waits = self.life.state is ConnectionState.WAITING
+        lost = self.opened.lost() if waits else frozenset[str]()
+        return tuple(name for name in names(self.plan) if name not in lost)
 
     def end(self, state: ConnectionState, cause: str, dead: tuple[LiveComponent, ...] = ()) -> None:
         """End with a state and a cause, and close what only this connection used.

@@ -139,8 +139,7 @@ class Failback:
     def _move(self, plans: dict[Connection, Plan], begun: float) -> None:
         """Open all the better plans beside the present ones, then change over at once."""
         successions = [
-            Succession(connection.course, plan, self._clock, is_dead=False)
-            for connection, plan in plans.items()
+            Succession(connection.course, plan, self._clock) for connection, plan in plans.items()
         ]
         with ExitStack() as stack:
             for succession in successions:
@@ -150,11 +149,10 @@ class Failback:
             )
             taken = [one for one in successions if self._take(one, begun)]
         for succession in taken:
+            text = f"{_CAUSE}; {succession.newcomers()} goes on"
+            self._board.post(f"connection {succession.course.id}", "replaced", text)
+        for succession in taken:
             succession.finish()
-            goes_on = succession.opened.plan.provider.component.name
-            self._board.post(
-                f"connection {succession.course.id}", "replaced", f"{_CAUSE}; {goes_on} goes on"
-            )
 
     def _take(self, succession: Succession, begun: float) -> bool:
         try:

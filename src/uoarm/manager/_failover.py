@@ -9,23 +9,30 @@ from collections.abc import Callable, Iterable
 from attrs import frozen
 
 from uoarm import _bounded
-from uoarm.errors import ConnectionClosedError, ResolutionError, UoarmError
+from uoarm.errors import (
+    BridgeTimeoutError,
+    ConnectionClosedError,
+    ResolutionError,
+    UoarmError,
+)
 from uoarm.flow import Clock
 from uoarm.manager._board import Board
 from uoarm.manager._connection import Connection
 from uoarm.manager._failback import Failback
 from uoarm.manager._heirs import Resolve, heir, names
 from uoarm.manager._ledger import Ledger
+from uoarm.manager._life import GOING_ON
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._pool import Pool
 from uoarm.manager._succession import Succession
-from uoarm.model import ConnectionState, FailoverPolicy
+from uoarm.model import ConnectionState, FailoverPolicy, Plan
 
 __all__ = ["Death", "Failover"]
 
 _OPEN_SECONDS = 60.0
 _MINUTE = 60.0
 _AGAIN_SECONDS = 0.1
+_REMEMBERED_SECONDS = 300.0
 _log = logging.getLogger("uoarm")
 
 
@@ -87,23 +94,24 @@ class Failover:
         self._board = board
         self._clock = clock
         self._stopped = threading.Event()
+        self._failed: dict[str, float] = {}  # when a component failed last, longest ago first
 
     def replace(self, connections: Iterable[Connection], death: Death) -> None:
         """Have connections go on with other plans, or end them; returns at once.
 
         One that is still being opened ends: its application gets the cause from its request.
         """
-        waiting = []
-        for connection in connections:
-            if self._policy.enabled and connection.state is ConnectionState.RUNNING:
-                waiting.append(connection)
-            else:
-                _fail(connection, death.cause, death)
-        if not waiting:
-            return
-        threading.Thread(
-            target=self._replace_all, args=(waiting, death), name="uoarm-failover", daemon=True
-        ).start()
+        for name in {live.component.name for live in death.lives}:
+            self._failed.pop(name, None)
+            self._failed[name] = death.time
+        concerned = list(connections)
+        if concerned:
+            threading.Thread(
+                target=self._replace_all,
+                args=(concerned, death),
+                name="uoarm-failover",
+                daemon=True,
+            ).start()
 
     def close(self) -> None:
         """Replace nothing more."""
@@ -115,6 +123,9 @@ class Failover:
         """Let everything go on first, then clear away what died."""
         taken = []
         for connection in connections:
+            if not self._policy.enabled or connection.state not in GOING_ON:
+                _fail(connection, death.cause, death)
+                continue
             try:
                 succession = self._replace(connection, death)
             except ConnectionClosedError:
@@ -125,58 +136,81 @@ class Failover:
                 if succession is not None:
                     taken.append(succession)
         for succession in taken:
-            self._finish(succession, death)
+            succession.finish()
 
     def _replace(self, connection: Connection, death: Death) -> Succession | None:
         """Have one connection go on; None when it does not depend on the dead any more."""
-        if not any(connection.course.uses(live) for live in death.lives):
-            return None
-        if not self._may_move(connection):
-            text = f"its providers changed {self._policy.limit} times within a minute"
-            raise ResolutionError(text)
-        preferred = connection.plan
         excluded = death.excluded
         deadline = death.time + self._policy.wait
-        while True:
+        while not connection.ended and any(map(connection.course.uses, death.lives)):
+            if not self._may_move(connection):
+                text = f"its providers changed {self._policy.limit} times within a minute"
+                raise ResolutionError(text)
+            preferred = connection.plan
             try:
-                plan = heir(preferred, connection.output, excluded, self._resolve)
+                plan = self._heir(preferred, connection.output, excluded)
             except ResolutionError:
-                if self._clock() >= deadline or self._stopped.wait(_AGAIN_SECONDS):
+                if self._clock() >= deadline:
+                    raise
+                connection.course.wait(death.cause)
+                if self._stopped.wait(_AGAIN_SECONDS):
                     raise
                 excluded = frozenset()
                 for name in death.excluded:
                     self._forget(name)
                 continue
-            succession = Succession(connection.course, plan, self._clock, is_dead=True)
+            succession = Succession(connection.course, plan, self._clock, death.lives)
             try:
-                self._take(succession, death)
+                self._take(connection, succession, death)
             except ConnectionClosedError:
                 raise
             except UoarmError as error:
                 _log.warning("connection %s: %s", connection.id, error)
                 excluded |= set(names(plan)).difference(names(preferred)) or {names(plan)[-1]}
             else:
-                if self.failback is not None:
-                    self.failback.look_for(connection, preferred)
                 return succession
+        return None
 
-    def _take(self, succession: Succession, death: Death) -> None:
+    def _heir(self, dead: Plan, output: str | None, excluded: frozenset[str]) -> Plan:
+        """Return what goes on: what failed lately only where there is nothing else.
+
+        Of that, what failed longest ago comes first. A bridge may well find a component that does
+        not do what is expected of it, so that being there again does not mean being well.
+
+        Raises:
+            ResolutionError: nothing can go on.
+        """
+        since = self._clock() - _REMEMBERED_SECONDS
+        failed = [name for name, time in self._failed.copy().items() if time >= since]
+        while True:
+            try:
+                return heir(dead, output, excluded.union(failed), self._resolve)
+            except ResolutionError:
+                if not failed:
+                    raise
+                del failed[0]
+
+    def _take(self, connection: Connection, succession: Succession, death: Death) -> None:
+        """Open a plan and let it take over.
+
+        Raises:
+            UoarmError: it could not be opened, or not in time; then it takes over no more.
+        """
+        preferred, identity = connection.plan, connection.id
+
         def take() -> None:
             with succession:
+                if self.failback is not None:
+                    self.failback.look_for(connection, preferred)
                 succession.take(death.time, death.cause)
 
-        _bounded.run(
-            f"takeover of connection {succession.course.id}",
-            _OPEN_SECONDS,
-            take,
-            on_late=lambda _: self._finish(succession, death),
-        )
-
-    def _finish(self, succession: Succession, death: Death) -> None:
-        succession.finish(death.lives)
-        goes_on = succession.opened.plan.provider.component.name
-        text = f"{death.cause}; {goes_on} goes on"
-        self._board.post(f"connection {succession.course.id}", "replaced", text)
+        try:
+            _bounded.run(f"takeover of connection {identity}", _OPEN_SECONDS, take)
+        except BridgeTimeoutError:
+            if succession.withdraw():
+                raise
+        goes_on = succession.newcomers(frozenset(live.component.name for live in death.lives))
+        self._board.post(f"connection {identity}", "replaced", f"{death.cause}; {goes_on} goes on")
 
     def _may_move(self, connection: Connection) -> bool:
         now = self._clock()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from uoarm.bridge import HealthEvent
 from uoarm.flow import Clock
 from uoarm.manager._board import Board
+from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
 from uoarm.manager._failover import Death, Failover
 from uoarm.manager._ledger import Ledger
@@ -25,7 +26,7 @@ class HealthDesk:
 
     Args:
         forget: told the name of a component whose structures must be asked for again.
-        retire: told the name of a bridge that is lost; the next request starts a new one.
+        bridges: of which one that is lost is retired; the next request starts a new one.
         failover: replaces the plans of connections that use what was lost.
         clock: seconds that only grow.
     """
@@ -38,7 +39,7 @@ class HealthDesk:
         robot: Robot,
         *,
         forget: Callable[[str], None],
-        retire: Callable[[str], None],
+        bridges: BridgeSet,
         failover: Failover,
         clock: Clock,
     ) -> None:
@@ -47,7 +48,7 @@ class HealthDesk:
         self._board = board
         self._robot = robot
         self._forget = forget
-        self._retire = retire
+        self._bridges = bridges
         self._failover = failover
         self._clock = clock
 
@@ -62,12 +63,15 @@ class HealthDesk:
             if _concerns(event, component):
                 self._forget(component.name)
         whole_bridge = event.channel is None and event.component is None
+        bridge_lost = whole_bridge and event.health is Health.LOST
         if whole_bridge:
             self._board.post(f"bridge {event.bridge}", event.health.value, event.cause)
         lost: list[LiveComponent] = []
         for live in self._pool.components():
             if not _concerns(event, live.component):
                 continue
+            if bridge_lost and self._bridges.is_in_use(live.bridge):
+                continue  # it was opened since then, at the bridge that followed
             if live.condition.note(event):
                 subject = f"component {live.component.name}"
                 self._board.post(subject, live.condition.health.value, live.condition.cause)
@@ -77,8 +81,8 @@ class HealthDesk:
                 lost.append(live)
         if lost:
             self._lose(lost, event)
-        if whole_bridge and event.health is Health.LOST:
-            self._retire(event.bridge)
+        if bridge_lost:
+            self._bridges.retire(event.bridge)
 
     def _lose(self, lost: list[LiveComponent], event: HealthEvent) -> None:
         now = self._clock()

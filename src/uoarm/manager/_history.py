@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Protocol, TypeAlias
@@ -14,7 +15,7 @@ from uoarm.manager._live_edge import LiveEdge
 from uoarm.manager._opening import OpenPlan
 from uoarm.model import Gap, RouteStatus
 
-__all__ = ["Counting", "History", "dropped_by_reason"]
+__all__ = ["Counting", "History"]
 
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 
@@ -37,8 +38,8 @@ class History:
     """
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self.gaps: tuple[Gap, ...] = ()
-        self.changes = 0
         self.lost = 0
         self._ended: tuple[Sums, tuple[Counting, ...]] = ({}, ())
         self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
@@ -65,18 +66,27 @@ class History:
                 self._counted.add(joined)
                 yield joined.route
 
-    def add(self, gap: Gap, routes: Iterable[Counting]) -> None:
-        """Take in one change of plan and the routes that ended with it."""
-        self.settle(gap.lost, routes)
-        self.changes += 1
-        self.gaps = (*self.gaps, gap)[-_GAPS:]
+    def add(self, gap: Gap) -> None:
+        """Take in one change of plan, whose losses are not counted yet."""
+        with self._lock:
+            self.gaps = (*self.gaps, gap)[-_GAPS:]
+
+    def count(self, gap: Gap, lost: int, routes: Iterable[Counting]) -> None:
+        """Take in what was lost in a change of plan, and the routes that ended with it."""
+        ended = tuple(routes)
+        dropped = _dropped_by_reason(route.status() for route in ended)
+        counted = evolve(gap, lost=lost, dropped=dropped, counted=True)
+        self.settle(lost, ended)
+        with self._lock:
+            self.gaps = tuple(counted if one is gap else one for one in self.gaps)
 
     def settle(self, lost: int, routes: Iterable[Counting]) -> None:
         """Take in what was lost with components, and routes that ended."""
-        self.lost += lost
         ended = tuple(routes)
-        if ended:
-            self._ended = _added(*self._ended), ended
+        with self._lock:
+            self.lost += lost
+            if ended:
+                self._ended = _added(*self._ended), ended
 
 
 def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
@@ -89,7 +99,7 @@ def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
     return added
 
 
-def dropped_by_reason(routes: Iterable[RouteStatus]) -> tuple[tuple[str, int], ...]:
+def _dropped_by_reason(routes: Iterable[RouteStatus]) -> tuple[tuple[str, int], ...]:
     """Return how many messages routes that ended have dropped, by reason."""
     total: Counter[str] = Counter()
     for route in routes:

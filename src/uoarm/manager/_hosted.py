@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from uoarm._origin import install_command
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.manager._machines import Machines
@@ -11,7 +12,9 @@ from uoarm.model import BridgeSpec, Options
 __all__ = ["start_hosted"]
 
 
-def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts, machines: Machines) -> Bridge:
+def start_hosted(
+    spec: BridgeSpec, host: Options, restarts: Restarts, machines: Machines, origin: str
+) -> Bridge:
     """Start the host of a bridge, or find it on its machine, and return when it is ready.
 
     Args:
@@ -19,6 +22,7 @@ def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts, machines: 
         host: the settings of its host, see `HostSettings`.
         restarts: what is known of earlier deaths.
         machines: other machines; what runs there is never started from here.
+        origin: the configuration file, which the host's command line shows.
 
     Raises:
         PluginError: the extra `uoarm[hosts]`, or the plugin in the host, is missing.
@@ -27,14 +31,15 @@ def start_hosted(spec: BridgeSpec, host: Options, restarts: Restarts, machines: 
     try:
         from uoarm.host import HostSettings, RemoteBridge  # noqa: PLC0415 - needs an extra
     except ImportError as error:
-        text = f"bridge {spec.name!r} has a host, which needs: pip install 'uoarm[hosts]' ({error})"
+        command = install_command("uoarm", "hosts")
+        text = f"bridge {spec.name!r} has a host, which needs: {command} ({error})"
         raise PluginError(text) from error
     if "machine" in host:
         return RemoteBridge(spec, machines.desk())
     restarts.check(spec.name, HostSettings.read(host).restarts)
     restarts.began(spec.name)
     try:
-        return RemoteBridge(spec)
+        return RemoteBridge(spec, origin=origin)
     except BridgeError as error:
         if error.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}:
             restarts.died(spec.name, str(error))

@@ -7,11 +7,13 @@ from collections.abc import Callable
 
 from uoarm.model import ConnectionState
 
-__all__ = ["Life"]
+__all__ = ["GOING_ON", "Life"]
+
+GOING_ON = frozenset({ConnectionState.RUNNING, ConnectionState.WAITING})
 
 
 class Life:
-    """The states of one connection, which move down their list only.
+    """The states of one connection, which move down their list only, but for a wait.
 
     Does nothing itself; every decision is made under one lock, so that of several threads one
     opens, one ends, and nothing changes hands after the end has begun.
@@ -37,18 +39,27 @@ class Life:
         self._passed.set()
         return True
 
-    def change(self, swap: Callable[[], None]) -> bool:
-        """Do a quick `swap` that no end can come between; False when it is not running."""
+    def wait(self, cause: str) -> bool:
+        """Wait from now on for what can take over; False when it does not run."""
         with self._lock:
             if self.state is not ConnectionState.RUNNING:
                 return False
+            self.state, self.cause = ConnectionState.WAITING, cause
+            return True
+
+    def change(self, swap: Callable[[], None]) -> bool:
+        """Do a quick `swap` that no end can come between, and run; False when it has ended."""
+        with self._lock:
+            if self.state not in GOING_ON:
+                return False
             swap()
+            self.state, self.cause = ConnectionState.RUNNING, ""
             return True
 
     def begin_end(self, cause: str) -> bool:
         """Begin to end; False for every caller but the first."""
         with self._lock:
-            if self.state not in {ConnectionState.OPENING, ConnectionState.RUNNING}:
+            if self.state is not ConnectionState.OPENING and self.state not in GOING_ON:
                 return False
             self.state = ConnectionState.CLOSING
             self.cause = cause

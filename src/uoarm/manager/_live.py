@@ -19,6 +19,7 @@ _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
+_TURN_SECONDS = 0.1
 _LOSSES = frozenset({"under_way", "lost_on_link"})
 
 
@@ -42,7 +43,8 @@ class LiveComponent:
         self.structures = step.structures
         self._sources: dict[str, Channel] = {}
         self._sinks: dict[str, Sink] = {}
-        self._senders: dict[str, Callable[[Message], None]] = {}
+        self._turns: dict[str, threading.Lock] = {}
+        self._closed: list[Channel] = []
         self._busy = threading.Lock()
         self._doomed = False
         self.lost = 0
@@ -51,6 +53,13 @@ class LiveComponent:
     def is_closed(self) -> bool:
         """Whether it was closed, after its last user or its death."""
         return self._doomed
+
+    @property
+    def is_hanging(self) -> bool:
+        """Whether a thread is still inside its code, in a message or in closing a channel."""
+        return any(turn.locked() for turn in tuple(self._turns.values())) or any(
+            channel.is_closing for channel in tuple(self._closed)
+        )
 
     @property
     def unheard(self) -> int:
@@ -93,13 +102,26 @@ class LiveComponent:
                 )
             return self._sinks[name]
 
-    def sender(self, name: str) -> Callable[[Message], None]:
-        """Return a send for an input that several connections share: one call at a time."""
+    def sender(self, name: str, is_over: Callable[[], bool]) -> Callable[[Message], None]:
+        """Return a send for an input that several connections share: one call at a time.
+
+        A call that waits for its turn ends with a ConnectionClosedError once `is_over`: where the
+        component hangs, only one thread stays in it.
+        """
         sink = self.open_input(name)
         with self._alone():
-            if name not in self._senders:
-                self._senders[name] = _one_at_a_time(sink)
-            return self._senders[name]
+            turn = self._turns.setdefault(name, threading.Lock())
+
+        def send(message: Message) -> None:
+            while not turn.acquire(timeout=_TURN_SECONDS):
+                if is_over():
+                    raise ConnectionClosedError("the connection has ended")
+            try:
+                sink.send(message)
+            finally:
+                turn.release()
+
+        return send
 
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first.
@@ -156,6 +178,7 @@ class LiveComponent:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
+                self._closed.append(channel)
                 self.lost += _lost(channel)
 
 
@@ -176,16 +199,6 @@ def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterat
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
         yield ChannelStatus(f"{direction}.{name}", facts_of(channel))
-
-
-def _one_at_a_time(sink: Sink) -> Callable[[Message], None]:
-    lock = threading.Lock()
-
-    def send(message: Message) -> None:
-        with lock:
-            sink.send(message)
-
-    return send
 
 
 def connection_of(user: str) -> str:

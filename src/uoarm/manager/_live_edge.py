@@ -142,7 +142,7 @@ class LiveEdge:
         queue = self._input.queue
         if queue is None and sink.blocking:
             queue = QueuePolicy()
-        send = self.consumer.sender(self.edge.input)
+        send = self.consumer.sender(self.edge.input, lambda: route.closed)
 
         def hand(message: Message) -> None:
             if self.held:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from uoarm._origin import install_command
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
@@ -75,8 +76,8 @@ class Machines:
         try:
             from uoarm.host import MachineDesk  # noqa: PLC0415 - needs an extra
         except ImportError as error:
-            text = f"bridges on other machines need: pip install 'uoarm[hosts]' ({error})"
-            raise PluginError(text) from error
+            command = install_command("uoarm", "hosts")
+            raise PluginError(f"bridges on other machines need: {command} ({error})") from error
         with self._lock:
             if self._closed or self._listening is None:
                 text = "the manager does not listen for other machines"

@@ -12,7 +12,7 @@ from uoarm.manager._live import LiveComponent, connection_of
 from uoarm.manager._live_edge import LiveEdge
 from uoarm.manager._pool import Pool
 from uoarm.manager._sender import Sender
-from uoarm.model import Edge, Plan, ValidationMode
+from uoarm.model import Edge, Health, Plan, ValidationMode
 
 __all__ = ["OpenPlan"]
 
@@ -133,6 +133,11 @@ class OpenPlan:
     def uses(self, live: LiveComponent) -> bool:
         """Say whether the connection depends on this open component."""
         return any(one is live for one in self._lives.values())
+
+    def lost(self) -> frozenset[str]:
+        """Return the names of its components that were lost."""
+        lives = tuple(self._lives.items())
+        return frozenset(name for name, one in lives if one.condition.health is Health.LOST)
 
     def _open_steps(self, output: str | None) -> None:
         """Open inputs, then outputs, from the provider up to the first producers."""

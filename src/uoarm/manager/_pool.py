@@ -6,13 +6,15 @@ import threading
 from collections.abc import Callable, Iterable
 
 from uoarm.bridge import Bridge
-from uoarm.errors import ConnectionClosedError, ResolutionError
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason, ResolutionError
 from uoarm.flow import Clock
 from uoarm.manager._live import LiveComponent, connection_of
 from uoarm.manager._live_edge import LiveEdge
 from uoarm.model import Edge, Plan, Step, ValidationMode
 
 __all__ = ["Pool"]
+
+_HANGING = 4
 
 
 class Pool:
@@ -30,13 +32,20 @@ class Pool:
         self._components: dict[str, LiveComponent] = {}
         self._edges: dict[tuple[str, str], LiveEdge] = {}
         self._beside: dict[tuple[str, str], LiveEdge] = {}
+        self._hanging: dict[str, list[LiveComponent]] = {}
 
     def enter(self, step: Step, user: str) -> LiveComponent:
-        """Count a user of a component; nothing is opened yet."""
+        """Count a user of a component; nothing is opened yet.
+
+        Raises:
+            BridgeError: threads of earlier connections hang in the component, too many to risk
+                another one.
+        """
         bridge = self._bridge(step.component.bridge)
         with self._lock:
             live = self._components.get(step.component.name)
             if live is None:
+                self._refuse_hanging(step.component.name)
                 live = self._components[step.component.name] = LiveComponent(step, bridge)
             live.users.append(user)
             return live
@@ -50,6 +59,9 @@ class Pool:
             if self._components.get(live.component.name) is live:
                 del self._components[live.component.name]
         live.close()
+        if live.is_hanging:
+            with self._lock:
+                self._hanging.setdefault(live.component.name, []).append(live)
 
     def join(
         self,
@@ -166,6 +178,17 @@ class Pool:
         """Return the edges open now."""
         with self._lock:
             return tuple(self._edges.values())
+
+    def _refuse_hanging(self, name: str) -> None:
+        hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
+        if hanging:
+            self._hanging[name] = hanging
+        if len(hanging) >= _HANGING:
+            raise BridgeError(
+                f"component {name!r} hangs: it has not let go of {len(hanging)} earlier "
+                "connections; it can be opened again when it does",
+                FailureReason.UNAVAILABLE,
+            )
 
     def _place(
         self, edge: Edge, producer: LiveComponent, consumer: LiveComponent, *, beside: bool

@@ -10,12 +10,14 @@ from types import TracebackType
 from typing import final
 
 from uoarm import _bounded
+from uoarm._mistakes import choose
 from uoarm.adapt import check_edge
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.config import assign, load
-from uoarm.errors import UsageError
+from uoarm.errors import ResolutionError, UsageError
 from uoarm.flow import Clock, make_check
 from uoarm.manager._attempt import Attempt
+from uoarm.manager._availability import check_availability
 from uoarm.manager._board import Board
 from uoarm.manager._bridges import BridgeSet
 from uoarm.manager._connection import Connection
@@ -25,7 +27,6 @@ from uoarm.manager._ledger import Ledger
 from uoarm.manager._pool import Pool
 from uoarm.manager._prepare import prepare, reference
 from uoarm.manager._staleness import StalenessWatch
-from uoarm.manager._survey import survey
 from uoarm.model import (
     ConnectionState,
     Deliver,
@@ -52,6 +53,10 @@ class RobotManager:
 
     All methods may be called from any thread, callbacks and listeners included.
 
+    Attributes:
+        config: the configuration, with the options that uoarm chose filled in.
+        registry: the bridge plugins.
+
     Args:
         robot: the configuration, as `uoarm.config.load` returns it.
         registry: bridge plugins; None: those installed.
@@ -68,19 +73,25 @@ class RobotManager:
         clock: Clock = time.monotonic,
     ) -> None:
         self.registry = registry or Registry()
-        self.robot = robot = assign(robot, self.registry.types)
+        self.config = robot = assign(robot, self.registry.types)
         self._clock = clock
         self._board = Board(clock)
         self._ledger = Ledger(self._board)
         self._bridges = BridgeSet(
-            robot.bridges, self.registry, self._noticed, bridges or {}, clock, robot.hosts
+            robot.bridges,
+            self.registry,
+            self._noticed,
+            bridges or {},
+            clock,
+            robot.hosts,
+            robot.origin,
         )
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
         self._pool = Pool(self._bridges.get, clock)
         self._failover = Failover(
             robot.failover,
-            resolve=lambda name, excluded: self._resolver.resolve(name, excluded=excluded),
+            resolve=self._resolve,
             forget=self._forget,
             pool=self._pool,
             ledger=self._ledger,
@@ -93,12 +104,14 @@ class RobotManager:
             self._board,
             robot,
             forget=self._forget,
-            retire=self._bridges.retire,
+            bridges=self._bridges,
             failover=self._failover,
             clock=clock,
         )
 
-        self._staleness = StalenessWatch(self._pool.components, self._noticed, clock)
+        self._staleness = StalenessWatch(
+            self._pool.components, self._pool.edges, self._noticed, clock
+        )
         if any(one.expect for each in robot.components() for one in each.outputs):
             self._staleness.start()
         self._bridges.machines.begin()
@@ -132,11 +145,9 @@ class RobotManager:
         self._ledger.require_open()
         function = reference(name).function
         known = self._resolver.known(function)
-        if known is not None:
+        if known is not None and not self._staleness.recent():
             return known
-        return _bounded.run(
-            f"resolving {function!r}", timeout, lambda: self._resolver.resolve(function)
-        )
+        return _bounded.run(f"resolving {function!r}", timeout, lambda: self._resolve(function))
 
     def request(
         self,
@@ -162,9 +173,11 @@ class RobotManager:
             BridgeError: a bridge failed while opening. Everything was closed again.
             BridgeTimeoutError: not open in time. Everything was closed again, or will be as
                 soon as the bridge lets go.
-            UsageError: the function has several outputs and the name does not say which.
+            UsageError: the function has several outputs and the name does not say which, or
+                there is no such way to validate.
         """
         self._ledger.require_open()
+        mode = choose(ValidationMode, validate, "validate", UsageError)
         attempt = Attempt()
 
         def open_plan() -> Connection:
@@ -173,7 +186,7 @@ class RobotManager:
                 reference(name),
                 self._ledger.new_id(),
                 pool=self._pool,
-                validate=ValidationMode(validate),
+                validate=mode,
                 queue=queue or _INBOX,
                 clock=self._clock,
             )
@@ -211,9 +224,13 @@ class RobotManager:
             f"call of {name!r}", timeout, lambda: self._call(name, message, timeout)
         )
 
+    def connections(self) -> tuple[Connection, ...]:
+        """Return the connections that have not ended, oldest first, whoever requested them."""
+        return self._ledger.all()
+
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
-        connections = self._ledger.all()
+        connections = self.connections()
         shared = (edge.status() for edge in self._pool.edges())
         own = (route for connection in connections for route in connection.course.routes())
         return StatusMap(
@@ -224,15 +241,15 @@ class RobotManager:
             machines=self._bridges.machines.statuses(),
         )
 
-    def survey(self) -> tuple[FunctionStatus, ...]:
+    def check_availability(self) -> tuple[FunctionStatus, ...]:
         """Return which functions and components can be had now; opens nothing.
 
         Blocks while bridges are asked, several components at once, each within its limit.
         """
         self._ledger.require_open()
-        for component in self.robot.components():
+        for component in self.config.components():
             self._forget(component.name)
-        return survey(self.robot, self._structures, self.resolve)
+        return check_availability(self.config, self._structures, self.resolve)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
@@ -263,12 +280,27 @@ class RobotManager:
         bridge = self._bridges.get(step.component.bridge)
         return bridge.call(service.endpoint, message, timeout=timeout)
 
+    def _resolve(self, name: str, excluded: frozenset[str] = frozenset()) -> Plan:
+        """Resolve without what was stale lately; where there is nothing else, with it."""
+        stale = self._staleness.recent() - excluded
+        if stale:
+            try:
+                return self._resolver.resolve(name, excluded=excluded | stale)
+            except ResolutionError:
+                _log.debug("nothing but what was stale lately can provide %r", name)
+        return self._resolver.resolve(name, excluded=excluded)
+
     def _forget(self, component: str) -> None:
         self._structures.forget(component)
         self._resolver.invalidate(component)
 
     def _noticed(self, event: HealthEvent) -> None:
         self._health.noticed(event)
+
+    def __repr__(self) -> str:
+        name = self.config.origin or "in memory"
+        functions, connections = len(self.config.functions), len(self.connections())
+        return f"<RobotManager {name}: {functions} functions, {connections} connections>"
 
     def __enter__(self) -> RobotManager:
         return self

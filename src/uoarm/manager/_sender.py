@@ -32,7 +32,8 @@ class Sender:
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or (QueuePolicy() if sink.blocking else None)
-        self._route = Route(user, place, live.sender(name), clock=clock, queue=queue)
+        send = live.sender(name, lambda: self._route.closed)
+        self._route = Route(user, place, send, clock=clock, queue=queue)
 
     def send(self, message: Message) -> None:
         """Hand one message over.

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from types import TracebackType
 
-from attrs import evolve
 from typing_extensions import Self
 
-from uoarm.errors import BridgeTimeoutError, ConnectionClosedError
+from uoarm.errors import BridgeTimeoutError
 from uoarm.flow import Clock
 from uoarm.manager._course import Course
 from uoarm.manager._heirs import names
-from uoarm.manager._history import Counting, dropped_by_reason
+from uoarm.manager._history import Counting
 from uoarm.manager._live import LiveComponent
 from uoarm.manager._opening import OpenPlan
 from uoarm.model import Gap, Plan
@@ -31,35 +31,40 @@ class Succession:
         course: of the connection.
         plan: what is to go on.
         clock: seconds that only grow.
-        is_dead: whether the plan so far is dead: the application then hears a new provider
-            from its first message on, and else from when it is taken.
+        dead: the components of the plan so far that died, if any: the application then hears a
+            new provider from its first message on, and else from when it is taken.
     """
 
-    def __init__(self, course: Course, plan: Plan, clock: Clock, *, is_dead: bool) -> None:
+    def __init__(
+        self, course: Course, plan: Plan, clock: Clock, dead: tuple[LiveComponent, ...] = ()
+    ) -> None:
         self.course = course
         self._clock = clock
-        self._is_dead = is_dead
-        self._plan = plan
+        self._dead = dead
         self._before: OpenPlan  # as it is on entry
-        self._opened: OpenPlan
+        self._opened = course.successor(plan, beside=not dead)
         self._taken: Gap | None = None
+        self._deciding = threading.Lock()
+        self._is_withdrawn = False
+        self._has_turn = False
 
     def __enter__(self) -> Self:
         """Open the plan.
 
         Raises:
             UoarmError: something could not be opened; everything is closed again.
+            BridgeTimeoutError: the connection has gone on without what is dead already.
         """
-        if not self.course.succeeding.acquire(timeout=_TURN_SECONDS):
-            raise BridgeTimeoutError(f"connection {self.course.id} is still changing its plan")
+        self._wait_for_turn()
         self._before = self.course.opened
-        self._opened = self.course.successor(self._plan, beside=not self._is_dead)
         try:
-            self.course.open_plan(self._opened, self._before, is_heard=self._is_dead)
+            self.course.open_plan(self._opened, self._before, is_heard=bool(self._dead))
         except BaseException:
             self._abandon()
-            self.course.reception.hear(self._before.ends.route)
-            self.course.succeeding.release()
+            with self._deciding:
+                if self._has_turn:
+                    self.course.reception.hear(self._before.ends.route)
+            self._end_turn()
             raise
         return self
 
@@ -71,12 +76,18 @@ class Succession:
     ) -> None:
         if self._taken is None:
             self._abandon()
-        self.course.succeeding.release()
+        self._end_turn()
 
     @property
     def opened(self) -> OpenPlan:
         """The plan that is to go on."""
         return self._opened
+
+    def newcomers(self, dead: frozenset[str] = frozenset()) -> str:
+        """Name the components that go on where others, or `dead` ones of the same name, stood."""
+        before = set(names(self._before.plan)) - dead
+        after = names(self._opened.plan)
+        return ", ".join([name for name in after if name not in before] or after[-1:])
 
     def take(self, since: float, cause: str) -> None:
         """Let the plan go on from here.
@@ -87,6 +98,7 @@ class Succession:
 
         Raises:
             ConnectionClosedError: the connection has ended meanwhile.
+            BridgeTimeoutError: it was withdrawn, since it took too long.
         """
         now = self._clock()
 
@@ -104,28 +116,59 @@ class Succession:
                 before=names(self._before.plan),
                 after=names(self._opened.plan),
                 cause=cause,
+                counted=False,
             )
+            self.course.history.add(self._taken)
 
-        if not self.course.life.change(swap):
-            cause = self.course.life.cause
-            raise ConnectionClosedError(f"connection {self.course.id} has ended: {cause}")
+        with self._deciding:
+            self._require_turn()
+            self.course.change(swap)
 
-    def finish(self, dead: tuple[LiveComponent, ...] = ()) -> None:
+    def withdraw(self) -> bool:
+        """Keep a plan that takes too long to open from being taken; False when it was already.
+
+        Another one may be taken from now on. What is open of this one is closed, and what opens
+        still as soon as it has opened.
+        """
+        with self._deciding:
+            self._is_withdrawn = self._taken is None
+        if self._is_withdrawn:
+            self._opened.close()
+            self._end_turn()
+        return self._is_withdrawn
+
+    def finish(self) -> None:
         """Let the plan so far run out, close it, and count what went with it all the same.
 
-        Called after `take`, outside the context.
-
-        Args:
-            dead: the components that died; what was under way in them is counted as lost.
+        Called after `take`, outside the context. What was under way in what died is lost.
         """
         assert self._taken is not None, "only what was taken is finished"
         self._before.run_out(_RUN_OUT_SECONDS)
         self._before.close()
-        lost = self.course.history.lost_with((*dead, *_closed(self._before)))
-        ended = self._ended_with(self._before)
-        dropped = dropped_by_reason(route.status() for route in ended)
-        gap = evolve(self._taken, lost=lost, dropped=dropped)
-        self.course.history.add(gap, ended)
+        lost = self.course.history.lost_with((*self._dead, *_closed(self._before)))
+        self.course.history.count(self._taken, lost, self._ended_with(self._before))
+
+    def _wait_for_turn(self) -> None:
+        if not self.course.succeeding.acquire(timeout=_TURN_SECONDS):
+            raise BridgeTimeoutError(f"connection {self.course.id} is still changing its plan")
+        with self._deciding:
+            self._has_turn = not self._is_withdrawn and self._is_needed()
+            if not self._has_turn:
+                self.course.succeeding.release()
+            self._require_turn()
+
+    def _is_needed(self) -> bool:
+        return not self._dead or any(map(self.course.uses, self._dead))
+
+    def _require_turn(self) -> None:
+        if not self._has_turn:
+            raise BridgeTimeoutError(f"connection {self.course.id} has gone on without it")
+
+    def _end_turn(self) -> None:
+        with self._deciding:
+            if self._has_turn:
+                self._has_turn = False
+                self.course.succeeding.release()
 
     def _abandon(self) -> None:
         """Close a plan that was opened in vain, and count what went with it."""

@@ -1,4 +1,4 @@
-"""A survey: which components can be had now, and which of them a request would choose."""
+"""Availability: which components can be had now, and which of them a request would choose."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from uoarm.errors import ResolutionError
 from uoarm.model import Availability, Component, FunctionStatus, Plan, Robot
 from uoarm.resolve import StructureCache, Unavailable
 
-__all__ = ["survey"]
+__all__ = ["check_availability"]
 
 _AT_ONCE = 16
 
 
-def survey(
+def check_availability(
     robot: Robot, structures: StructureCache, resolve: Callable[[str], Plan]
 ) -> tuple[FunctionStatus, ...]:
     """Ask for every component, several at once, and resolve every function.
@@ -27,7 +27,7 @@ def survey(
         cause = answer.sentence if isinstance(answer, Unavailable) else ""
         return Availability(component.name, component.bridge, component.priority, cause)
 
-    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-survey") as pool:
+    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-availability") as pool:
         found = {one.component: one for one in pool.map(ask, robot.components())}
     return tuple(
         _judge(name, tuple(found[one.name] for one in function.components), resolve)
