@@ -4,7 +4,8 @@
 itself calls `run` stays in its thread: the waiter then watches the inner step's limit and names
 the inner step when it gives up, so that a whole transaction of many steps costs one hop.
 A late result is handed to `on_late`, which puts it away. Steps that clean up after a step that
-was given up get limits of their own.
+was given up get limits of their own. What hangs for ever keeps its thread, so a step of which too
+many hang already is not begun again.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ import logging
 import os
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
 
-from uoarm.errors import BridgeTimeoutError
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 __all__ = ["run"]
 
@@ -26,6 +28,37 @@ T = TypeVar("T")
 _log = logging.getLogger("uoarm")
 _IDLE_SECONDS = 10.0
 _GLANCE_SECONDS = 0.05
+_HANGING_EACH = 16
+_HANGING_IN_ALL = 256
+
+
+class _Hanging:
+    """The steps that were given up and go on still, each of which keeps a thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._steps: Counter[str] = Counter()
+
+    def add(self, step: str) -> None:
+        with self._lock:
+            self._steps[step] += 1
+
+    def remove(self, step: str) -> None:
+        with self._lock:
+            self._steps -= Counter({step: 1})
+
+    def check(self, step: str) -> None:
+        """Refuse to begin a step of which too many hang."""
+        if not self._steps:
+            return
+        with self._lock:
+            same, every = self._steps[step], self._steps.total()
+        if same >= _HANGING_EACH or every >= _HANGING_IN_ALL:
+            which = f"{same} of these" if same >= _HANGING_EACH else f"{every} calls of frameworks"
+            raise BridgeError(
+                f"{step} was not begun: {which} were given up before and hang still",
+                FailureReason.UNAVAILABLE,
+            )
 
 
 class _Job(Generic[T]):
@@ -38,6 +71,7 @@ class _Job(Generic[T]):
         self.limit = limit
         self.deadline = time.monotonic() + limit
         self._given_up = False
+        self._hangs_in = ""
         self._action = action
         self._on_late = on_late
         self._finished = threading.Lock()
@@ -58,6 +92,7 @@ class _Job(Generic[T]):
             self._finished.release()
             late = self._given_up
         if late:
+            _hanging.remove(self._hangs_in)
             self._put_away()
 
     def _put_away(self) -> None:
@@ -77,6 +112,8 @@ class _Job(Generic[T]):
                 if self._finished.acquire(blocking=False):
                     break
                 self._given_up = True
+                self._hangs_in = self.step
+                _hanging.add(self._hangs_in)
             raise BridgeTimeoutError(
                 f"{self.step} did not finish within {self.limit:g} s and was given up"
             )
@@ -126,11 +163,12 @@ class _Current(threading.local):
 
 _current = _Current()
 _workers = _Workers()
+_hanging = _Hanging()
 
 
 def _forget_threads() -> None:
-    global _workers, _current
-    _workers, _current = _Workers(), _Current()
+    global _workers, _current, _hanging
+    _workers, _current, _hanging = _Workers(), _Current(), _Hanging()
 
 
 os.register_at_fork(after_in_child=_forget_threads)
@@ -153,8 +191,10 @@ def run(
 
     Raises:
         BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
+        BridgeError: it was not begun, because too many like it hang already.
         BaseException: whatever the action raised.
     """
+    _hanging.check(step)
     outer = _current.job
     if outer is None or outer.given_up():
         job = _Job(step, limit, action, on_late)

@@ -27,7 +27,7 @@ SCHEMA = {
         },
     },
 }
-KIND = BridgeType("isles", "for tests", MemoryBridge, SCHEMA)
+KIND = BridgeType("isles", "for tests", MemoryBridge, SCHEMA, contract=1)
 TYPES = {"isles": KIND}
 FUNCTIONS = """
 functions: {f: {components: [{name: c, bridge: a, output: {endpoint: [c]}}]}}
@@ -132,6 +132,7 @@ def test_the_status_shows_what_was_chosen() -> None:
         assert status.assigned == (("island", 65),)
 
 
+@pytest.mark.keeps("descriptor of pipe")  # of ROS 2, for signals
 @pytest.mark.parametrize("command", ["bridges", "doctor"])
 def test_commands_show_what_was_chosen(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -11,8 +11,8 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._spelling import Speller
 from uoarm.config import inspect, loads
-from uoarm.config._spelling import Speller
 from uoarm.errors import ConfigurationError
 
 FRAME = "version: 1\nbridges: {}\nfunctions: {}\n"
@@ -41,7 +41,7 @@ def bomb(levels: int) -> str:
 
 
 def test_aliases_that_unfold_without_end_are_refused() -> None:
-    assert "more than 1,000,000 values, aliases counted in full" in refusal(bomb(20))
+    assert "more than 200,000 values, aliases counted in full" in refusal(bomb(20))
 
 
 def test_aliases_within_the_limit_are_read() -> None:
@@ -72,7 +72,7 @@ def test_a_lone_surrogate_is_refused() -> None:
 
 
 def test_many_values_without_an_alias_are_refused() -> None:
-    assert "more than 1,000,000 values" in refusal("[" + "1," * 1_000_001 + "]")
+    assert "more than 200,000 values" in refusal("[" + "1," * 200_001 + "]")
 
 
 def test_thousands_of_wrong_references_are_told_in_bounded_text() -> None:
@@ -192,7 +192,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 @given(st.lists(LETTERS, max_size=40).map("".join))
 def test_without_libyaml_the_same_values_are_read(text: str) -> None:
     """The pure Python parser differs in a few corners of syntax, never in values."""
-    from uoarm.config._yaml import read
+    from uoarm._yaml import read
 
     fast = read(text)
     with pytest.MonkeyPatch.context() as patch:

@@ -259,7 +259,7 @@ class TestPublishedSchema:
 
 
 def _plain(text: str) -> object:
-    from uoarm.config._yaml import read
+    from uoarm._yaml import read
 
     return read(text).value
 

@@ -6,9 +6,10 @@ import re
 from pathlib import Path
 
 import pytest
+from attrs import astuple
 
+from uoarm._yaml import Budget
 from uoarm.config import inspect, loads, published_schema
-from uoarm.config._yaml import MAX_BYTES, MAX_DEPTH, MAX_NODES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
 (EXAMPLE,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
@@ -31,7 +32,7 @@ def test_every_key_is_on_the_page(key: str) -> None:
     assert re.search(rf"`{key}`|[{{ ]{key}:", PAGE)
 
 
-@pytest.mark.parametrize("limit", [MAX_BYTES, MAX_DEPTH, MAX_NODES])
+@pytest.mark.parametrize("limit", astuple(Budget()))
 def test_every_limit_is_on_the_page(limit: int) -> None:
     assert f"{limit:,}" in PAGE
 

@@ -49,6 +49,7 @@ PROBE = BridgeType(
         "additionalProperties": False,
     },
     check_endpoint=check_endpoint,
+    contract=1,
 )
 
 
@@ -62,8 +63,8 @@ def test_every_mistake_in_options_and_endpoints_is_told_with_its_place() -> None
         "<text>:9:53:",
         "<text>:11:69:",
     ]
-    assert "'seven' is not of type 'integer'" in lines[0]
-    assert 'no option "colour" (did you mean "color"?)' in lines[1]
+    assert 'the plugin probe: expected a whole number, got "seven"' in lines[0]
+    assert 'unknown key "colour" (did you mean "color"?)' in lines[1]
     assert "expected ['right'], got ['wrong']" in lines[2]
     assert "check_endpoint failed with RuntimeError: no idea" in lines[3]
 
@@ -75,7 +76,9 @@ def test_a_plugin_that_is_not_installed_is_passed_over() -> None:
 def test_a_manager_made_from_values_checks_options_when_the_bridge_starts() -> None:
     registry = Registry([])
     registry.add(PROBE)
-    with pytest.raises(ConfigurationError, match=r"\$\.domain: 'seven' is not of type 'integer'"):
+    with pytest.raises(
+        ConfigurationError, match=r'\$\.domain: expected a whole number, got "seven"'
+    ):
         registry.create(BridgeSpec("lab", "probe", {"domain": "seven"}))
 
 
@@ -90,5 +93,5 @@ def test_a_manager_from_a_file_checks_with_its_registry(tmp_path: Any) -> None:
 
 def test_options_that_fit_are_taken() -> None:
     registry = Registry([])
-    registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name)))
+    registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name), contract=1))
     registry.create(BridgeSpec("lab", "memory")).close()

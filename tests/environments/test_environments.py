@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
@@ -14,6 +15,7 @@ import uoarm
 from uoarm import environments
 from uoarm.cli import main
 from uoarm.errors import PluginError
+from uoarm.testing import patience
 
 
 @pytest.fixture(autouse=True)
@@ -104,6 +106,29 @@ def test_a_name_cannot_lead_elsewhere(name: str) -> None:
         environments.remove(name)
 
 
+@pytest.mark.parametrize("text", ["[" * 100_000, "{", "[]", '{"requirements": 5}', ""])
+def test_a_mark_that_cannot_be_read_is_an_environment_that_was_cut_short(
+    tmp_path: Path, home: Path, text: str
+) -> None:
+    environments.create("jazzy", ("a",), uv=_fake_uv(tmp_path, ""))
+    (mark,) = (one for one in (home / "jazzy").iterdir() if one.is_file())
+    mark.write_text(text)
+    assert [one.is_whole for one in environments.listed()] == [False]
+
+
+@pytest.mark.parametrize("printed", ["", "hello", "[" * 5000, "[1]", '{"python": "3"}'])
+def test_an_interpreter_that_prints_something_else_is_a_finding(
+    tmp_path: Path, home: Path, printed: str
+) -> None:
+    python = environments.create("jazzy", (), uv=_fake_uv(tmp_path, ""))
+    python.parent.mkdir(parents=True, exist_ok=True)
+    python.unlink(missing_ok=True)
+    python.write_text(f"#!/bin/sh\nprintf '%s' '{printed}'\n")
+    python.chmod(0o755)
+    (made,) = environments.listed()
+    assert "prints what it was not asked" in environments.examine(made).problem
+
+
 def test_without_uv_venv_and_pip_make_it(tmp_path: Path, home: Path) -> None:
     wheel = tmp_path / "nothing_much-1.0-py3-none-any.whl"
     with zipfile.ZipFile(wheel, "w") as made:
@@ -119,6 +144,58 @@ def test_without_uv_venv_and_pip_make_it(tmp_path: Path, home: Path) -> None:
     found = list((home / "plain").rglob("nothing_much.py"))
     assert python.exists()
     assert len(found) == 1
+
+
+def _plugin_wheel(folder: Path) -> Path:
+    """Write the wheel of a bridge plugin, with a module, data and a command."""
+    name = "uoarm_little"
+    info = f"{name}-1.0.dist-info"
+    tag = "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+    files = {
+        f"{name}/__init__.py": "def main() -> None: print('little')\n",
+        f"{name}/data.txt": "data\n",
+        f"{info}/METADATA": "Metadata-Version: 2.1\nName: uoarm-little\nVersion: 1.0\n",
+        f"{info}/WHEEL": tag,
+        f"{info}/entry_points.txt": (
+            f"[uoarm.bridges]\nlittle = {name}\n[console_scripts]\nlittle = {name}:main\n"
+        ),
+    }
+    wheel = folder / f"{name}-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(wheel, "w") as made:
+        for path, text in files.items():
+            made.writestr(path, text)
+        made.writestr(
+            f"{info}/RECORD", "".join(f"{path},,\n" for path in (*files, f"{info}/RECORD"))
+        )
+    return wheel
+
+
+def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has_it(
+    tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wheel = _plugin_wheel(tmp_path)
+    site = tmp_path / "site"
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--target"]
+    subprocess.run([*command, str(site), str(wheel)], check=True, timeout=patience())
+    wheel.unlink()
+    monkeypatch.syspath_prepend(site)
+    (site / "uoarm_little" / "data.txt").write_text("changed here\n")
+    wanted = environments.requirements("little", None)[1:]
+    assert wanted == ("uoarm-little==1.0",)
+    environments.create("little", ("--no-index", *wanted), uv="")
+    assert environments.listed()[0].requirements == ("--no-index", "uoarm-little==1.0")
+    [data] = (home / "little").rglob("data.txt")
+    assert data.read_text() == "changed here\n"
+    told = subprocess.run([home / "little/bin/little"], capture_output=True, check=True, text=True)
+    assert told.stdout == "little\n"
+
+
+def test_what_is_pinned_to_another_version_comes_from_an_index(tmp_path: Path) -> None:
+    uv = _fake_uv(tmp_path, "")
+    environments.create("other", ("uoarm[hosts]==99.0", "attrs==1.0", "b"), uv=uv)
+    assert (
+        (tmp_path / "asked").read_text().splitlines()[1].endswith("uoarm[hosts]==99.0 attrs==1.0 b")
+    )
 
 
 def test_what_was_made_can_be_removed_and_nothing_else(tmp_path: Path, home: Path) -> None:

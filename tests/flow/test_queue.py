@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
+from contextlib import suppress
 from queue import Empty
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm.errors import ConfigurationError
 from uoarm.flow import BoundedQueue, QueueClosed
 from uoarm.model import OverflowPolicy, QueuePolicy
 
@@ -151,3 +153,67 @@ def test_two_threads_lose_nothing_uncounted(policy: OverflowPolicy) -> None:
     reader.join(30)
     assert got == sorted(got)
     assert len(got) + sum(drops.values()) == total
+
+
+sized = st.lists(st.one_of(st.integers(1, 40), st.just("get")), max_size=40)
+
+
+@given(sized, st.sampled_from([OverflowPolicy.DROP_OLDEST, OverflowPolicy.LATEST]))
+def test_what_waits_is_bounded_in_octets_too_and_every_loss_is_counted(
+    plan: list[int | str], policy: OverflowPolicy
+) -> None:
+    """Each number is an item of so many octets."""
+    drops: Counter[str] = Counter()
+    queue: BoundedQueue[int] = BoundedQueue(
+        QueuePolicy(5, policy, octets=50), lambda reason: drops.update([reason]), measure=int
+    )
+    waiting: list[int] = []
+    expected: Counter[str] = Counter()
+    length = 1 if policy is OverflowPolicy.LATEST else 5
+    for step in plan:
+        if isinstance(step, str):
+            with suppress(Empty):
+                assert queue.get(0) == waiting.pop(0)
+        else:
+            queue.put(step)
+            while waiting and (len(waiting) >= length or sum(waiting) + step > 50):
+                full = len(waiting) >= length
+                expected[
+                    "replaced" if length == 1 else "queue-full" if full else "queue-octets"
+                ] += 1
+                waiting.pop(0)
+            waiting.append(step)
+        assert queue.octets == sum(waiting)
+        assert drops == expected
+    assert drained(queue) == waiting
+
+
+def test_a_producer_waits_for_octets_too() -> None:
+    drops: Counter[str] = Counter()
+    policy = QueuePolicy(5, OverflowPolicy.BLOCK, timeout=0.01, octets=50)
+    queue: BoundedQueue[int] = BoundedQueue(policy, lambda one: drops.update([one]), measure=int)
+    queue.put(70)
+    queue.put(1)
+    assert drops == {"blocked-too-long": 1}
+    assert drained(queue) == [70]
+
+
+def test_items_that_a_reader_keeps_up_with_are_not_measured() -> None:
+    measured: list[int] = []
+
+    def measure(item: int) -> int:
+        measured.append(item)
+        return 1
+
+    queue: BoundedQueue[int] = BoundedQueue(QueuePolicy(5), lambda _: None, measure)
+    for item in range(10):
+        queue.put(item)
+        assert queue.get() == item
+    assert not measured
+
+
+def test_a_policy_may_be_named_and_an_unknown_name_is_refused_with_the_choices() -> None:
+    assert QueuePolicy(policy="block").policy is OverflowPolicy.BLOCK
+    told = "policy 'blok': expected latest, drop-oldest or block; did you mean 'block'"
+    with pytest.raises(ConfigurationError, match=told):
+        QueuePolicy(policy="blok")

@@ -9,6 +9,7 @@ import pytest
 from uoarm.errors import MessageError
 from uoarm.flow import Outlet, Route
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
+from uoarm.testing import patience
 
 
 class Clock:
@@ -73,7 +74,7 @@ def test_a_queue_takes_the_consumer_into_another_thread() -> None:
 
     route = Route("a", "b", take, clock=Clock(), queue=QueuePolicy())
     route.deliver(1)
-    assert arrived.wait(10)
+    assert arrived.wait(patience())
     route.close()
     assert threads != [threading.get_ident()]
 
@@ -86,12 +87,12 @@ def test_a_stuck_consumer_loses_old_messages_and_says_how_many() -> None:
     def take(message: Message) -> None:
         seen.append(message)
         started.set()
-        assert gate.wait(30)
+        assert gate.wait(patience())
 
     policy = QueuePolicy(2, OverflowPolicy.DROP_OLDEST)
     route = Route("a", "b", take, clock=Clock(), queue=policy)
     route.deliver(0)
-    assert started.wait(10)
+    assert started.wait(patience())
     for message in range(1, 6):
         route.deliver(message)
     gate.set()
@@ -112,7 +113,7 @@ def test_closing_from_within_the_consumer_does_not_wait_for_itself() -> None:
 
     routes.append(Route("a", "b", take, clock=Clock(), queue=QueuePolicy()))
     routes[0].deliver(1)
-    assert closed.wait(10)
+    assert closed.wait(patience())
 
 
 def test_rate_and_age_follow_the_clock() -> None:

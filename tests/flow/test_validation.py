@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
 
 from uoarm.errors import MessageError
 from uoarm.flow import make_check
@@ -63,6 +67,13 @@ def test_a_mismatch_names_port_and_field(message: Message, path: str) -> None:
         check(message)
 
 
+def test_every_missing_field_is_named() -> None:
+    with pytest.raises(MessageError, match="the fields 'width' and 'data' are missing"):
+        check({})
+    with pytest.raises(MessageError, match="the field 'data' is missing"):
+        check({"width": 1})
+
+
 def test_off_makes_no_check() -> None:
     assert make_check(IMAGE, ValidationMode.OFF, "x") is None
 
@@ -77,3 +88,75 @@ def test_sampled_checks_the_first_and_then_some() -> None:
         except MessageError:
             failures += 1
     assert failures == 3
+
+
+TEXTS = MessageStructure(
+    {
+        "type": "object",
+        "properties": {
+            "digits": {"type": "string", "pattern": r"^\d+$"},
+            "behind": {"type": "string", "pattern": "(?<=a)b"},
+            "slow": {"type": "string", "pattern": "^(a|a)*$"},
+        },
+        "patternProperties": {r"^\w$": {"type": "integer"}},
+        "additionalProperties": False,
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("message", "path"),
+    [
+        ({"digits": "12", "x": 1, "behind": "ab", "slow": "aaa"}, None),
+        ({"digits": "\u0663"}, "digits"),  # a digit to Python's re, and none to what was proven
+        ({"digits": "1\n"}, "digits"),
+        ({"behind": "b"}, "behind"),
+        ({"x": "1"}, "x"),
+        ({"\u00e9": 1}, "the message"),
+        ({"x\n": 1}, "the message"),
+        ({"slow": "a" * 200 + "b"}, "slow"),  # for ever to an engine that goes back
+    ],
+)
+def test_patterns_are_read_as_the_proof_reads_them(message: Message, path: str | None) -> None:
+    checker = make_check(TEXTS, ValidationMode.ALWAYS, "p")
+    assert checker is not None
+    if path is None:
+        checker(message)
+    else:
+        with pytest.raises(MessageError, match=f"p: {path}"):
+            checker(message)
+
+
+numbers = st.one_of(
+    st.integers(-5, 5),
+    st.integers(),
+    st.floats(),
+    st.booleans(),
+    st.sampled_from([0.0, 1.0, -1.5, math.inf, -math.inf, math.nan, 2**2000, "1", None]),
+)
+ranges = st.fixed_dictionaries(
+    {"type": st.sampled_from(["integer", "number"])},
+    optional={
+        name: st.integers(-5, 5)
+        for name in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+    },
+)
+
+
+@given(st.lists(numbers, max_size=8), ranges)
+@example([1, 1.5, 2], {"type": "integer"})
+@example([1, math.nan, 9, 2], {"type": "number", "maximum": 5})
+@example([True, 1], {"type": "integer"})
+def test_long_lists_of_numbers_are_judged_as_each_number_would_be(
+    items: list[object], schema: dict[str, object]
+) -> None:
+    structure = MessageStructure({"type": "array", "items": schema})
+    check = make_check(structure, ValidationMode.ALWAYS, "here")
+    assert check is not None
+    try:
+        check(items)
+    except MessageError:
+        fits = False
+    else:
+        fits = True
+    assert fits == Draft202012Validator(structure.schema).is_valid(items)

@@ -7,6 +7,7 @@ from pathlib import Path
 from uoarm.bridge import HealthEvent
 from uoarm.host._remote import RemoteBridge
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
+from uoarm.testing import patience
 
 COMPONENTS = """
 import ctypes, os, time
@@ -49,7 +50,7 @@ def process_id(value: int) -> int:
 class takes_long:
     def __init__(self) -> None:
         open(os.path.join(os.path.dirname(__file__), "begun"), "w").close()
-        time.sleep(30)
+        time.sleep(100_000)
     def __iter__(self) -> Iterator[int]:
         yield 1
 
@@ -85,7 +86,8 @@ ANY = MessageStructure(True)
 def spec(folder: Path, **host: object) -> BridgeSpec:
     """Write the components to a folder and describe a hosted bridge that finds them."""
     (folder / "hosted_parts.py").write_text(COMPONENTS)
-    return BridgeSpec("far", "python", {"path": [str(folder)]}, host)
+    patient = {"silence": patience(), "start": patience()}
+    return BridgeSpec("far", "python", {"path": [str(folder)]}, patient | host)
 
 
 def bridge(folder: Path, **host: object) -> RemoteBridge:

@@ -12,10 +12,10 @@ from pathlib import Path
 from types import TracebackType
 
 from tests.host import hosted
-from tests.waiting import wait
 from typing_extensions import Self
 
 from uoarm.certificates import Authority
+from uoarm.testing import patience, slowness, wait
 
 ROBOT = """
 version: 1
@@ -60,7 +60,7 @@ def robot(
     address: str = "127.0.0.1",
     spare: bool = False,
     failover: str = "{}",
-    silence: float = 3.0,
+    silence: float | None = None,
 ) -> Path:
     """Write a robot with bridges on machine `arm`, its components, and certificates."""
     (folder / "hosted_parts.py").write_text(hosted.COMPONENTS)
@@ -72,7 +72,7 @@ def robot(
         port=port,
         address=address,
         failover=failover,
-        silence=silence,
+        silence=silence or 3 * slowness(),
         others=SPARE if spare else "",
     )
     file = folder / "robot.yaml"
@@ -134,10 +134,10 @@ class Joined:
             self.signal(signal.SIGCONT)
             self._process.terminate()
         try:
-            return self._process.wait(20)
+            return self._process.wait(patience())
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait(20)
+            self._process.wait(patience())
             raise
 
     def __enter__(self) -> Self:

@@ -6,17 +6,19 @@ import itertools
 import shutil
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from tests.host.joined import Joined, free_port
-from tests.waiting import wait
 
 from uoarm.certificates import Authority
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.host import Identity, JoinedHost, MachineDesk, _keys
+from uoarm.host._codec import pack
 from uoarm.host._link import Link
 from uoarm.model import Listening
+from uoarm.testing import patience, wait
 
 _numbers = itertools.count(1)
 
@@ -113,7 +115,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     with pytest.raises(BridgeError, match="nobody answers"):
         desk.attach("arm", "thief", None, 10.0)
     with pytest.raises(BridgeError) as refused:
-        as_arm.ask("attach/owner", None, timeout=10.0)
+        as_arm.ask("attach/owner", None, timeout=patience())
     assert refused.value.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}
 
     as_arm.publish("talk/far/1", b"", b"from the thief", must_arrive=True)
@@ -124,7 +126,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     leg.part(f"{_keys.MACHINES}/leg").listen("talk/mark", lambda _: marked.set())
     _settle(desk, leg, "leg")
     desk.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
-    assert marked.wait(10)  # whatever was on its way to the thief is there by now
+    assert marked.wait(patience())  # whatever was on its way to the thief is there by now
     assert set(heard) == {b"mark", b"from the thief"}  # of what it sent, only its own echo
     assert b"from the thief" not in got
     arm.close()
@@ -142,10 +144,10 @@ def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so
     host = JoinedHost(place, "arm", identity=Identity.find(folder, "leg"))
     running = threading.Thread(target=host.run)
     running.start()
-    wait(lambda: "does not ask" in caplog.text, 20)
+    wait(lambda: "does not ask" in caplog.text)
     assert desk.find("arm", "far", 0.0) is None
     host.close()
-    running.join(20)
+    running.join(patience())
     assert not running.is_alive()
 
 
@@ -170,7 +172,7 @@ def test_a_host_with_a_strange_certificate_says_what_is_in_the_way(
     other = tmp_path / "other"
     Authority.of(other).certify_machine("arm", 1)
     with Joined(tmp_path, place, certificates=other) as host:
-        wait(lambda: "waiting for the manager at" in host.log, 20)
+        wait(lambda: "waiting for the manager at" in host.log)
         assert not desk.here("arm", "any")
 
 
@@ -183,3 +185,35 @@ def test_a_key_that_others_may_read_is_not_used(folder: Path) -> None:
 def test_a_missing_certificate_is_named(folder: Path) -> None:
     with pytest.raises(BridgeError, match=r"there is no .*/tail\.pem"):
         Identity.find(folder, "tail")
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        pack(5),
+        pack([]),
+        pack((False, 1, 2)),
+        pack(("yes", 1)),
+        pack((True, 5)),
+        pack((False, 2**4000)),
+        pack((False, -1)),
+        pack((False, "noon")),
+        b"",
+        b"\xff" * 64,
+    ],
+)
+def test_a_machine_that_answers_rubbish_is_an_error_and_its_clock_is_not_believed(
+    desk: MachineDesk, folder: Path, place: str, told: bytes
+) -> None:
+    link = _join(place, Identity.find(folder, "arm"))
+    raw = link._session.declare_queryable(
+        f"{_keys.MACHINES}/{_keys.clock('arm', 'x')}",
+        lambda query: query.reply(str(query.key_expr), told),
+    )
+    _settle(desk, link, "arm")
+    with suppress(UoarmError):
+        desk.meet("arm", "x", 10.0)
+    assert not desk.offset("arm").known
+    assert desk._asking.is_alive()
+    raw.undeclare()  # type: ignore[no-untyped-call]
+    link.close()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
+import tracemalloc
 from array import array
 
+import msgpack
 import numpy as np
 import pytest
 from hypothesis import given
@@ -115,3 +117,69 @@ def test_every_cut_of_a_frame_is_refused() -> None:
 def test_noise_is_read_or_refused_and_nothing_else(noise: bytes) -> None:
     with contextlib.suppress(MessageError):
         unpack(noise)
+
+
+def framed(tree: bytes, *buffers: bytes) -> bytes:
+    frame = len(tree).to_bytes(4, "little") + tree
+    return b"".join(one + bytes(-len(one) % 8) for one in (frame, *buffers))
+
+
+def buffer(kind: object, shape: object, size: object) -> bytes:
+    packed: bytes = msgpack.packb(msgpack.ExtType(1, msgpack.packb((kind, shape, size))))
+    return packed
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "says"),
+    [
+        ("<08", [1], "unknown type '<08'"),
+        ("08", [1], "unknown type"),
+        ("i4, {", [1], "unknown type"),
+        ("<M8", [1], "unknown type"),
+        ("V8", [1], "unknown type"),
+        ("1f8", [1], "unknown type"),
+        ("<f8" * 50_000, [1], "unknown type"),
+        (7, [1], "unknown type"),
+        ("<f8", [1] * 33, "more than 32 dimensions"),
+        ("<f8", 1, "dimensions"),
+        ("<f8", [-1], "no list of sizes"),
+        ("<f8", ["1"], "no list of sizes"),
+        ("<f8", [True], "no list of sizes"),
+        ("<f8", [2**63] * 32, "does not fit"),
+        ("<f8", [2], "does not fit"),
+        ("<f8", [0], "does not fit"),
+    ],
+)
+def test_what_is_said_of_a_buffer_is_not_believed(kind: object, shape: object, says: str) -> None:
+    with pytest.raises(MessageError, match=says) as caught:
+        unpack(framed(buffer(kind, shape, 8), bytes(8)))
+    assert len(str(caught.value)) < 200
+    assert unpack(framed(buffer("<f8", [1], 8), bytes(8))) == [0.0]
+
+
+@pytest.mark.parametrize(
+    "head", [b"\xdc\xff\xff", b"\xdd\x00\x10\x00\x00", b"\xdf\x00\x10\x00\x00"]
+)
+def test_lists_are_not_made_as_long_as_they_claim(head: bytes) -> None:
+    claims = head * 500 + bytes(1_100_000)
+    tracemalloc.start()
+    try:
+        with pytest.raises(MessageError, match="claims to hold"):
+            unpack(framed(claims))
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+
+
+LONG = st.recursive(
+    st.integers(-(2**40), 2**40) | st.floats() | st.text() | st.binary() | st.just(2**80),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+
+
+@given(LONG, st.integers(0, 3))
+def test_no_true_claim_is_refused(message: object, copies: int) -> None:
+    """Also among octets that look like the heads of long lists."""
+    looks = b"\xdd\xdf" * 4000
+    unpack(pack([message, looks, [[message] * 20] * 20 * copies]))
+    unpack(pack({"looks": looks, "values": [float("nan"), 1.5] * 3000, "m": {"a": message}}))

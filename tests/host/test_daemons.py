@@ -8,10 +8,9 @@ import threading
 from functools import partial
 
 import pytest
-from tests.waiting import wait
 
 from uoarm.host._daemons import DaemonThreads
-from uoarm.testing import Census
+from uoarm.testing import Census, patience, wait
 
 
 def test_no_more_run_at_once_than_may_and_the_rest_waits() -> None:
@@ -21,7 +20,7 @@ def test_no_more_run_at_once_than_may_and_the_rest_waits() -> None:
 
     def begin(number: int) -> None:
         begun.append(number)
-        gate.wait(10)
+        gate.wait(patience())
 
     for number in range(5):
         assert threads.submit(partial(begin, number))
@@ -59,11 +58,11 @@ def test_what_has_not_begun_when_it_closes_never_does() -> None:
 
     def first() -> None:
         begun.set()
-        gate.wait(10)
+        gate.wait(patience())
         done.append("first")
 
     threads.submit(first)
-    assert begun.wait(10)
+    assert begun.wait(patience())
     threads.submit(lambda: done.append("second"))
     threads.close()
     gate.set()
@@ -77,11 +76,11 @@ import threading
 from uoarm.host._daemons import DaemonThreads
 begun = threading.Event()
 threads = DaemonThreads("test", 1)
-threads.submit(lambda: (begun.set(), threading.Event().wait(600)))
-begun.wait(10)
+threads.submit(lambda: (begun.set(), threading.Event().wait()))
+begun.wait()
 """
 
 
 def test_an_action_that_hangs_keeps_no_process_alive() -> None:
-    done = subprocess.run([sys.executable, "-c", ENDS], check=False, timeout=30)
+    done = subprocess.run([sys.executable, "-c", ENDS], check=False, timeout=patience())
     assert done.returncode == 0

@@ -9,18 +9,17 @@ import sys
 import tempfile
 import textwrap
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
-from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.host import RemoteBridge
 from uoarm.model import Health, Role
+from uoarm.testing import patience, slowness, wait
 
 pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
@@ -30,20 +29,18 @@ def _lost(events: Events) -> list[str]:
 
 
 def _harmed(
-    folder: Path, harm: Callable[[RemoteBridge], object], says: str, within: float
+    folder: Path, harm: Callable[[RemoteBridge], object], says: str, silence: float = 0
 ) -> RemoteBridge:
-    """Have traffic both ways, harm the host, and hold that its death is told once, in time."""
-    bridge = hosted.bridge(folder, silence=1.0)
+    """Have traffic both ways, harm the host, and hold that its death is told once."""
+    bridge = hosted.bridge(folder, silence=silence or patience())
     process, events = bridge.process, Events()
     bridge.watch(events)
     got: list[int] = []
     bridge.open_source(at("forever"), ANY, got.append)
     sink = bridge.open_sink(at("echo", Role.INPUT), ANY)
     wait(lambda: len(got) > 10)
-    begun = time.monotonic()
     harm(bridge)
-    wait(lambda: _lost(events), within)
-    assert time.monotonic() - begun < within
+    wait(lambda: _lost(events))
     assert len(_lost(events)) == 1
     assert says in _lost(events)[0]
     assert got == list(range(len(got)))
@@ -58,7 +55,7 @@ def _harmed(
 
 
 def test_a_killed_host_is_noticed_at_once(tmp_path: Path) -> None:
-    _harmed(tmp_path, lambda far: os.kill(far.process, signal.SIGKILL), "killed by SIGKILL", 1.0)
+    _harmed(tmp_path, lambda far: os.kill(far.process, signal.SIGKILL), "killed by SIGKILL")
 
 
 def test_a_host_that_ends_by_itself_is_noticed_at_once(tmp_path: Path) -> None:
@@ -66,23 +63,26 @@ def test_a_host_that_ends_by_itself_is_noticed_at_once(tmp_path: Path) -> None:
         with pytest.raises(BridgeError, match="ended with status 9"):
             far.call(at("die", Role.SERVICE), 9)
 
-    _harmed(tmp_path, end, "ended with status 9", 1.0)
+    _harmed(tmp_path, end, "ended with status 9")
 
 
 def test_a_stopped_host_is_given_up_after_its_silence(tmp_path: Path) -> None:
-    _harmed(tmp_path, lambda far: os.kill(far.process, signal.SIGSTOP), "has not answered", 4.0)
+    def stop(far: RemoteBridge) -> None:
+        os.kill(far.process, signal.SIGSTOP)
+
+    _harmed(tmp_path, stop, "has not answered", slowness())
 
 
 def test_a_host_that_hangs_with_the_interpreter_lock_is_given_up(tmp_path: Path) -> None:
     def hang(far: RemoteBridge) -> None:
         with pytest.raises(BridgeError, match="has not answered"):
-            far.call(at("hang", Role.SERVICE), 60)
+            far.call(at("hang", Role.SERVICE), 100_000, timeout=patience())
 
-    _harmed(tmp_path, hang, "has not answered", 4.0)
+    _harmed(tmp_path, hang, "has not answered", slowness())
 
 
 def test_a_host_that_is_stopped_for_a_moment_goes_on_and_loses_nothing(tmp_path: Path) -> None:
-    bridge = hosted.bridge(tmp_path, silence=6.0)
+    bridge = hosted.bridge(tmp_path, silence=6 * slowness())
     events, got = Events(), list[int]()
     bridge.watch(events)
     channel = bridge.open_source(at("forever"), ANY, got.append)
@@ -105,7 +105,7 @@ def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: 
     sink = bridge.open_sink(at("refuse", Role.INPUT), ANY)
     for number in range(5000):
         sink.send(number)
-    assert sink.drain(20)
+    assert sink.drain(patience())
     wait(lambda: sink.facts()["failed_in_host"] == 5000)
     assert bridge.call(at("double", Role.SERVICE), 1) == 2
     bridge.close()
@@ -113,7 +113,7 @@ def test_a_storm_of_exceptions_kills_nothing_and_every_one_is_counted(tmp_path: 
 
 def test_a_host_that_prints_more_than_a_pipe_holds_goes_on(tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
-    assert bridge.call(at("shout", Role.SERVICE), 30, timeout=20) == 30
+    assert bridge.call(at("shout", Role.SERVICE), 30, timeout=patience()) == 30
     bridge.close()
 
 
@@ -146,7 +146,7 @@ def test_a_kill_while_a_channel_opens_fails_the_opening(tmp_path: Path) -> None:
 
     def open_it() -> None:
         try:
-            bridge.open_source(at("takes_long"), ANY, lambda _: None, timeout=30.0)
+            bridge.open_source(at("takes_long"), ANY, lambda _: None, timeout=patience())
         except BridgeError as error:
             failures.append(error)
 
@@ -154,7 +154,7 @@ def test_a_kill_while_a_channel_opens_fails_the_opening(tmp_path: Path) -> None:
     opening.start()
     wait((tmp_path / "begun").exists)
     os.kill(bridge.process, signal.SIGKILL)
-    opening.join(5)
+    opening.join(patience())
     assert not opening.is_alive()
     assert "SIGKILL" in str(failures[0])
     assert bridge.open_channels == 0
@@ -176,7 +176,7 @@ def test_a_kill_while_it_closes_does_not_stop_the_closing(tmp_path: Path) -> Non
     closing = threading.Thread(target=lambda: _refused(bridge.close))
     closing.start()
     os.kill(process, signal.SIGKILL)
-    closing.join(8)
+    closing.join(patience())
     assert not closing.is_alive()
     assert not lives(process)
 
@@ -185,15 +185,15 @@ def test_a_component_that_never_ends_cannot_keep_its_host_alive(tmp_path: Path) 
     bridge = hosted.bridge(tmp_path)
     process = bridge.process
     busy = threading.Thread(
-        target=lambda: _refused(lambda: bridge.call(at("hang", Role.SERVICE), 60, timeout=30))
+        target=lambda: _refused(
+            lambda: bridge.call(at("hang", Role.SERVICE), 100_000, timeout=patience())
+        )
     )
     busy.start()
     wait(lambda: _cpu_is_idle(process))
-    begun = time.monotonic()
     _refused(bridge.close)
-    wait(lambda: not lives(process), 8)
-    assert time.monotonic() - begun < 8
-    busy.join(10)
+    wait(lambda: not lives(process))
+    busy.join(patience())
     assert not busy.is_alive()
 
 
@@ -235,6 +235,6 @@ def test_a_host_ends_with_its_application(end: str, tmp_path: Path) -> None:
     ) as application:
         assert application.stdout is not None
         host = int(application.stdout.readline())
-        application.wait(20)
-    wait(lambda: not lives(host), 5)
+        application.wait(patience())
+    wait(lambda: not lives(host))
     assert not list(Path(tempfile.gettempdir()).glob(f"uoarm-host-{application.pid}-*"))

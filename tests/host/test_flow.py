@@ -6,12 +6,13 @@ import threading
 import time
 from typing import Any
 
+import msgpack
 import pytest
-from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.host._flow import Ending, Incoming, Outgoing
 from uoarm.host._link import Link
+from uoarm.testing import patience, wait
 
 Ends = tuple[Link, Link]
 
@@ -26,7 +27,7 @@ class _Taker:
         self.gate.set()
 
     def take(self, message: object) -> None:
-        self.gate.wait(30)
+        self.gate.wait(patience())
         if message == "bad":
             raise ValueError("it was bad")
         self.got.append(message)
@@ -77,7 +78,7 @@ def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> Non
     assert outgoing.unconfirmed <= 80
     assert thread.is_alive()
     taker.gate.set()
-    thread.join(10)
+    thread.join(patience())
     wait(lambda: len(taker.got) == 500)
     assert incoming.lost == 0
 
@@ -126,7 +127,7 @@ def test_a_flow_that_is_cut_lets_its_sender_go(ends: Ends) -> None:
     thread.start()
     wait(lambda: outgoing.unconfirmed >= 64)
     outgoing.cut("the host died")
-    thread.join(5)
+    thread.join(patience())
     assert not thread.is_alive()
     assert failures == ["flow/1: the host died"]
     taker.gate.set()
@@ -185,7 +186,67 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     outgoing.send(1)
     wait(lambda: taker.got == [1])
     incoming.close()
-    incoming.join(5)
+    incoming.join(patience())
     outgoing.send(2)
     assert not incoming._thread.is_alive()
     assert taker.got == [1]
+
+
+HEADERS = [
+    b"",
+    b"\xc1",
+    b"\x91" * 5000,
+    msgpack.packb(7),
+    msgpack.packb([1, 0]),
+    msgpack.packb(["1", 0, 0, None]),
+    msgpack.packb([2**63, 0, 0, 5]),
+    msgpack.packb([50, 0, 0, ["lost"]]),
+    msgpack.packb([50, 0, 0, [1, 2]]),
+    msgpack.packb([-5, 0, 0, None]),
+    msgpack.packb([0, 0, 0, None]),
+]
+
+
+def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_count(
+    ends: Ends,
+) -> None:
+    """A recorded frame that is sent once more, or rubbish, by whoever may write to the flow."""
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    recorded: list[tuple[bytes, bytes]] = []
+    publish = far.publish
+
+    def record(key: str, payload: bytes, header: bytes, *, must_arrive: bool = False) -> None:
+        recorded.append((payload, header))
+        publish(key, payload, header, must_arrive=must_arrive)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(far, "publish", record)
+        for number in range(3):
+            outgoing.send(number)
+    for payload, header in recorded:
+        publish("flow/1", payload, header, must_arrive=True)
+    for header in HEADERS:
+        publish("flow/1", b"", header, must_arrive=True)
+    outgoing.send("good")
+    wait(lambda: "good" in taker.got)
+    assert taker.got == [0, 1, 2, "good"]
+    assert (incoming.received, incoming.lost) == (4, 0)
+    assert incoming.failed == len(recorded) + len(HEADERS)
+    assert "came before" in incoming.last_error
+    assert taker.endings == []
+
+
+def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
+    near, far = ends
+    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    for header in [*HEADERS, msgpack.packb([10**6, 0, "", 0]), msgpack.packb([1, 0, 5, 0])]:
+        near.publish("flow/1/handled", b"", header, must_arrive=True)
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing.send("good")
+    wait(lambda: outgoing.unconfirmed == 0)
+    assert (outgoing.failed, outgoing.lost, outgoing.last_error) == (0, 0, "")
+    assert incoming.received == 1

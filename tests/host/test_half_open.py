@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
-from tests.waiting import wait
 
 from uoarm.errors import BridgeError
 from uoarm.host._process import HostProcess
 from uoarm.model import Health, Role
+from uoarm.testing import patience, slowness, wait
 
 pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
@@ -59,7 +59,7 @@ class Middleman:
     def stall(self) -> None:
         """Carry nothing from now on."""
         self._stall.set()
-        assert self._stalled.wait(10)
+        assert self._stalled.wait(patience())
 
     def go_on(self) -> None:
         self._stall.clear()
@@ -89,7 +89,7 @@ def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterato
 def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
     middlemen: list[Middleman], tmp_path: Path
 ) -> None:
-    bridge = hosted.bridge(tmp_path, silence=1.0)
+    bridge = hosted.bridge(tmp_path, silence=slowness())
     process, events, got = bridge.process, Events(), list[int]()
     bridge.watch(events)
     source = bridge.open_source(at("forever"), ANY, got.append)
@@ -99,7 +99,7 @@ def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
     middlemen[0].stall()
     for number in range(5):
         sink.send(number)
-    wait(lambda: any(one.health is Health.LOST for one in events.all), 10)
+    wait(lambda: any(one.health is Health.LOST for one in events.all))
     assert "has not answered" in events.all[-1].cause
     with pytest.raises(BridgeError, match="died"):
         sink.send(1)
@@ -115,7 +115,7 @@ def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
 def test_a_link_that_stalls_for_a_moment_goes_on_and_counts_what_it_dropped(
     middlemen: list[Middleman], tmp_path: Path
 ) -> None:
-    bridge = hosted.bridge(tmp_path, silence=6.0)
+    bridge = hosted.bridge(tmp_path, silence=6 * slowness())
     events, got = Events(), list[int]()
     bridge.watch(events)
     source = bridge.open_source(at("forever"), ANY, got.append)

@@ -10,7 +10,7 @@ from uoarm.bridge import BridgeType, Registry
 from uoarm.host import HostSettings, JoinedHost, MachineDesk
 from uoarm.host._machine import MachineConnection
 from uoarm.model import BridgeSpec, Listening
-from uoarm.testing import MemoryBridge
+from uoarm.testing import MemoryBridge, patience
 
 
 def test_its_bridges_close_at_the_same_time() -> None:
@@ -25,7 +25,7 @@ def test_its_bridges_close_at_the_same_time() -> None:
             super()._close()
 
     registry = Registry([])
-    registry.add(BridgeType("slow", "for tests", Slow))
+    registry.add(BridgeType("slow", "for tests", Slow, contract=1))
     place = f"tcp/127.0.0.1:{free_port()}"
     desk = MachineDesk(Listening(place), ["arm"], lambda *_: None)
     host = JoinedHost(place, "arm", identity=None, registry=registry)
@@ -44,7 +44,7 @@ def test_its_bridges_close_at_the_same_time() -> None:
         for name in ("one", "two")
     ]
     host.close()
-    running.join(20)
+    running.join(patience())
     for connection in connections:
         connection.close(None)
     desk.close()

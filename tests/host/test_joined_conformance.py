@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from tests.host.joined import Joined, free_port
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
-from tests.waiting import wait
 
 from uoarm.bridge import Bridge
 from uoarm.host import MachineDesk, RemoteBridge
 from uoarm.model import BridgeSpec, Listening
+from uoarm.testing import wait
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -34,7 +34,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineDesk]:
     place = f"tcp/127.0.0.1:{free_port()}"
     made = MachineDesk(Listening(place), ["arm"], lambda *_: None)
     with Joined(tmp_path_factory.mktemp("arm"), place):
-        wait(lambda: made.here("arm", "python"), 30)
+        wait(lambda: made.here("arm", "python"))
         yield made
     made.close()
 

@@ -18,6 +18,7 @@ from uoarm.errors import (
     UoarmError,
 )
 from uoarm.host._link import Link, Reply
+from uoarm.testing import patience
 
 Ends = tuple[Link, Link]
 
@@ -27,21 +28,21 @@ def _settle(near: Link, far: Link) -> None:
     seen = threading.Event()
     near.watch_alive("test/settled", lambda alive: seen.set())
     far.show_alive("test/settled")
-    assert seen.wait(5)
+    assert seen.wait(patience())
 
 
 def test_a_request_is_answered(ends: Ends) -> None:
     near, far = ends
     far.answer("test/ask", lambda request, reply: reply({"got": request}))
     _settle(near, far)
-    assert near.ask("test/ask", [1, b"two"], timeout=5) == {"got": [1, b"two"]}
+    assert near.ask("test/ask", [1, b"two"], timeout=patience()) == {"got": [1, b"two"]}
 
 
 def test_both_ends_may_ask(ends: Ends) -> None:
     near, far = ends
     near.answer("test/ask", lambda request, reply: reply(request + 1))
     _settle(far, near)
-    assert far.ask("test/ask", 1, timeout=5) == 2
+    assert far.ask("test/ask", 1, timeout=patience()) == 2
 
 
 @pytest.mark.parametrize(
@@ -61,7 +62,7 @@ def test_an_error_keeps_kind_text_and_reason(ends: Ends, error: UoarmError) -> N
     far.answer("test/ask", take)
     _settle(near, far)
     with pytest.raises(type(error), match=f"^{error}$") as caught:
-        near.ask("test/ask", None, timeout=5)
+        near.ask("test/ask", None, timeout=patience())
     assert type(caught.value) is type(error)
     assert getattr(caught.value, "reason", None) == getattr(error, "reason", None)
 
@@ -71,7 +72,7 @@ def test_a_foreign_error_is_answered_by_name(ends: Ends) -> None:
     far.answer("test/ask", lambda request, reply: reply(1 // request))
     _settle(near, far)
     with pytest.raises(BridgeError, match="ZeroDivisionError"):
-        near.ask("test/ask", 0, timeout=5)
+        near.ask("test/ask", 0, timeout=patience())
 
 
 def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
@@ -79,12 +80,12 @@ def test_an_answer_that_cannot_be_written_is_an_error(ends: Ends) -> None:
     far.answer("test/ask", lambda request, reply: reply(object()))
     _settle(near, far)
     with pytest.raises(MessageError, match="cannot carry a object"):
-        near.ask("test/ask", 0, timeout=5)
+        near.ask("test/ask", 0, timeout=patience())
 
 
 def test_nobody_there_is_unavailable(ends: Ends) -> None:
     with pytest.raises(BridgeError, match="nobody answers") as caught:
-        ends[0].ask("test/nothing", None, timeout=5)
+        ends[0].ask("test/nothing", None, timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
 
 
@@ -103,7 +104,7 @@ def test_an_answer_may_come_from_another_thread(ends: Ends) -> None:
         "test/ask", lambda request, reply: threading.Thread(target=reply, args=(request,)).start()
     )
     _settle(near, far)
-    assert near.ask("test/ask", "later", timeout=5) == "later"
+    assert near.ask("test/ask", "later", timeout=patience()) == "later"
 
 
 def test_a_token_comes_and_goes(ends: Ends) -> None:
@@ -117,10 +118,10 @@ def test_a_token_comes_and_goes(ends: Ends) -> None:
 
     far.show_alive("test/alive")
     near.watch_alive("test/alive", note)
-    assert changed.wait(5)
+    assert changed.wait(patience())
     changed.clear()
     far.close()
-    assert changed.wait(5)
+    assert changed.wait(patience())
     assert seen == [True, False]
 
 
@@ -138,7 +139,7 @@ def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
     thread.start()
     far.publish("test/frames", b"one", b"1")
     end()
-    thread.join(5)
+    thread.join(patience())
     assert not thread.is_alive()
 
 
@@ -155,9 +156,9 @@ def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> N
     far = Link(place, listen=False, timeout=1.0)
     near.close()
     with socket.create_server(("127.0.0.1", port)) as mute:
-        mute.settimeout(10)
+        mute.settimeout(patience())
         with mute.accept()[0]:
             closing = threading.Thread(target=far.close)
             closing.start()
-            closing.join(5)
+            closing.join(patience())
             assert not closing.is_alive()

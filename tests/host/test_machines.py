@@ -13,14 +13,13 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from tests.host.joined import Joined, free_port, robot
-from tests.waiting import wait
 
 from uoarm import BridgeError, ResolutionError, RobotManager
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.host import MachineDesk
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
-from uoarm.testing import Census
+from uoarm.testing import Census, patience, slowness, wait
 
 
 @pytest.fixture
@@ -71,7 +70,7 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
         asking = threading.Thread(target=lambda: answers.append(manager.call("where", 0)))
         asking.start()
         with Joined(tmp_path, _place(port)):
-            asking.join(20)
+            asking.join(patience())
             assert answers
             assert _machine(manager).present
             wait(lambda: any(one.cause == "machine 'arm' has joined" for one in events))
@@ -137,7 +136,7 @@ def test_a_host_that_is_told_to_end_waits_for_no_component(tmp_path: Path, port:
         requesting.start()
         wait((tmp_path / "begun").exists)
         assert host.end() == 0
-        requesting.join(10)
+        requesting.join(patience())
         assert not requesting.is_alive()
         assert "Timeout" not in host.log
 
@@ -147,15 +146,15 @@ def test_when_a_machine_leaves_the_next_candidate_takes_over(tmp_path: Path, por
     with RobotManager.from_file(file) as manager:
         with Joined(tmp_path, _place(port)) as host:
             connection = manager.request("ticks")
-            assert connection.get(10) == 0
+            assert connection.get(patience()) == 0
             host.signal(signal.SIGKILL)
             wait(lambda: connection.gaps)
         assert connection.gaps[0].after == ("spare",)
         assert "machine 'arm' has left" in connection.gaps[0].cause
         with Joined(tmp_path, _place(port)):
-            wait(lambda: len(connection.gaps) == 2, 20)
+            wait(lambda: len(connection.gaps) == 2)
             assert connection.gaps[1].after == ("ticker",)
-            assert connection.get(10) is not None
+            assert connection.get(patience()) is not None
         assert connection.state is ConnectionState.RUNNING
 
 
@@ -164,13 +163,13 @@ def test_a_machine_that_comes_back_goes_on_behind_the_handle(tmp_path: Path, por
     with RobotManager.from_file(file) as manager:
         with Joined(tmp_path, _place(port)) as host:
             connection = manager.request("ticks")
-            connection.get(10)
+            connection.get(patience())
             assert host.end() == 0
         wait(lambda: not _machine(manager).present)
         with Joined(tmp_path, _place(port)):
-            wait(lambda: connection.gaps, 20)
+            wait(lambda: connection.gaps)
             assert connection.gaps[0].after == ("ticker",)
-            assert connection.get(10) is not None
+            assert connection.get(patience()) is not None
 
 
 def test_structures_are_asked_for_anew_when_a_machine_comes_back(tmp_path: Path, port: int) -> None:
@@ -182,7 +181,7 @@ def test_structures_are_asked_for_anew_when_a_machine_comes_back(tmp_path: Path,
         parts = tmp_path / "hosted_parts.py"
         parts.write_text(parts.read_text().replace("double(value: int)", "double(value: str)"))
         with Joined(tmp_path, _place(port)):
-            wait(lambda: _machine(manager).present, 20)
+            wait(lambda: _machine(manager).present)
             with pytest.raises(ResolutionError, match="string"):
                 manager.request("doubled")
 
@@ -206,7 +205,7 @@ def test_the_command_line_shows_machines(tmp_path: Path, port: int) -> None:
 
 
 def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: int) -> None:
-    file = robot(tmp_path, port, silence=1.0)
+    file = robot(tmp_path, port, silence=slowness())
     with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
         manager.call("where", 0)
         host.signal(signal.SIGSTOP)
@@ -225,7 +224,7 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
                 return False
             return True
 
-        wait(again, 20)
+        wait(again)
         assert answers
         bridge = manager._bridges.get("far")
         with pytest.raises(BridgeError, match="not started or killed from here"):
@@ -240,7 +239,9 @@ def test_a_host_outlives_its_managers_and_keeps_nothing_of_them(tmp_path: Path, 
         for number in range(3):
             with RobotManager.from_file(file) as manager:
                 connection = manager.request("ticks")
-                assert connection.get(10) == 0  # the component begins anew with each manager
+                assert (
+                    connection.get(patience()) == 0
+                )  # the component begins anew with each manager
                 found.add(manager.call("where", 0))
             expected = number + 1
             wait(lambda: host.log.count("bridge far is let go") == expected)  # noqa: B023 - at once
@@ -255,9 +256,9 @@ def test_a_host_closes_its_bridges_when_the_manager_is_killed(tmp_path: Path, po
     with Joined(tmp_path, _place(port)) as host:
         command = [sys.executable, "-m", "uoarm", "request", "ticks", "-f", str(file)]
         with subprocess.Popen(command, stdout=subprocess.DEVNULL) as manager:
-            wait(lambda: "bridge far is taken up" in host.log, 20)
+            wait(lambda: "bridge far is taken up" in host.log)
             manager.kill()
-        wait(lambda: "bridge far is let go" in host.log, 20)
+        wait(lambda: "bridge far is let go" in host.log)
         assert host.runs
 
 
@@ -286,5 +287,5 @@ def test_a_manager_leaves_nothing_behind(tmp_path: Path, port: int) -> None:
             manager.call("where", 0)
         before = Census()
         with RobotManager.from_file(file) as manager:
-            manager.request("ticks").get(10)
+            manager.request("ticks").get(patience())
         before.check()

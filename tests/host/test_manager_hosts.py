@@ -10,17 +10,16 @@ from pathlib import Path
 import pytest
 from tests.host import hosted
 from tests.host.hosted import lives
-from tests.waiting import wait
 
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
 from uoarm.host import RemoteBridge
 from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import Census
+from uoarm.testing import Census, patience, wait
 
 ROBOT = """
 version: 1
 bridges:
-  far: {plugin: python, host: {silence: 1.0, restarts: 2}}
+  far: {plugin: python, host: {silence: 60, restarts: 2}}
 functions:
   numbers: {components: [{name: counter, bridge: far, output: {endpoint: ["hosted_parts:count"]}}]}
   ticks: {components: [{name: ticker, bridge: far, output: {endpoint: ["hosted_parts:forever"]}}]}
@@ -55,11 +54,22 @@ def test_a_service_in_a_host_answers(robot: RobotManager) -> None:
     assert robot.call("where", 0) != os.getpid()
 
 
+def test_the_status_and_the_list_of_processes_say_which_process_it_is(
+    robot: RobotManager, tmp_path: Path
+) -> None:
+    process = robot.call("where", 0)
+    [bridge] = robot.status().bridges
+    assert bridge.process == process
+    command = Path(f"/proc/{process}/cmdline").read_bytes().decode().split("\0")
+    assert command[command.index("--bridge") + 1] == "far"
+    assert command[command.index("--robot") + 1] == str(tmp_path / "robot.yaml")
+
+
 def test_killing_the_host_fails_its_connections_with_the_cause(robot: RobotManager) -> None:
     events: list[StatusEvent] = []
     robot.listen(events.append)
     connection = robot.request("ticks")
-    assert connection.get(5) == 0
+    assert connection.get(patience()) == 0
     os.kill(robot.call("where", 0), signal.SIGKILL)
     with pytest.raises(ConnectionClosedError, match="killed by SIGKILL"):
         for _ in connection:
@@ -112,7 +122,7 @@ def test_a_manager_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(ROBOT)
     with RobotManager.from_file(tmp_path / "robot.yaml") as manager:
         connection = manager.request("ticks")
-        connection.get(5)
+        connection.get(patience())
         bridge = manager._bridges.get("far")
         assert isinstance(bridge, RemoteBridge)
         process = bridge.process

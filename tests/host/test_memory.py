@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from tests.host import hosted
 from tests.host.hosted import Events, at, lives
-from tests.waiting import wait
 
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
+from uoarm.testing import patience, wait
 
 pytestmark = [
     pytest.mark.usefixtures("nothing_is_left"),
@@ -31,12 +31,12 @@ def test_a_component_that_asks_for_too_much_gets_an_error_and_the_host_goes_on(
 
 
 def test_a_host_that_leaks_till_it_can_do_nothing_is_ended(tmp_path: Path) -> None:
-    bridge = hosted.bridge(tmp_path, memory="256 MiB", silence=1.0)
+    bridge = hosted.bridge(tmp_path, memory="256 MiB")
     process, events = bridge.process, Events()
     bridge.watch(events)
     with pytest.raises(BridgeError):
-        bridge.call(at("leak", Role.SERVICE), 20, timeout=30)
-    wait(lambda: any(one.health is Health.LOST for one in events.all), 30)
+        bridge.call(at("leak", Role.SERVICE), 20, timeout=patience())
+    wait(lambda: any(one.health is Health.LOST for one in events.all))
     with pytest.raises(BridgeError, match=r"is dead|256 MiB"):
         bridge.call(at("double", Role.SERVICE), 2)
     bridge.close()

@@ -46,3 +46,14 @@ def test_our_clock_that_was_set_back_meanwhile_does_no_harm() -> None:
     offset = ClockOffset()
     offset.add(100, 50, 0)
     assert offset.round_trip == 0
+
+
+def test_an_answer_during_which_our_clock_was_set_is_no_answer() -> None:
+    offset = ClockOffset()
+    offset.add(0, 1_000_500, 1_000, 1_000)
+    assert offset.nanoseconds == 1_000_000
+    day = 86_400 * 10**9
+    offset.add(day, 1_000_500, 2_000, 1_000_000)  # set back by a day while it was asked
+    assert not offset.known
+    offset.add(2_000_000, 2_500_000, 3_000_000, 1_000_000)
+    assert (offset.nanoseconds, offset.round_trip) == (0, 1_000_000)

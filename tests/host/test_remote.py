@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
-from tests.waiting import wait
 
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.host._remote import RemoteBridge
 from uoarm.model import BridgeSpec, Health, Role
-from uoarm.testing import Census
+from uoarm.testing import Census, patience, wait
 
 
 @pytest.fixture
@@ -82,7 +81,7 @@ def test_what_is_under_way_when_a_sink_closes_is_still_handled(far: RemoteBridge
     for number in range(8):
         sink.send(number)
     sink.close()
-    wait(lambda: len(got) == 8, 2)
+    wait(lambda: len(got) == 8)
 
 
 def test_a_component_that_raises_is_counted(far: RemoteBridge) -> None:
@@ -154,7 +153,7 @@ from pathlib import Path
 import numpy as np
 from tests.host import hosted
 from tests.host.hosted import ANY, at
-from tests.waiting import wait
+from uoarm.testing import wait
 from uoarm.model import Role
 far = hosted.bridge(Path(sys.argv[1]), shared_memory=True)
 got = []
@@ -162,8 +161,8 @@ far.open_source(at("echo"), ANY, got.append)
 sink = far.open_sink(at("echo", Role.INPUT), ANY)
 for number in range(40):
     sink.send({"n": number, "data": np.full(1_000_000, number, dtype="u1")})
-    wait(lambda: number - len(got) < 8, 30)  # a link that stays full for 0.2 s drops, and counts
-wait(lambda: len(got) == 40, 30)
+    wait(lambda: number - len(got) < 8)  # a link that stays full for 0.2 s drops, and counts
+wait(lambda: len(got) == 40)
 assert all((one["data"] == one["n"]).all() for one in got)
 for process in ("self", far.process):
     for line in Path(f"/proc/{process}/maps").read_text().splitlines():
@@ -190,7 +189,7 @@ def _with_shared_memory(folder: Path) -> set[Path]:
         capture_output=True,
         check=False,
         text=True,
-        timeout=60,
+        timeout=patience(),
     )
     assert done.returncode == 0, done.stderr
     return {Path(line) for line in done.stdout.splitlines()}

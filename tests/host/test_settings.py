@@ -13,6 +13,7 @@ from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.host._folders import link_folder
 from uoarm.host._settings import HostSettings
+from uoarm.testing import patience
 
 
 def test_without_any_setting_the_interpreter_is_the_applications_own() -> None:
@@ -68,7 +69,7 @@ def test_a_link_folder_is_private_and_those_of_the_dead_are_removed(
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait(30)
+    dead.wait(patience())
     left = tmp_path / f"uoarm-host-{dead.pid}-x"
     other = tmp_path / "uoarm-host-not-ours"
     for folder in (left, other):

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from http.client import HTTPConnection
 from pathlib import Path
 from xmlrpc.client import Fault, ServerProxy
@@ -14,10 +17,11 @@ from xmlrpc.client import Fault, ServerProxy
 import pytest
 
 from uoarm.errors import BridgeError
-from uoarm.host import XmlRpcFace
+from uoarm.host import XmlRpcFace, _xmlrpc
 from uoarm.model import Endpoint, Role
-from uoarm.testing import Census, MemoryBridge
+from uoarm.testing import Census, MemoryBridge, patience
 
+SECONDS = 20.0
 NUMBER = {"type": "integer", "maximum": 2**40}
 
 
@@ -69,18 +73,102 @@ def test_no_other_method_can_be_called(face: XmlRpcFace, method: str) -> None:
         ({"Host": "evil.example:80", "Content-Length": "2"}, 403),
         ({"Content-Length": "100000000"}, 413),
         ({"Content-Length": "-1"}, 413),
+        ({"Content-Length": "\xb2"}, 413),
+        ({"Content-Length": "9" * 5000}, 413),
+        ({"Content-Length": "2", "Origin": "http://127.0.0.1:80"}, 403),
+        ({"Content-Length": "2", "Content-Encoding": "gzip"}, 415),
     ],
 )
 def test_requests_from_elsewhere_and_long_ones_are_refused(
-    face: XmlRpcFace, headers: dict[str, str], status: int
+    face: XmlRpcFace, headers: dict[str, str], status: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    connection = HTTPConnection("127.0.0.1", face.port, timeout=5)
+    connection = HTTPConnection("127.0.0.1", face.port, timeout=patience())
     connection.putrequest("POST", "/RPC2", skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name, value)
     connection.endheaders()
     assert connection.getresponse().status == status
     connection.close()
+    assert capfd.readouterr().err == ""
+
+
+def _post(face: XmlRpcFace, body: bytes) -> str:
+    connection = HTTPConnection("127.0.0.1", face.port, timeout=SECONDS)
+    connection.request("POST", "/RPC2", body)
+    answer = connection.getresponse().read().decode()
+    connection.close()
+    return answer
+
+
+def _call(value: str, before: str = "") -> bytes:
+    call = f"<methodCall><methodName>ports</methodName><params><param>{value}</param></params>"
+    return f"<?xml version='1.0'?>{before}{call}</methodCall>".encode()
+
+
+BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
+    f"<!ENTITY {name} '{f'&{inner};' * 10}'>"
+    for inner, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+HOSTILE = {
+    "entities": _call("<value>&i;</value>", f"{BOMB}]>"),
+    "a file": _call("<value>&f;</value>", "<!DOCTYPE x [<!ENTITY f SYSTEM 'file:///etc/passwd'>]>"),
+    "a declaration in another encoding": b"<?xml version='1.0' encoding='cp037'?>"
+    + "<!DOCTYPE x [<!ENTITY f 'aaaa'>]><x>&f;</x>".encode("cp037"),
+    "a huge integer": _call(f"<value><int>{'9' * 60_000}</int></value>"),
+    "a huge exponent": _call("<value><bigdecimal>1e999999999</bigdecimal></value>"),
+    "deep": _call("<value><array><data>" * 1500 + "</data></array></value>" * 1500),
+    "an unknown type": _call("<value><ex:nil/></value>"),
+    "no XML": b"\x00\xff" * 100,
+    "nothing": b"",
+    "half of it": _call("<value>")[:60],
+}
+
+
+@pytest.mark.parametrize("body", HOSTILE.values(), ids=HOSTILE)
+def test_a_hostile_body_is_answered_with_a_fault_and_no_traceback(
+    face: XmlRpcFace, body: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    answer = _post(face, body)
+    assert "<fault>" in answer or "<array><data>" in answer  # a component of an odd name has none
+    assert "root:" not in answer
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause"),
+    [
+        ("entities", "declarations are not taken"),
+        ("a file", "declarations are not taken"),
+        ("a declaration in another encoding", "not a request"),
+    ],
+)
+def test_a_document_type_declaration_is_refused(face: XmlRpcFace, kind: str, cause: str) -> None:
+    assert cause in _post(face, HOSTILE[kind])
+
+
+def test_idle_connections_cost_few_threads_and_end(
+    face: XmlRpcFace, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(_xmlrpc, "_CONNECTION_SECONDS", 0.3)
+    before = threading.active_count()
+    with ExitStack() as stack:
+        idle = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", face.port), SECONDS))
+            for _ in range(100)
+        ]
+        for one in idle[::2]:
+            with suppress(OSError):
+                one.sendall(
+                    b"POST /RPC2 HTTP/1.1\r\nHost: 127.0.0.1:1\r\nContent-Length: 9\r\n\r\n<"
+                )
+        for one in idle:
+            with suppress(ConnectionResetError):
+                while one.recv(4096):
+                    pass
+            assert threading.active_count() <= before + _xmlrpc._CONNECTIONS
+    with _proxy(face) as proxy:
+        assert proxy.components() == ["absent", "camera"]
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_that_is_taken_is_named(face: XmlRpcFace) -> None:
@@ -101,5 +189,5 @@ def test_the_command_answers_until_it_is_interrupted(tmp_path: Path) -> None:
         with ServerProxy(place) as proxy:
             told = json.loads(str(proxy.structure("c")))
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 130
+        assert process.wait(patience()) == 130
     assert told["request"]["schema"]["type"] == "integer"

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypedDict
 from typing_extensions import NotRequired
 
 from uoarm.local import Octets, Range
+from uoarm.testing import patience
 
 
 class Value(TypedDict):
@@ -67,7 +68,7 @@ class Everything:
 
 
 def until_killed(killed: threading.Event) -> Iterator[Value]:
-    if killed.wait(30.0):
+    if killed.wait(patience()):
         raise RuntimeError("the component was killed")
     yield {"value": 0}
 
@@ -81,5 +82,5 @@ def broken(message: Value) -> Value:
 
 
 def silent(message: Value, released: threading.Event) -> Value:
-    released.wait(30.0)
+    released.wait(patience())
     return message

@@ -11,6 +11,7 @@ from typing_extensions import NotRequired
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local import HintError, Octets, PythonBridge, Range, UInt8, schema_of
 from uoarm.model import Endpoint, Role
+from uoarm.testing import patience
 
 HERE = "tests.local.test_python_bridge"
 
@@ -73,7 +74,7 @@ def describe(name: str, role: Role, **parameters: Any) -> Any:
 def test_a_service_is_built_once_and_closed_with_the_bridge() -> None:
     bridge = PythonBridge("p", {})
     endpoint = Endpoint("p", "queue", Role.SERVICE, (f"{HERE}:Queue",))
-    answers = [bridge.call(endpoint, {"x": 2}, timeout=10.0) for _ in range(3)]
+    answers = [bridge.call(endpoint, {"x": 2}, timeout=patience()) for _ in range(3)]
     assert answers == [{"x": 2}, {"x": 4}, {"x": 6}]
     assert Queue.open_ones == 1
     bridge.close()

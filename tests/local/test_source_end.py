@@ -13,6 +13,7 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm.config import loads
+from uoarm.testing import patience
 
 ROBOT = """
 version: 1
@@ -54,5 +55,5 @@ def test_a_source_has_ended_when_the_manager_is_closed(
         RobotManager(loads(ROBOT, str(tmp_path / "robot.yaml"))) as robot,
         robot.request("numbers") as numbers,
     ):
-        assert numbers.get(timeout=5) == {"value": 1}
+        assert numbers.get(timeout=patience()) == {"value": 1}
     assert left.is_set()

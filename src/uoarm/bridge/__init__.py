@@ -1,5 +1,7 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
+from uoarm._origin import install_command
+from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Sink
 from uoarm.bridge._delivery import Delivery
@@ -23,4 +25,6 @@ __all__ = [
     "Sink",
     "hookimpl",
     "hookspec",
+    "install_command",
+    "reading_endpoint",
 ]

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.model import Endpoint
 
-__all__ = ["translated"]
+__all__ = ["reading_endpoint", "translated"]
 
 
 @contextmanager
@@ -23,3 +24,17 @@ def translated(step: str) -> Iterator[None]:
     except Exception as error:
         text = f"{step} failed: {type(error).__name__}: {error}"
         raise BridgeError(text, FailureReason.RAISED) from error
+
+
+@contextmanager
+def reading_endpoint(endpoint: Endpoint) -> Iterator[None]:
+    """Read an endpoint's address or options: a ValueError becomes a BridgeError that names it.
+
+    Raises:
+        BridgeError: with BAD_ENDPOINT, the endpoint, and the sentence of the ValueError.
+    """
+    try:
+        yield
+    except ValueError as error:
+        text = f"bridge {endpoint.bridge!r}: {endpoint}: {error}"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None

@@ -7,6 +7,7 @@ May implement, when the capability says so: `_discover`, `_call`, `_serve`, `_li
 from __future__ import annotations
 
 import logging
+import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -63,6 +64,11 @@ class Bridge(ABC):
     def open_channels(self) -> int:
         """How many channels are open now."""
         return len(self._open)
+
+    @property
+    def process_id(self) -> int | None:
+        """The id of the process in which the framework's side runs; None on another machine."""
+        return os.getpid()
 
     @final
     def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:

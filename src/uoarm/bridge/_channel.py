@@ -25,12 +25,18 @@ class Channel(ABC):
         self.endpoint = endpoint
         self._closing = threading.Lock()
         self._closed = False
+        self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
 
     @property
     def closed(self) -> bool:
         """Whether `close` was called, whatever it came to."""
         return self._closed
+
+    @property
+    def is_closing(self) -> bool:
+        """Whether `close` was called and the framework has not let go yet."""
+        return self._closed and not self._let_go
 
     def close(self, *, timeout: float = _CLOSE_SECONDS) -> None:
         """Close the link. May be called from any thread, `deliver`'s too; once is enough.
@@ -49,7 +55,13 @@ class Channel(ABC):
             self._when_closed(self)
         step = f"bridge {self.endpoint.bridge!r}: closing {self.endpoint}"
         with translated(step):
-            _bounded.run(step, timeout, self._close)
+            _bounded.run(step, timeout, self._close_native)
+
+    def _close_native(self) -> None:
+        try:
+            self._close()
+        finally:
+            self._let_go = True
 
     def facts(self) -> Mapping[str, object]:
         """Return what the framework knows of the link now, for the status; quick, any thread.

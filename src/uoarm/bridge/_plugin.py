@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pluggy
 from attrs import field, frozen
 
-from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
+from uoarm.bridge._bridge import Bridge
 from uoarm.model import Options, Schema
 
 __all__ = ["BridgeType", "hookimpl", "hookspec"]
@@ -32,8 +32,13 @@ class BridgeType:
             installations that leave it out, a number each, so that they do not meet.
         check_endpoint: takes an address and its options; returns what is wrong, or "".
             Reads only; imports no middleware.
-        doctor: returns facts about the environment, name to finding, for `uoarm doctor`.
-        contract: the contract version that the plugin was written for.
+        topic: takes an address and its options; returns the name of the topic that it stands for,
+            or "". What is sent to a topic is received by everybody who listens to it, so that
+            `uoarm check` warns of loops. None: the framework has no topics. Imports no middleware.
+        doctor: returns facts about the environment, name to finding, for `uoarm doctor`; raises
+            PluginError, with what to install, where no bridge can be made in it.
+        contract: the contract version that the plugin was written for: a number that stands in
+            its source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
     """
 
     name: str
@@ -42,7 +47,8 @@ class BridgeType:
     options_schema: Schema = field(default=_CLOSED, hash=False)
     check_endpoint: Callable[[tuple[str, ...], Options], str] | None = None
     doctor: Callable[[], dict[str, str]] | None = None
-    contract: int = CONTRACT_VERSION
+    topic: Callable[[tuple[str, ...], Options], str] | None = None
+    contract: int = field(kw_only=True)
 
 
 class _Specification:

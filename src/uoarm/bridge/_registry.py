@@ -9,6 +9,10 @@ from importlib.metadata import EntryPoint, entry_points
 import pluggy
 from attrs import frozen
 
+from uoarm._mistakes import mistakes
+from uoarm._origin import install_command
+from uoarm._spelling import Speller
+from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._plugin import SPECIFICATION, BridgeType
@@ -18,7 +22,8 @@ from uoarm.model import BridgeSpec
 __all__ = ["PluginProblem", "Registry"]
 
 _GROUP = "uoarm.bridges"
-_KNOWN = {"ros2": "uoarm-ros2", "rtm": "uoarm-rtm", "rocos": "uoarm-rocos"}
+# The extra is what most need: ROS 2 itself, where none is sourced.
+_KNOWN = {"ros2": ("uoarm-ros2", "jazzy"), "rtm": ("uoarm-rtm", ""), "rocos": ("uoarm-rocos", "")}
 
 
 @frozen
@@ -98,7 +103,7 @@ class Registry:
             if problem.name == plugin:
                 return f"plugin {plugin!r} is installed but cannot be used: {problem.cause}"
         if plugin in _KNOWN:
-            return f"plugin {plugin!r} is not installed: pip install {_KNOWN[plugin]}"
+            return f"plugin {plugin!r} is not installed: {install_command(*_KNOWN[plugin])}"
         close = difflib.get_close_matches(plugin, self._types, n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         return f"there is no plugin {plugin!r} (installed: {', '.join(self._types)}){hint}"
@@ -120,9 +125,13 @@ class Registry:
 def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
-    wrong = list(Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options)))
-    if wrong:
-        told = "; ".join(f"{error.json_path}: {error.message}" for error in wrong)
+    speller = Speller()
+    told = "; ".join(
+        f"{write_path(path)}: {sentence}{f' ({hint})' if hint else ''}"
+        for error in Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options))
+        for path, sentence, hint, _ in mistakes(error, speller)
+    )
+    if told:
         text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options: {told}"
         raise ConfigurationError(text)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from uoarm._whole_file import write_whole
 from uoarm.certificates._parts import begun, common_name, key_usage, leaf, new_key, secret_pem
 from uoarm.errors import UsageError
 
@@ -133,8 +133,11 @@ def _span(days: int) -> tuple[dt.datetime, dt.datetime]:
 def _write(
     folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
 ) -> None:
-    """Write a pair; the key first, and never readable for others."""
-    place = os.open(folder / f"{name}.key", os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(place, "wb") as file:
-        file.write(secret_pem(key))
-    (folder / f"{name}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    """Write a pair, both or none; the key first, and never readable for others."""
+    key_file = folder / f"{name}.key"
+    write_whole(key_file, secret_pem(key), private=True)
+    try:
+        write_whole(folder / f"{name}.pem", certificate.public_bytes(serialization.Encoding.PEM))
+    except BaseException:
+        key_file.unlink(missing_ok=True)
+        raise

@@ -5,23 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
 
 from uoarm.cli._shared import BRIDGE, needing, reporting
-from uoarm.model import to_json
+from uoarm.model import tell_status, to_json
 
 __all__ = ["show_live_status"]
-
-_COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
-    "bridges": ("name", "plugin", "health", "assigned", "cause"),
-    "components": ("name", "function", "health", "cause"),
-    "connections": ("id", "function", "state", "lost", "cause"),
-    "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
-}
 
 
 def show_live_status(
@@ -67,8 +59,7 @@ async def _follow_events(robot: Any, *, as_json: bool) -> None:
         if as_json:
             click.echo(json.dumps({"event": to_json(event)}))
         else:
-            cause = f": {event.cause}" if event.cause else ""
-            click.echo(f"#{event.number} {event.subject} {event.change}{cause}")
+            click.echo(event)
 
 
 def _print_json(status: Mapping[str, Any]) -> None:
@@ -76,29 +67,5 @@ def _print_json(status: Mapping[str, Any]) -> None:
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:
-    for name, columns in _COLUMNS.items():
-        rows = [
-            [_shown(one.get(column), column) for column in columns] for one in status.get(name, ())
-        ]
-        if name == "machines" and not rows:
-            continue
-        click.echo(click.style(f"{name}: {len(rows) or 'none'}", bold=True))
-        if rows:
-            _print_table(columns, rows)
-
-
-def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
-    for row in (columns, *rows):
-        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        click.echo(f"  {'  '.join(cells)}".rstrip())
-
-
-def _shown(value: object, column: str) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
-    if isinstance(value, list):
-        return ", ".join(f"{reason} {count}" for reason, count in value)
-    return "" if value is None else str(value)
+    for line in tell_status(status).splitlines():
+        click.echo(line if line.startswith(" ") else click.style(line, bold=True))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import platform
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 import click
 
 import uoarm
 from uoarm.bridge import Registry
 from uoarm.cli._certificates import certificates
-from uoarm.cli._configured import assigned_options, optional_configuration
+from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
 from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
@@ -27,10 +29,13 @@ from uoarm.cli._shared import (
 )
 from uoarm.cli._status import status
 from uoarm.config import inspect, load
-from uoarm.resolve import tell_plan
+from uoarm.errors import PluginError
+from uoarm.resolve import NoPlanError
 from uoarm.schema._command import schema
 
 __all__ = ["main"]
+
+_LARGE = 1_000_000
 
 
 @click.group(cls=PluginGroup)
@@ -44,6 +49,7 @@ def main() -> None:
 @json_option
 def check(file: str, *, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE."""
+    _say_that_it_takes_a_while(file)
     report = inspect(file, Registry().types)
     if as_json:
         print_json({"problems": report.problems, "warnings": report.warnings})
@@ -56,6 +62,14 @@ def check(file: str, *, as_json: bool) -> None:
             count = len(report.robot.functions)
             click.echo(f"{file}: {count} functions, {len(report.robot.bridges)} bridges, no errors")
     sys.exit(0 if report.robot is not None else CONFIGURATION)
+
+
+def _say_that_it_takes_a_while(file: str) -> None:
+    """Tell whoever waits at a terminal before a large file is checked."""
+    with suppress(OSError, ValueError):
+        octets = Path(file).stat().st_size
+        if octets >= _LARGE and sys.stderr.isatty():
+            click.echo(f"checking {file}, {octets / 1e6:.1f} MB: this takes a while", err=True)
 
 
 @main.command("list")
@@ -82,11 +96,17 @@ def list_functions(file: str, *, as_json: bool) -> None:
 def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
     """Find the plan for a function without opening anything."""
     with open_robot(file) as robot:
-        plan = robot.resolve(name)
+        try:
+            plan = robot.resolve(name)
+        except NoPlanError as error:
+            if as_json:
+                told = {"function": error.function, "error": str(error)}
+                print_json({**told, "rejected": error.rejections})
+            raise
     if as_json:
         print_json(plan)
     elif explain:
-        click.echo(tell_plan(plan))
+        click.echo(plan)
     else:
         click.echo(" -> ".join(step.component.name for step in plan.steps))
 
@@ -114,7 +134,10 @@ def bridges(*, file: str | None, as_json: bool) -> None:
 @optional_configuration
 @json_option
 def doctor(*, file: str | None, as_json: bool) -> None:
-    """Say what this environment is and what each plugin finds in it."""
+    """Say what this environment is and what each plugin finds in it.
+
+    With a configuration also what its bridges find that have an environment of their own.
+    """
     registry = Registry()
     facts: dict[str, dict[str, str]] = {
         "uoarm": {
@@ -128,10 +151,13 @@ def doctor(*, file: str | None, as_json: bool) -> None:
         if one.doctor is not None:
             try:
                 facts[one.name] |= one.doctor()
+            except PluginError as error:
+                facts[one.name]["usable"] = f"no: {error}"
             except Exception as error:  # noqa: BLE001 - a plugin may raise anything
                 facts[one.name]["usable"] = f"no: {type(error).__name__}: {error}"
     for problem in registry.problems:
         facts[problem.name] = {"usable": f"no: {problem.cause}"}
+    facts |= environment_facts(file, registry)
     chosen = dict(assigned_options(file, registry))
     if chosen:
         facts["chosen by uoarm"] = chosen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -37,10 +38,14 @@ def new_bridge(name: str, into: Path) -> None:
     project = into / f"uoarm-{name.replace('_', '-')}"
     if project.exists():
         raise click.ClickException(f"{project} is there already; nothing was changed")
-    for place, text in _files(files("uoarm.cli").joinpath("template"), ""):
-        target = project / _named(place, name)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(_named(text, name), encoding="utf-8")
+    try:
+        for place, text in _files(files("uoarm.cli").joinpath("template"), ""):
+            target = project / _named(place, name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_text(_named(text, name), encoding="utf-8")
+    except OSError as error:
+        shutil.rmtree(project, ignore_errors=True)
+        raise click.ClickException(f"{project} cannot be made: {error}") from error
     click.echo(f"made {project}; next:\n")
     click.echo(f"  cd {project}\n  pip install -e '.[dev]'\n  pytest")
 

@@ -6,19 +6,35 @@ returns an exit code, or a click command.
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import click
 
 __all__ = ["PluginGroup"]
 
 _GROUP = "uoarm.commands"
+_NO_ROOM = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
 
 class PluginGroup(click.Group):
     """A group that looks for a command among the plugins when it does not have it itself."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; where its output has no room, say so in one line."""
+        try:
+            return super().invoke(ctx)
+        except OSError as error:
+            if error.errno not in _NO_ROOM:
+                raise
+            with suppress(OSError, ValueError):  # what waits would fail once more when Python ends
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise click.ClickException(f"nothing more can be written: {error.strerror}") from error
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return our own commands, then those of plugins."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,7 +58,8 @@ def serve(robot: str | None, file: str, tls: str | None, **settings: Any) -> Non
         try:
             run(manager, chosen, lambda server: _say(server, chosen))
         except OSError as error:
-            click.echo(f"error: {chosen.host}: cannot listen: {error.strerror or error}", err=True)
+            hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
+            click.echo(f"error: {error.strerror or error}{hint}", err=True)
             sys.exit(_USED)
 
 
@@ -80,14 +82,14 @@ def token(name: str, role: str) -> None:
 def _say(server: Server, settings: Settings) -> None:
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 
-    scheme = "wss" if settings.secured else "ws"
-    host = f"[{settings.host}]" if ":" in settings.host else settings.host
-    main, *more = server.ports
-    click.echo(f"serving {scheme}://{host}:{main}/ and {scheme}://{host}:{main}/rosbridge")
-    for port in more:
-        click.echo(f"serving {scheme}://{host}:{port}/ for rosbridge clients")
+    s = "s" if settings.secured else ""
+    main, *more = (settings.place(port) for port in server.ports)
+    click.echo(f"serving ws{s}://{main}/ and ws{s}://{main}/rosbridge")
+    for place in more:
+        click.echo(f"serving ws{s}://{place}/ for rosbridge clients")
     certificate = settings.certificate_file()
     if certificate is not None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}")
     elif not settings.local:
         click.echo("warning: without TLS, tokens and data can be read on the network", err=True)
+    click.echo(f"open http{s}://{main}/ in a browser")

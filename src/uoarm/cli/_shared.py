@@ -11,13 +11,15 @@ from typing import Any, TypeVar
 import click
 
 from uoarm import RobotManager, errors
-from uoarm.model import to_json
+from uoarm._origin import install_command
+from uoarm.model import Message, to_json
 
 __all__ = [
     "configuration_option",
     "json_option",
     "needing",
     "open_robot",
+    "plain",
     "print_json",
     "reporting",
 ]
@@ -63,7 +65,8 @@ def needing(extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise errors.PluginError(f"this needs: pip install 'uoarm[{extra}]' ({error})") from error
+        command = install_command("uoarm", extra)
+        raise errors.PluginError(f"this needs: {command} ({error})") from error
 
 
 @contextmanager
@@ -76,6 +79,25 @@ def open_robot(file: str) -> Iterator[RobotManager]:
 def print_json(value: Any) -> None:
     """Print a value of the model, or plain data, as indented JSON."""
     click.echo(json.dumps(to_json(value), indent=2))
+
+
+def plain(message: Message, most: int | None = None) -> Any:
+    """Return a message as JSON values: octets as a note of their number, buffers as lists.
+
+    Args:
+        message: any logical value.
+        most: items that a buffer may have to be a list; a longer one becomes a note of its size.
+    """
+    if isinstance(message, bytes | bytearray | memoryview):
+        return f"<{len(message)} octets>"
+    if hasattr(message, "tolist"):
+        size = getattr(message, "size", 0) or len(message)
+        return message.tolist() if most is None or size <= most else f"<{size:,} items>"
+    if isinstance(message, dict):
+        return {key: plain(value, most) for key, value in message.items()}
+    if isinstance(message, list | tuple):
+        return [plain(value, most) for value in message]
+    return to_json(message)
 
 
 def _fail(error: Exception, code: int) -> None:

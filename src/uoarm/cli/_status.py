@@ -10,7 +10,7 @@ import click
 from uoarm import RobotManager
 from uoarm.cli._live_status import show_live_status
 from uoarm.cli._shared import REFUSED, configuration_option, json_option, open_robot, print_json
-from uoarm.model import FunctionStatus, MachineStatus
+from uoarm.model import FunctionStatus
 
 __all__ = ["status"]
 
@@ -44,31 +44,18 @@ def status(
 
 
 def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
-    functions = robot.survey()
+    functions = robot.check_availability()
     if as_json:
         print_json(functions)
         return functions
-    for bridge in robot.robot.bridges.values():
+    for bridge in robot.config.bridges.values():
         for option, value in bridge.assigned.items():
             click.echo(f"{bridge.name}  {option} {value}, chosen by uoarm")
     for function in functions:
-        colour = "red" if function.provider is None else "green"
-        state = "cannot be had" if function.provider is None else f"from {function.provider}"
-        click.echo(f"{click.style(function.name, bold=True)}  {click.style(state, fg=colour)}")
-        for one in function.candidates:
-            mark = "*" if one.component == function.provider else " "
-            told = one.cause or "available"
-            click.echo(f"  {mark} {one.priority:>4}  {one.component}  ({one.bridge})  {told}")
-        if function.provider is None and not any(one.cause for one in function.candidates):
-            click.echo(f"  {function.cause}")
+        head, *candidates = str(function).splitlines()
+        click.secho(head, bold=True, fg="red" if function.provider is None else "green")
+        for line in candidates:
+            click.echo(line)
     for machine in robot.status().machines:
-        click.echo(f"machine {machine.name}  {_told(machine)}")
+        click.echo(machine)
     return functions
-
-
-def _told(machine: MachineStatus) -> str:
-    if machine.clock_offset is None or machine.clock_error is None:
-        return machine.cause or "present"
-    offset, error = 1000 * machine.clock_offset, 1000 * machine.clock_error
-    state = machine.cause or "present"
-    return f"{state}, its clock is {offset:+.3f} ms from ours (to {error:.3f} ms)"

@@ -14,7 +14,7 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
 
 from uoarm import errors
-from uoarm.client._link import Link, Open
+from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode
 from uoarm.wire import BINARY_FORM, TEXT_FORM, Form
@@ -76,7 +76,7 @@ async def connect(
             url,
             subprotocols=[Subprotocol(form.subprotocol)],
             additional_headers=headers,
-            max_size=None,
+            max_size=LARGEST.octets,
             compression=None,
             open_timeout=timeout,
             ssl=tls,

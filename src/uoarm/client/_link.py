@@ -9,13 +9,19 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.frames import CloseCode
 
-from uoarm.errors import ConnectionClosedError
+from uoarm._deadlines import result_within
+from uoarm.errors import ConnectionClosedError, ControlMessageError
+from uoarm.model import Budget, Spending
 from uoarm.wire import Form
 
-__all__ = ["Link", "Open", "Take"]
+__all__ = ["LARGEST", "Link", "Open", "Take"]
 
-_DEPTH = 512
+# A server is believed more than a client is, but what it sends is bounded, too.
+LARGEST = Budget(octets=268_435_456, elements=2_000_000, depth=512, dimensions=32)
+# What reading a message raises that is none, or lacks what the protocol says it has.
+_STRANGE = (ControlMessageError, AttributeError, LookupError, TypeError, ValueError)
 _KEEP, _RESUME = "keep", "resume"
 _MOST_WAITING = 4096
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 5.0
@@ -90,11 +96,14 @@ class Link:
         assert self._socket is not None, "start comes first"
         try:
             async for frame in self._socket:
-                self._hear(self._form.read(frame, _DEPTH))
+                self._hear(self._form.read(frame, Spending(LARGEST)))
         except ConnectionClosed as error:
             if error.rcvd is not None or not self._key:
                 return f"the connection to the server ended: {error}"
             return await self._renew(f"the connection to the server dropped: {error}")
+        except _STRANGE as error:
+            await self._socket.close(CloseCode.PROTOCOL_ERROR)
+            return _strange(error)
         return "the server closed the connection"
 
     async def _renew(self, cause: str) -> str:
@@ -105,11 +114,13 @@ class Link:
         why = cause
         while loop.time() < deadline:
             try:
-                refused = await self._go_on_within(deadline - loop.time())
+                refused = await result_within(deadline - loop.time(), self._go_on())
             except (OSError, ConnectionClosed, InvalidHandshake, asyncio.TimeoutError) as error:
                 why = f"{cause}; connecting again failed: {error}"
                 await asyncio.sleep(pause * random.uniform(0.5, 1.0))  # noqa: S311 - not a secret
                 pause = min(2 * pause, _LONGEST_PAUSE)
+            except _STRANGE as error:
+                return f"{cause}; {_strange(error)}"
             else:
                 if refused:
                     return f"{cause}; {refused}"
@@ -117,19 +128,6 @@ class Link:
                 self._ready.set()
                 return ""
         return why
-
-    async def _go_on_within(self, seconds: float) -> str:
-        """Bound `_go_on`, without `wait_for`: before Python 3.12 that can lose a cancellation."""
-        going = asyncio.ensure_future(self._go_on())
-        going.add_done_callback(lambda done: done.cancelled() or done.exception())
-        try:
-            await asyncio.wait({going}, timeout=seconds)
-        finally:
-            if going.cancel():
-                await asyncio.wait({going})
-        if going.cancelled():
-            raise asyncio.TimeoutError
-        return going.result()
 
     async def _go_on(self) -> str:
         """Take the session up over a new connection; returns the server's refusal, or nothing."""
@@ -151,7 +149,9 @@ class Link:
         await socket.recv()  # the greeting of a new session
         options = {"key": self._key, "waiting": waiting}
         await self._write(socket, {"op": "Resume", "id": _RESUME, "jsonMessage": options})
-        while (told := self._form.read(await socket.recv(), _DEPTH)).get("id") != _RESUME:
+        while (told := self._form.read(await socket.recv(), Spending(LARGEST))).get(
+            "id"
+        ) != _RESUME:
             self._hear(told)
         if told["op"] != "Reply":
             return str(told["jsonMessage"]["text"])
@@ -173,3 +173,7 @@ class Link:
 
     async def _write(self, socket: ClientConnection, fields: Mapping[str, Any]) -> None:
         await socket.send(self._form.write(fields), text=self._form.text)
+
+
+def _strange(error: Exception) -> str:
+    return f"the server sent what is no message: {type(error).__name__}: {str(error)[:200]}"

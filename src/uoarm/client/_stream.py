@@ -10,7 +10,7 @@ from typing import Any, final
 
 from typing_extensions import Self
 
-from uoarm._event_by import event_by
+from uoarm._deadlines import event_by
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 

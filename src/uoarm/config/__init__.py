@@ -1,8 +1,8 @@
 """Configuration files: YAML 1.2 in, a `Robot` or every mistake out."""
 
-from uoarm.config._assignments import ASSIGN, assign
+from uoarm._yaml import Place, Problem
+from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._load import Report, inspect, load, loads
-from uoarm.config._problem import Place, Problem
 from uoarm.config._shape import published_schema
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Report",
     "assign",
     "inspect",
+    "installation",
     "load",
     "loads",
     "published_schema",

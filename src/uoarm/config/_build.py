@@ -138,6 +138,7 @@ def _queue(value: Mapping[str, Any]) -> QueuePolicy:
         length=int(value.get("length", standard.length)),
         policy=OverflowPolicy(value.get("policy", standard.policy.value)),
         timeout=float(value.get("timeout", standard.timeout)),
+        octets=int(value.get("octets", standard.octets)),
     )
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from uoarm.config._document import Path
+from uoarm._yaml import Path, clip
 from uoarm.config._parts import bridge_names, listening
-from uoarm.config._problem import clip
 from uoarm.model import place_problem
 
 __all__ = ["host_mistakes"]

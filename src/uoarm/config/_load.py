@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -11,15 +10,13 @@ from typing import TypeAlias
 
 from attrs import frozen
 
+from uoarm._spelling import Speller
+from uoarm._yaml import Document, Place, Problem, read, read_file
 from uoarm.bridge import BridgeType
 from uoarm.config._build import build
-from uoarm.config._document import Document
 from uoarm.config._meaning import MeaningChecker
 from uoarm.config._plugins import PluginChecker
-from uoarm.config._problem import Place, Problem
 from uoarm.config._shape import ShapeChecker
-from uoarm.config._spelling import Speller
-from uoarm.config._yaml import MAX_BYTES, read
 from uoarm.errors import ConfigurationError
 from uoarm.model import Robot
 
@@ -84,50 +81,22 @@ def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
     Raises:
         ConfigurationError: it has mistakes; the text lists all of them.
     """
-    return _inspect(text, origin, types).require()
+    return _report(read(text, origin), origin, types).require()
 
 
 def inspect(path: str | PathLike[str], types: Types = _NO_TYPES) -> Report:
     """Read a configuration file and report on it without raising."""
-    file = str(path)
-    try:
-        raw = _read_bounded(Path(path))
-        return _inspect(raw.decode("utf-8"), file, types)
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
-        return _unreadable(file, sentence, Place(line, 1), "save it as UTF-8")
-    except OSError as error:
-        return _unreadable(file, f"the file cannot be read: {error.strerror or error}")
-    except ValueError as error:
-        return _unreadable(file, f"the file cannot be read: {error}")
+    return _report(read_file(Path(path)), str(path), types)
 
 
-def _read_bounded(path: Path) -> bytes:
-    """Read a regular file; a pipe or device could go on for ever.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is no regular file, too large, or the path cannot be one.
-    """
-    mode = path.stat().st_mode
-    if stat.S_ISDIR(mode):
-        raise ValueError("it is a folder")
-    if not stat.S_ISREG(mode):
-        raise ValueError("it is not a regular file")
-    with path.open("rb") as stream:
-        raw = stream.read(MAX_BYTES + 1)
-    if len(raw) > MAX_BYTES:
-        raise ValueError(f"it has more than {MAX_BYTES:,} bytes")
-    return raw
-
-
-def _inspect(text: str, file: str, types: Types) -> Report:
-    document = read(text, file)
+def _report(document: Document, file: str, types: Types) -> Report:
     if not document.whole:
         return Report(None, _sorted(document.problems))
     if document.value is None and not document.problems:
-        return _unreadable(file, "the file is empty", hint="begin with: version: 1")
+        sentence, hint = "the file is empty", "begin with: version: 1"
+        return Report(
+            None, (Problem(place=_START, path="$", sentence=sentence, hint=hint, file=file),)
+        )
     return _judge(document, file, types)
 
 
@@ -152,8 +121,9 @@ def _judge(document: Document, file: str, types: Types) -> Report:
 
 def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...]:
     """Order problems by place; what several parts of a metaschema say alike is said once."""
-    return tuple(sorted(set(problems), key=lambda one: (one.place, one.path, one.sentence)))
-
-
-def _unreadable(file: str, sentence: str, place: Place = _START, hint: str = "") -> Report:
-    return Report(None, (Problem(place=place, path="$", sentence=sentence, hint=hint, file=file),))
+    return tuple(
+        sorted(
+            set(problems),
+            key=lambda one: (one.place.line, one.place.column, one.path, one.sentence),
+        )
+    )

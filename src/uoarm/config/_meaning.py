@@ -7,8 +7,9 @@ from typing import Any
 
 from attrs import Factory, define
 
+from uoarm._spelling import Speller
+from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.config._cycles import avoidable_cycles, unavoidable_cycles
-from uoarm.config._document import Document, Path
 from uoarm.config._hosts import host_mistakes
 from uoarm.config._parts import (
     ComponentPart,
@@ -18,8 +19,6 @@ from uoarm.config._parts import (
     components,
     function_names,
 )
-from uoarm.config._problem import Problem, clip, write_path
-from uoarm.config._spelling import Speller
 
 __all__ = ["MeaningChecker"]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from attrs import frozen
 
-from uoarm.config._document import Path
+from uoarm._yaml import Path
 
 __all__ = [
     "ComponentPart",

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from uoarm._mistakes import mistakes
+from uoarm._spelling import Speller
+from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
-from uoarm.config._document import Document, Path
-from uoarm.config._parts import bridge_names, components
-from uoarm.config._problem import Problem, clip, write_path
-from uoarm.config._spelling import Speller
+from uoarm.config._loops import Topic, feedback_loops
+from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components
 
 __all__ = ["PluginChecker"]
 
@@ -50,6 +52,39 @@ class PluginChecker:
                     yield from self._endpoint_problems(kind, port.value, port.path)
 
     def warnings(self) -> Iterator[Problem]:
+        """Yield what the file may hold and should not."""
+        yield from self._meetings()
+        yield from self._loops()
+
+    def _loops(self) -> Iterator[Problem]:
+        """Yield feedback loops through topics."""
+        for path, names in feedback_loops(list(components(self._document.value)), self._topic):
+            along = " -> ".join(names)
+            sentence = f"a message would go round without end: {along}"
+            hint = "give one of them an address of its own"
+            yield self._problem(path, sentence, hint)
+
+    def _topic(self, component: ComponentPart, port: PortPart) -> Topic | None:
+        """Return the topic of a port, where its plugin knows one."""
+        kind, own = self._bridges.get(component.text("bridge") or "", (None, None))
+        if kind is None or kind.topic is None:
+            return None
+        address, options = port.value.get("endpoint"), port.value.get("options", {})
+        if not isinstance(address, list) or not all(isinstance(one, str) for one in address):
+            return None
+        if not address or not isinstance(options, dict):
+            return None
+        try:
+            name = kind.topic(tuple(address), options)
+        except Exception:  # noqa: BLE001 - a plugin may raise anything; check_endpoint tells
+            return None
+        return (
+            Topic(f"{kind.name} {json.dumps(own, default=str, sort_keys=True)}", name)
+            if name
+            else None
+        )
+
+    def _meetings(self) -> Iterator[Problem]:
         """Yield what several installations of a plugin have in common and should not have."""
         seen: dict[tuple[str, str, str], tuple[str, str]] = {}
         for name, (kind, options) in self._bridges.items():
@@ -71,15 +106,9 @@ class PluginChecker:
         from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
         for error in Draft202012Validator(kind.options_schema).iter_errors(options):
-            where: Path = (*path, *error.absolute_path)
-            if error.validator == "additionalProperties" and isinstance(error.instance, dict):
-                known = list(error.schema.get("properties", {}))
-                for key in error.instance.keys() - set(known):
-                    hint = self._speller.guess_or_list(key, known, "known options") if known else ""
-                    sentence = f"the plugin {kind.name} has no option {clip(key)}"
-                    yield self._problem((*where, key), sentence, hint, at_key=True)
-            else:
-                yield self._problem(where, f"the plugin {kind.name} says: {error.message}")
+            for where, sentence, hint, at_key in mistakes(error, self._speller):
+                told = f"the plugin {kind.name}: {sentence}"
+                yield self._problem((*path, *where), told, hint, at_key=at_key)
 
     def _endpoint_problems(
         self, kind: BridgeType, port: Mapping[str, Any], path: Path

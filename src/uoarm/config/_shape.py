@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
-from uoarm.config._document import Document, Path
-from uoarm.config._problem import Problem, clip, write_path
-from uoarm.config._spelling import Speller
+from uoarm._mistakes import TYPES, Mistake, any_of, mistakes, near
+from uoarm._spelling import Speller
+from uoarm._yaml import Document, Path, Problem, clip, write_path
 
 if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
@@ -18,24 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ShapeChecker", "published_schema"]
 
-Mistake: TypeAlias = "tuple[Path, str, str, bool]"
-"""Path, sentence, hint, and whether the key rather than the value is at fault."""
-
-_TYPES: Mapping[str, str] = {
-    "object": "a mapping",
-    "array": "a list",
-    "string": "text",
-    "integer": "a whole number",
-    "number": "a number",
-    "boolean": "true or false",
-    "null": "nothing",
-}
-_BOUNDS: Mapping[str, str] = {
-    "minimum": "at least",
-    "maximum": "at most",
-    "exclusiveMinimum": "more than",
-    "exclusiveMaximum": "less than",
-}
+_DIALECT = "https://json-schema.org/draft/2020-12/"
 _RULE_KINDS = ("from", "const", "each")
 _NAME_HINT = "a name has letters, digits, _ and -, begins with a letter or _, 128 at most"
 
@@ -52,20 +35,18 @@ class ShapeChecker:
     """Holds a document against the published schema, and its structures against JSON Schema."""
 
     def __init__(self, document: Document, file: str, speller: Speller) -> None:
-        from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
-
         self._document = document
         self._file = file
         self._speller = speller
-        self._published: Validator = Draft202012Validator(published_schema())
-        self._meta: Validator = Draft202012Validator(Draft202012Validator.META_SCHEMA)
+        self._published: Validator = _validator(published_schema())
+        self._meta: Validator = _validator({"$ref": f"{_DIALECT}schema"})
         self._sound: set[str] = set()
 
     def problems(self) -> Iterator[Problem]:
         """Yield every mistake of shape in the document."""
         value: Any = self._document.value
         for error in self._published.iter_errors(value):
-            yield from map(self._problem, self._mistakes(error))
+            yield from map(self._problem, _mistakes(error, self._speller))
 
     def structure_problems(self, structure: Any, path: Path) -> Iterator[Problem]:
         """Yield what keeps a declared structure from being a JSON Schema."""
@@ -80,7 +61,7 @@ class ShapeChecker:
         if not found:
             self._sound.add(text)
         for error in found:
-            for where, sentence, hint, at_key in self._mistakes(error):
+            for where, sentence, hint, at_key in _mistakes(error, self._speller):
                 told = f"not a JSON Schema: {sentence}"
                 yield self._problem(((*path, *where), told, hint, at_key))
 
@@ -91,98 +72,96 @@ class ShapeChecker:
             place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
         )
 
-    def _mistakes(self, error: ValidationError) -> Iterator[Mistake]:
-        """Put one error of the validator into our own words."""
-        path: Path = tuple(error.absolute_path)
-        value: Any = error.instance
-        expected: Any = error.validator_value
-        keyword = str(error.validator)
-        rules: Any = error.schema
-        if _is_about_a_key(error):
-            yield (*path, value), f"the name {clip(value)} is not allowed", _NAME_HINT, True
-        elif keyword == "additionalProperties":
-            yield from self._unknown_keys(path, value, rules["properties"])
-        elif keyword == "required":
-            missing = next(key for key in expected if error.message.startswith(repr(key)))
-            yield path, f"the key {clip(missing)} is missing", "", False
-        elif keyword == "type":
-            sentence = f"expected {_expected(expected)}, got {clip(value)}"
-            yield path, sentence, _type_hint(expected, value), False
-        elif keyword == "const":
-            yield path, f"expected {expected}, got {clip(value)}", "", False
-        elif keyword == "enum":
-            sentence = f"expected {_any_of(expected)}, got {clip(value)}"
-            yield path, sentence, self._near(value, expected), False
-        elif keyword in {"pattern", "maxLength"} and "pattern" in rules:
-            yield path, f"the name {clip(value)} is not allowed", _NAME_HINT, False
-        elif keyword in _BOUNDS:
-            sentence = f"expected {_BOUNDS[keyword]} {expected}, got {clip(value)}"
-            yield path, sentence, "", False
-        elif keyword in {"minItems", "minProperties", "minLength"}:
-            yield path, f"expected at least {expected}, got {clip(value)}", "", False
-        elif keyword == "uniqueItems":
-            yield path, "the same entry stands here twice", "", False
-        elif keyword == "anyOf":
-            yield from self._no_branch_fits(error, rules.get("x-kinds"), path, value)
-        else:
-            yield path, f"{keyword}: expected {clip(expected)}, got {clip(value)}", "", False
 
-    def _unknown_keys(self, path: Path, value: Any, known: Collection[str]) -> Iterator[Mistake]:
-        for key in value:
-            if key not in known:
-                hint = self._speller.guess_or_list(key, known, "known keys")
-                yield (*path, key), f"unknown key {clip(key)}", hint, True
+def _validator(schema: Mapping[str, Any]) -> Validator:
+    """Return a validator whose `uniqueItems` costs no more than its list is long."""
+    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+    from jsonschema.validators import extend  # noqa: PLC0415 - as above
+    from jsonschema_specifications import (  # type: ignore[import-untyped]  # noqa: PLC0415
+        REGISTRY,
+    )
+    from referencing import Registry  # noqa: PLC0415 - as above
+    from referencing.jsonschema import DRAFT202012  # noqa: PLC0415 - as above
 
-    def _no_branch_fits(
-        self, error: ValidationError, kinds: list[str] | None, path: Path, value: Any
-    ) -> Iterator[Mistake]:
-        if kinds is None:
-            yield self._simple_choice(path, value)
-            return
-        if not isinstance(value, dict):
-            sentence = f"expected a path in the source, or from, const or each; got {clip(value)}"
-            yield path, sentence, "", False
-            return
-        present = [kind for kind in _RULE_KINDS if kind in value]
-        if len(present) != 1:
-            sentence = f"expected exactly one of from, const and each, got {_keys(value)}"
-            yield path, sentence, "", False
-            return
-        branch = kinds.index(present[0])
-        for inner in error.context or ():
-            if inner.relative_schema_path[0] == branch:
-                yield from self._mistakes(inner)
-
-    def _simple_choice(self, path: Path, value: Any) -> Mistake:
-        """The metaschema's one choice: the name of a type, or a list of such names."""
-        wrong = value
-        if isinstance(value, list):
-            wrong = next((one for one in value if one not in _TYPES), value)
-        sentence = f"expected {_any_of(_TYPES)}, got {clip(wrong)}"
-        return path, sentence, self._near(wrong, _TYPES), False
-
-    def _near(self, value: object, allowed: Collection[object]) -> str:
-        if not isinstance(value, str):
-            return ""
-        return self._speller.guess(value, [str(one) for one in allowed if one != value])
+    # Where a schema names its dialect, jsonschema takes that one's own validator for it.
+    plain: Registry[Any] = Registry().with_resources(
+        (uri, DRAFT202012.create_resource(_without_dialect(REGISTRY.contents(uri))))
+        for uri in REGISTRY
+        if uri.startswith(_DIALECT)
+    )
+    kind: Any = extend(Draft202012Validator, {"uniqueItems": _twice})  # type: ignore[no-untyped-call]
+    made: Validator = kind(_without_dialect(schema), registry=plain)
+    return made
 
 
-def _expected(types: str | list[str]) -> str:
-    names = [types] if isinstance(types, str) else types
-    return " or ".join(_TYPES.get(name, name) for name in names)
+def _without_dialect(schema: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in schema.items() if key != "$schema"}
 
 
-def _type_hint(expected: str | list[str], value: object) -> str:
-    if value is None and expected == "object":
-        return "write {} where there is nothing to set"
-    if isinstance(value, str) and expected == "array":
-        return f"write [{clip(value)}]"
-    return ""
+def _twice(validator: Validator, unique: Any, value: Any, schema: Any) -> Iterator[ValidationError]:
+    """Hold `uniqueItems` in time that grows with the list; jsonschema compares every pair."""
+    from jsonschema import ValidationError  # noqa: PLC0415 - slow import
+
+    del schema
+    if unique and validator.is_type(value, "array") and len(set(map(_key, value))) < len(value):
+        yield ValidationError("the same entry stands here twice")
 
 
-def _any_of(allowed: Collection[object]) -> str:
-    words = [str(one) for one in allowed]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+def _key(value: object) -> Hashable:
+    """Return what is equal where JSON values are; to Python, true is 1."""
+    if isinstance(value, dict):
+        return "mapping", frozenset((name, _key(one)) for name, one in value.items())
+    if isinstance(value, list):
+        return "list", tuple(map(_key, value))
+    return isinstance(value, bool), value
+
+
+def _mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
+    """Yield the mistakes behind one error; names and the forms of a rule are ours to explain."""
+    path: Path = tuple(error.absolute_path)
+    value: Any = error.instance
+    keyword = str(error.validator)
+    rules: Any = error.schema
+    if _is_about_a_key(error):
+        yield (*path, value), f"the name {clip(value)} is not allowed", _NAME_HINT, True
+    elif keyword in {"pattern", "maxLength"} and "pattern" in rules:
+        yield path, f"the name {clip(value)} is not allowed", _NAME_HINT, False
+    elif keyword == "anyOf":
+        yield from _no_branch_fits(error, rules.get("x-kinds"), speller)
+    else:
+        yield from mistakes(error, speller)
+
+
+def _no_branch_fits(
+    error: ValidationError, kinds: list[str] | None, speller: Speller
+) -> Iterator[Mistake]:
+    path: Path = tuple(error.absolute_path)
+    value: Any = error.instance
+    if kinds is None:
+        yield _simple_choice(path, value, speller)
+        return
+    if not isinstance(value, dict):
+        sentence = f"expected a path in the source, or from, const or each; got {clip(value)}"
+        yield path, sentence, "", False
+        return
+    present = [kind for kind in _RULE_KINDS if kind in value]
+    if len(present) != 1:
+        sentence = f"expected exactly one of from, const and each, got {_keys(value)}"
+        yield path, sentence, "", False
+        return
+    branch = kinds.index(present[0])
+    for inner in error.context or ():
+        if inner.relative_schema_path[0] == branch:
+            yield from _mistakes(inner, speller)
+
+
+def _simple_choice(path: Path, value: Any, speller: Speller) -> Mistake:
+    """The metaschema's one choice: the name of a type, or a list of such names."""
+    wrong = value
+    if isinstance(value, list):
+        wrong = next((one for one in value if one not in [*TYPES]), value)
+    sentence = f"expected {any_of(TYPES)}, got {clip(wrong)}"
+    return path, sentence, near(wrong, TYPES, speller), False
 
 
 def _keys(value: Mapping[str, object]) -> str:

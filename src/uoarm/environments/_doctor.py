@@ -54,9 +54,14 @@ def examine(environment: Environment) -> Finding:
     if done.returncode != 0:
         last = done.stderr.strip().rpartition("\n")[2]
         return Finding(name, {}, f"it lacks what a host needs: {last}")
-    said = json.loads(done.stdout)
-    facts = {key: ", ".join(one) if isinstance(one, list) else one for key, one in said.items()}
+    try:
+        said = json.loads(done.stdout)
+        facts = {key: ", ".join(one) if isinstance(one, list) else one for key, one in said.items()}
+        theirs = str(facts["uoarm"])
+    except (ValueError, RecursionError, AttributeError, LookupError, TypeError):
+        text = f"its interpreter prints what it was not asked: {done.stdout[:60]!r}"
+        return Finding(name, {}, text)
     problem = ""
-    if facts["uoarm"] != __version__:
-        problem = f"it has uoarm {facts['uoarm']}, this is {__version__}: make it anew"
+    if theirs != __version__:
+        problem = f"it has uoarm {theirs}, this is {__version__}: make it anew"
     return Finding(name, facts, problem)

@@ -11,8 +11,11 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from uoarm._whole_file import write_whole
 from uoarm.environments._place import MARK, environment_folder, environment_python
+from uoarm.environments._requirements import handed_on
 from uoarm.errors import PluginError
 
 __all__ = ["create"]
@@ -37,7 +40,8 @@ def create(
 
     Args:
         name: of the environment, which must not exist.
-        requirements: what to install, as pip reads it.
+        requirements: what to install, as pip reads it; uoarm and plugins that are pinned to the
+            version that runs here are installed from the files that run here.
         python: version (with uv) or path of the interpreter to build on; None: this one.
         tell: told each line of progress.
         uv: path of uv; None: looked for on the path; "": not used.
@@ -53,21 +57,19 @@ def create(
     base = python or sys.executable
     interpreter = environment_python(name)
     if found:
-        steps = [
-            [found, "venv", "--python", base, str(folder)],
-            [found, "pip", "install", "--python", str(interpreter), *requirements],
-        ]
+        make = [found, "venv", "--python", base, str(folder)]
+        install = [found, "pip", "install", "--python", str(interpreter)]
     else:
-        steps = [
-            [base, "-m", "venv", str(folder)],
-            [str(interpreter), "-m", "pip", "install", *requirements],
-        ]
+        make = [base, "-m", "venv", str(folder)]
+        install = [str(interpreter), "-m", "pip", "install"]
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        for step in steps:
-            _run(step, tell)
+        _run(make, tell)
+        with TemporaryDirectory(prefix="uoarm-wheels-") as wheels:
+            given = [handed_on(one, Path(wheels)) for one in requirements]
+            _run([*install, *given], tell)
         said = json.dumps({"name": name, "requirements": requirements})
-        (folder / MARK).write_text(said, encoding="utf-8")
+        write_whole(folder / MARK, said.encode())
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if isinstance(error, OSError):

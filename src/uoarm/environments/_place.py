@@ -94,5 +94,5 @@ def _read(folder: Path) -> Environment:
     try:
         said = json.loads((folder / MARK).read_text(encoding="utf-8"))
         return Environment(folder.name, folder, tuple(said["requirements"]), is_whole=True)
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return Environment(folder.name, folder, (), is_whole=False)

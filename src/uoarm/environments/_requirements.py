@@ -2,58 +2,70 @@
 
 from __future__ import annotations
 
-import json
 import re
-from importlib.metadata import Distribution, PackageNotFoundError, distribution, entry_points
+from importlib.metadata import Distribution, entry_points
+from pathlib import Path
 
-__all__ = ["requirements"]
+from uoarm._origin import installed, origin_of
+from uoarm.environments._repack import repack
+
+__all__ = ["handed_on", "requirements"]
 
 _GROUP = "uoarm.bridges"
+_CORE = "uoarm"
+_PINNED = re.compile(r"([A-Za-z0-9._-]+)(\[[^\]]*\])?==([^ ;]+)")
 
 
 def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -> tuple[str, ...]:
     """Return the requirements of an environment for one plugin.
 
-    What is installed here from a folder is taken from that folder there, too.
+    What is installed here as an editable project is that project there, too; anything else is
+    pinned to its version, for which `create` gives the files that are installed here.
 
     Args:
         plugin: name of the bridge type, `ros2`.
         version: version of its middleware, `jazzy`: an extra of the plugin's distribution.
         more: requirements to add, as pip reads them; a path of a project stands for itself.
     """
-    ours = _requirement(_find("uoarm"), "uoarm", "hosts")
+    ours = _requirement(installed(_CORE), _CORE, "hosts")
     point = next((one for one in entry_points(group=_GROUP) if one.name == plugin), None)
     provider = None if point is None else point.dist
-    if provider is not None and provider.name == "uoarm":
+    if provider is not None and provider.name == _CORE:
         return (ours, *more)
     if provider is None and any(_names(one, f"uoarm-{plugin}") for one in more):
         return (ours, *more)
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
 
 
-def _find(name: str) -> Distribution | None:
-    try:
-        return distribution(name)
-    except PackageNotFoundError:
-        return None
+def handed_on(requirement: str, folder: Path) -> str:
+    """Return a requirement with the wheel of what is installed here, where it is pinned to that.
+
+    Only uoarm and its plugins are handed on; everything else comes from an index.
+
+    Args:
+        requirement: as `requirements` returns it.
+        folder: where the wheel is written.
+    """
+    pinned = _PINNED.fullmatch(requirement)
+    found = None if pinned is None else installed(pinned[1])
+    if pinned is None or found is None or found.version != pinned[3] or not _is_ours(found):
+        return requirement
+    wheel = repack(found, folder)
+    return requirement if wheel is None else f"{pinned[1]}{pinned[2] or ''} @ {wheel.as_uri()}"
+
+
+def _is_ours(found: Distribution) -> bool:
+    return found.name == _CORE or any(one.group == _GROUP for one in found.entry_points)
 
 
 def _requirement(found: Distribution | None, name: str, extra: str | None) -> str:
     if found is not None:
         name = found.name
-    if extra:
-        name = f"{name}[{extra}]"
-    if found is None:
-        return name
-    place = _folder(found)
-    return f"{name} @ {place}" if place else f"{name}=={found.version}"
-
-
-def _folder(found: Distribution) -> str:
-    """Return the folder that a distribution was installed from as a URL (PEP 610), or nothing."""
-    said = json.loads(found.read_text("direct_url.json") or "{}")
-    url = said.get("url", "") if "dir_info" in said else ""
-    return url if isinstance(url, str) else ""
+    wanted = f"{name}[{extra}]" if extra else name
+    origin = origin_of(name)
+    if origin is not None and (origin.editable or found is None):
+        return f"{wanted} @ {origin.path.as_uri()}"
+    return wanted if found is None else f"{wanted}=={found.version}"
 
 
 def _names(requirement: str, project: str) -> bool:

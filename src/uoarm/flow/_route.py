@@ -199,6 +199,9 @@ class Route:
                 queue.done()
 
     def _fail(self, error: Exception) -> None:
+        if self._closed:
+            self.drop("closed")
+            return
         if isinstance(error, MessageError):
             self.invalid += 1
             self.drop("invalid")

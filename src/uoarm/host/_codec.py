@@ -7,6 +7,8 @@ of the frame; octets arrive as `bytes`, tuples as lists.
 
 from __future__ import annotations
 
+import math
+import re
 import struct
 import sys
 from array import array
@@ -15,12 +17,15 @@ from typing import Any
 import msgpack
 
 from uoarm.errors import MessageError
+from uoarm.host._tree_scan import check_claims
 from uoarm.model import Message
 
 __all__ = ["pack", "unpack"]
 
 _LENGTH = struct.Struct("<I")
 _BUFFER, _BIG = 1, 2
+_TYPE = re.compile(r"[<>|][biuf](1|2|4|8|16)")
+_MAX_DIMENSIONS = 32
 _STEP = 8
 _FILL = bytes(_STEP)
 _LITTLE = sys.byteorder == "little"
@@ -93,15 +98,36 @@ def _read(frame: bytes) -> Message:
             return int.from_bytes(data, "big", signed=True)
         if code != _BUFFER:
             raise MessageError(f"a frame holds an unknown extension {code}")
-        kind, shape, size = msgpack.unpackb(data)
+        kind, shape, size = _buffer(data)
         view = memoryview(frame)[place : place + size]
         if len(view) != size:
             raise MessageError(f"a frame ends within a buffer of {size} octets")
         place += size + -size % _STEP
         return _numbers(view, kind, shape)
 
+    check_claims(frame, _LENGTH.size, end)
     tree = memoryview(frame)[_LENGTH.size : end]
     return msgpack.unpackb(tree, ext_hook=read, unicode_errors="surrogatepass")
+
+
+def _buffer(data: bytes) -> tuple[str, list[int], int]:
+    """Return the item type, the shape and the octets of a buffer; they fit one another.
+
+    Numpy would take far more for a type than `pack` writes, even Python code in commas.
+    """
+    kind, shape, size = msgpack.unpackb(data)
+    known = _TYPE.fullmatch(kind) if isinstance(kind, str) else None
+    if known is None:
+        raise MessageError(f"a frame holds a buffer of an unknown type {str(kind)[:40]!r}")
+    if not (isinstance(shape, list) and len(shape) <= _MAX_DIMENSIONS):
+        raise MessageError(f"a frame holds a buffer of more than {_MAX_DIMENSIONS} dimensions")
+    if not all(type(one) is int and one >= 0 for one in shape):
+        raise MessageError("a frame holds a buffer of a shape that is no list of sizes")
+    if math.prod(shape) * int(known[1]) != size:
+        raise MessageError(
+            f"a frame holds a buffer whose shape does not fit its {size!r:.40} octets"
+        )
+    return kind, shape, size
 
 
 def _outside(buffers: list[Any], value: Any, kind: str, shape: tuple[int, ...]) -> Any:

@@ -8,6 +8,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from uoarm.bridge import CONTRACT_VERSION
@@ -39,6 +40,7 @@ class HostConnection:
         heard: told what every answer of its pulse holds.
         doubted: told that it does not answer, or does again, and the cause.
         died: told once why it died; `dead` is set already.
+        origin: the configuration file, which the host's command line shows.
 
     Raises:
         UoarmError: what starting the bridge in the host raised.
@@ -54,6 +56,7 @@ class HostConnection:
         heard: Callable[[Any], None],
         doubted: Callable[[bool, str], None],
         died: Callable[[str], None],
+        origin: str = "",
     ) -> None:
         self._name = spec.name
         self._memory = settings.memory
@@ -62,11 +65,10 @@ class HostConnection:
         self._started: HostProcess | None = None
         self._pulse: Pulse | None = None
         deadline = time.monotonic() + settings.start
-        command = host_command(settings.interpreter())
+        command = host_command(settings.interpreter(), spec.name, origin)
         variables = settings.process_variables(os.environ)
-        folder = link_folder()
+        folder, self.tally = _tallied_folder(spec.name)
         try:
-            self.tally = Tally(folder / "tally", make=True)
             place = f"unixsock-stream/{folder}/link"
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
             shared = settings.shared_memory
@@ -194,3 +196,20 @@ class HostConnection:
         self._life.die(f"it has not answered for {silent:.1f} s")
         if self._started is not None:
             self._started.kill()
+
+
+def _tallied_folder(name: str) -> tuple[Path, Tally]:
+    """Make the folder of a link, with the counters that both ends share.
+
+    Raises:
+        BridgeError: UNAVAILABLE, such as where the disk is full.
+    """
+    folder: Path | None = None
+    try:
+        folder = link_folder()
+        return folder, Tally(folder / "tally", make=True)
+    except OSError as error:
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        text = f"bridge host {name!r} has no place for its link: {error}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error

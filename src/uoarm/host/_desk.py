@@ -20,6 +20,8 @@ _CLOCK_SECONDS = 1.0
 _ANSWER_SECONDS = 0.5
 _JOIN_SECONDS = 2.0
 _MOST_HOSTS = 64
+_MOST_BRIDGES = 1024
+_END_OF_TIME = 2**63  # in nanoseconds, in the year 2262
 
 
 class MachineDesk:
@@ -94,10 +96,10 @@ class MachineDesk:
             BridgeError: UNAVAILABLE when the host has gone.
             BridgeTimeoutError: no answer in time.
         """
-        asked = time.time_ns()
+        asked, began = time.time_ns(), time.monotonic_ns()
         theirs = self._link.ask(_keys.clock(machine, host), None, timeout=timeout)
-        if isinstance(theirs, int):
-            self._offsets[machine].add(asked, theirs, time.time_ns())
+        if type(theirs) is int and 0 <= theirs < _END_OF_TIME:
+            self._offsets[machine].add(asked, theirs, time.time_ns(), time.monotonic_ns() - began)
 
     def attach(self, machine: str, host: str, orders: object, timeout: float) -> None:
         """Have a host make a bridge.
@@ -138,7 +140,8 @@ class MachineDesk:
                 hosts.remove((bridge, host))
             if present and len(hosts) < _MOST_HOSTS:
                 hosts.append((bridge, host))
-                self._came[machine].add(bridge)
+                if len(self._came[machine]) < _MOST_BRIDGES:
+                    self._came[machine].add(bridge)
             if not hosts:
                 self._offsets[machine].clear()
             self._news.notify_all()

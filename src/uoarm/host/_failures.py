@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from uoarm import errors
@@ -26,7 +27,7 @@ def to_failure(error: BaseException) -> dict[str, str]:
     return {"kind": "BridgeError", "text": text, "reason": FailureReason.RAISED.value}
 
 
-def from_failure(failure: dict[str, Any]) -> UoarmError:
+def from_failure(failure: Mapping[str, Any]) -> UoarmError:
     """Return the error that `to_failure` described; an unknown kind becomes a BridgeError."""
     text = str(failure.get("text"))
     kind = _KINDS.get(str(failure.get("kind")), BridgeError)

@@ -165,7 +165,11 @@ class Outgoing:
             self._room.notify_all()
 
     def _read_confirmation(self, header: bytes) -> None:
-        self.confirm(Handled(*msgpack.unpackb(header)))
+        match _plain(header):
+            case [int(number), int(failed), str(error), int(lost)] if number <= self._number:
+                self.confirm(Handled(number, failed, error[:_ERROR_LENGTH], lost))
+            case told:
+                _log.debug("%s: no confirmation: %.40s", self._key, told)
 
 
 class Incoming:
@@ -239,12 +243,19 @@ class Incoming:
             _log.debug("%s ended with its link: %s", self._key, error)
 
     def _handle(self, frame: bytes, header: bytes) -> None:
-        number, skipped, sent_at, ending = msgpack.unpackb(header)
+        told = _header(header)
+        if (
+            told is None or told[0] <= self._number
+        ):  # damaged, or sent once more by whoever heard it
+            self.failed += 1
+            self.last_error = "a frame without a header of its own, or one that came before"
+            return
+        number, skipped, sent_at, ending = told
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
         self.latency = max(0.0, (time.time_ns() + self._link.ahead() - sent_at) / 1e9)
         if ending is not None:
-            self._ended(Ending(*ending))
+            self._ended(ending)
         else:
             self.received += 1
             try:
@@ -265,3 +276,21 @@ class Incoming:
         self._confirmed, self._confirmed_at = self._number, now
         header = msgpack.packb(astuple(self.handled()))
         self._link.publish(f"{self._key}/handled", b"", header, must_arrive=True)
+
+
+def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:
+    """Return number, skipped, time and ending of a frame; None where it is no header of a flow."""
+    match _plain(octets):
+        case [int(number), int(skipped), int(sent_at), None]:
+            return number, skipped, sent_at, None
+        case [int(number), int(skipped), int(sent_at), [str(health), str(cause)]]:
+            return number, skipped, sent_at, Ending(health, cause)
+    return None
+
+
+def _plain(octets: bytes) -> object:
+    """Return what msgpack holds, None where it holds nothing that can be read."""
+    try:
+        return msgpack.unpackb(octets)
+    except (ValueError, TypeError, msgpack.UnpackException):
+        return None

@@ -110,10 +110,15 @@ class Link:
             text = reply.err.payload.to_string()
             raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
         assert reply.ok is not None, "a reply that is no error holds a sample"
-        failed, value = unpack(reply.ok.payload.to_bytes())
-        if failed:
-            raise from_failure(value)
-        return value
+        told = unpack(reply.ok.payload.to_bytes())
+        match told:
+            case [bool(failed), value]:
+                if not failed:
+                    return value
+                if isinstance(value, Mapping):
+                    raise from_failure(value)
+        text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
+        raise BridgeError(text, FailureReason.CONTRACT)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in the link's thread; returns what ends it.

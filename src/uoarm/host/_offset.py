@@ -4,6 +4,7 @@ from __future__ import annotations
 
 __all__ = ["ClockOffset"]
 
+_SET_NANOSECONDS = 50_000_000
 _KEPT = 16
 
 
@@ -16,8 +17,15 @@ class ClockOffset:
     def __init__(self) -> None:
         self._answers: tuple[tuple[int, int], ...] = ()
 
-    def add(self, asked: int, theirs: int, answered: int) -> None:
-        """Take one answer: our times of question and answer and theirs between, nanoseconds."""
+    def add(self, asked: int, theirs: int, answered: int, took: int | None = None) -> None:
+        """Take one answer: our times of question and answer and theirs between, nanoseconds.
+
+        With `took`, the same time by a clock that cannot be set, an answer during which our clock
+        was set is thrown away, and so are those before it, which knew the clock as it was.
+        """
+        if took is not None and abs(answered - asked - took) > _SET_NANOSECONDS:
+            self.clear()
+            return
         answer = max(0, answered - asked), theirs - (asked + answered) // 2
         self._answers = (*self._answers[1 - _KEPT :], answer)
 

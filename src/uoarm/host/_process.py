@@ -189,6 +189,11 @@ def _how(status: int) -> str:
     return f"its process was killed by {name}"
 
 
-def host_command(python: Path) -> list[str]:
-    """Return the command that runs a host with this interpreter."""
-    return [str(python), "-u", "-m", "uoarm.host"]
+def host_command(python: Path, bridge: str, origin: str = "") -> list[str]:
+    """Return the command that runs a host with this interpreter.
+
+    The host is told everything on its stdin; the bridge and the configuration file stand in the
+    command for people who list processes.
+    """
+    robot = ["--robot", origin] if origin else []
+    return [str(python), "-u", "-m", "uoarm.host", "--bridge", bridge, *robot]

@@ -58,6 +58,7 @@ class RemoteBridge(Bridge):
     Args:
         spec: name, plugin and options of the bridge; `spec.host` are the settings of its host.
         desk: where other machines join; for a host that has a `machine`.
+        origin: the configuration file, which the host's command line shows.
 
     Raises:
         UoarmError: what the plugin raised when it was started in the host.
@@ -65,14 +66,18 @@ class RemoteBridge(Bridge):
         BridgeTimeoutError: it was not ready in time.
     """
 
-    def __init__(self, spec: BridgeSpec, desk: MachineDesk | None = None) -> None:
+    def __init__(
+        self, spec: BridgeSpec, desk: MachineDesk | None = None, *, origin: str = ""
+    ) -> None:
         super().__init__(spec.name, spec.options)
         self._numbers = itertools.count(1)
         self._channels: dict[int, RemoteChannel] = {}
         self._services = Workers(f"uoarm-serve-{spec.name}")
         self._told_death = threading.Lock()
         settings = HostSettings.read(spec.host or {})
-        connect: Callable[..., HostConnection | MachineConnection] = HostConnection
+        connect: Callable[..., HostConnection | MachineConnection] = partial(
+            HostConnection, origin=origin
+        )
         if settings.machine is not None:
             if desk is None:
                 text = f"bridge {spec.name!r} is on machine {settings.machine!r}: ask its manager"
@@ -90,8 +95,17 @@ class RemoteBridge(Bridge):
 
     @property
     def process(self) -> int:
-        """The id of the host's process."""
+        """The id of the host's process.
+
+        Raises:
+            BridgeError: it is another machine's.
+        """
         return self._host.process
+
+    @property
+    def process_id(self) -> int | None:
+        """The id of the host's process; None where it is another machine's."""
+        return self._host.process if isinstance(self._host, HostConnection) else None
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return from_json(self._ask("describe", endpoint=to_json(endpoint)), Description)

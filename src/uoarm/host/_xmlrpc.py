@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 import json
+import logging
+import math
+import re
+import socket
 import threading
+import time
 from collections.abc import Iterable
+from contextlib import suppress
 from http import HTTPStatus
 from socketserver import ThreadingMixIn
+from typing import Any
+from xml.parsers.expat import ExpatError, ParserCreate
+from xmlrpc.client import Fault, dumps
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from uoarm.bridge import Bridge
@@ -19,6 +28,11 @@ _LOOPBACK = "127.0.0.1"
 _LARGEST = 64 * 1024
 _DESCRIBE_SECONDS = 10.0
 _REQUEST_SECONDS = 10.0
+_CONNECTION_SECONDS = 30.0
+_CONNECTIONS = 32
+_PAUSE_SECONDS = 0.1
+_DIGITS = re.compile("[0-9]{1,9}")
+_log = logging.getLogger("uoarm.host")
 
 
 class XmlRpcFace:
@@ -39,7 +53,7 @@ class XmlRpcFace:
 
     def __init__(self, bridge: Bridge, endpoints: Iterable[Endpoint], port: int = 0) -> None:
         try:
-            self._server = _Server((_LOOPBACK, port), _Handler, logRequests=False)
+            self._server = _Server((_LOOPBACK, port))
         except OSError as error:
             text = f"XML-RPC cannot listen on port {port} of {_LOOPBACK}: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
@@ -91,7 +105,7 @@ class _Database:
 
 
 class _Handler(SimpleXMLRPCRequestHandler):
-    """Refuses what is too long, and what a web page was led to send here under another name."""
+    """Refuses what is too long or packed, and what a web page was led to send here."""
 
     timeout = _REQUEST_SECONDS
 
@@ -101,13 +115,90 @@ class _Handler(SimpleXMLRPCRequestHandler):
         length = self.headers.get("Content-Length", "")
         if host not in {_LOOPBACK, "localhost"}:
             self.send_error(HTTPStatus.FORBIDDEN, "only from this machine, by its own name")
-        elif not length.isdigit() or int(length) > _LARGEST:
+        elif "Origin" in self.headers:
+            self.send_error(HTTPStatus.FORBIDDEN, "not from a web page")
+        elif "Content-Encoding" in self.headers:  # 64 KB may unpack to twenty megabytes
+            self.send_error(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "plain XML only")
+        elif not _DIGITS.fullmatch(length) or int(length) > _LARGEST:
             self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"{_LARGEST} octets at most")
         else:
             super().do_POST()
 
+    def log_message(self, format: str, *arguments: object) -> None:  # noqa: A002 - as it is there
+        """Log what was refused; the standard library writes it to stderr, as often as it comes."""
+        _log.debug("XML-RPC: %s", format % arguments)
+
 
 class _Server(ThreadingMixIn, SimpleXMLRPCServer):
-    """One thread a request, so that one that waits for a framework holds up no other."""
+    """One thread a request, so that one that waits for a framework holds up no other.
+
+    There are some threads only, and each connection has its time: one that sends an octet now and
+    then would else keep its thread.
+    """
 
     daemon_threads = True
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self._ends: dict[Any, float] = {}
+        super().__init__(address, _Handler, logRequests=False)
+
+    def get_request(self) -> tuple[Any, Any]:
+        """Accept a connection."""
+        try:
+            return super().get_request()
+        except OSError:  # such as no descriptors: the socket stays ready, and would be asked again
+            time.sleep(_PAUSE_SECONDS)
+            raise
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread, where there is one to be had."""
+        if len(self._ends) >= _CONNECTIONS:
+            self.shutdown_request(request)
+            return
+        self._ends[request] = time.monotonic() + _CONNECTION_SECONDS
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self._ends.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """End connections whose time is over; called again and again while the server runs."""
+        self._end_those_due(time.monotonic())
+
+    def server_close(self) -> None:
+        """Close the server and what is connected."""
+        super().server_close()
+        self._end_those_due(math.inf)
+
+    def _end_those_due(self, now: float) -> None:
+        for request, end in list(self._ends.items()):
+            if now >= end:
+                with suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)  # its thread notices, and closes it
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Log what went wrong with a connection; the standard library prints a traceback."""
+        del request, client_address
+        _log.debug("XML-RPC: a connection broke", exc_info=True)
+
+    def _marshaled_dispatch(self, data: Any, dispatch_method: Any = None, path: Any = None) -> Any:
+        """Answer the octets of a request; a document type declaration, as of bombs, is refused."""
+        del path
+        try:
+            _refuse_declarations(data)
+        except (ValueError, ExpatError) as error:
+            return dumps(Fault(1, f"not a request: {error}"), allow_none=True).encode()
+        return super()._marshaled_dispatch(data, dispatch_method)
+
+
+def _refuse_declarations(data: bytes) -> None:
+    """Raise ValueError for XML with a document type declaration, in whatever encoding it stands."""
+    parser = ParserCreate()
+
+    def refuse(*_: object) -> None:
+        raise ValueError("document type declarations are not taken")
+
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)

@@ -213,5 +213,6 @@ def uoarm_bridge_types() -> list[BridgeType]:
             create=PythonBridge,
             options_schema=_OPTIONS,
             check_endpoint=_check_endpoint,
+            contract=1,
         )
     ]

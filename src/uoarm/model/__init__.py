@@ -1,5 +1,7 @@
 """Frozen values that every layer shares. They hold facts and do nothing."""
 
+from uoarm.model._availability import Availability, FunctionStatus
+from uoarm.model._budget import Budget, Spending
 from uoarm.model._component import (
     Component,
     Endpoint,
@@ -13,11 +15,14 @@ from uoarm.model._component import (
 )
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
-from uoarm.model._depth import check_depth
+from uoarm.model._explain import tell_rejections, tell_status
+from uoarm.model._json_scan import scan_json
 from uoarm.model._listening import Listening, place_problem
+from uoarm.model._octets import message_octets
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
+from uoarm.model._show import show_value
 from uoarm.model._status import (
     BridgeStatus,
     ChannelStatus,
@@ -32,7 +37,6 @@ from uoarm.model._status import (
     StatusMap,
 )
 from uoarm.model._structure import MessageStructure
-from uoarm.model._survey import Availability, FunctionStatus
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json
 
@@ -40,6 +44,7 @@ __all__ = [
     "Availability",
     "BridgeSpec",
     "BridgeStatus",
+    "Budget",
     "ChannelStatus",
     "Component",
     "ComponentStatus",
@@ -74,14 +79,19 @@ __all__ = [
     "RouteStatus",
     "Schema",
     "Service",
+    "Spending",
     "StatusEvent",
     "StatusMap",
     "Step",
     "ValidationMode",
-    "check_depth",
     "from_json",
+    "message_octets",
     "place_problem",
     "read_control",
+    "scan_json",
+    "show_value",
+    "tell_rejections",
+    "tell_status",
     "to_json",
     "write_control",
 ]

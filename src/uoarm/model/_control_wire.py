@@ -10,23 +10,22 @@ from collections.abc import Mapping
 from typing import Any
 
 from uoarm.errors import ControlMessageError
+from uoarm.model._budget import Budget, Spending
 from uoarm.model._control import ControlMessage, Op
-from uoarm.model._depth import check_depth
+from uoarm.model._json_scan import scan_json
 
 __all__ = ["read_control", "write_control"]
 
 _FIELDS = ("op", "type", "jsonMessage", "id")
 _EXTENSION = "x-"
-_MAX_BYTES = 1_048_576
-_MAX_DEPTH = 64
+_BUDGET = Budget(octets=1_048_576, elements=1_000_000)
 _MAX_DIGITS = 1000
-_MAX_VALUES = 1_000_000
 _SHOWN = 60
 _SURROGATE = re.compile(r"[\ud800-\udfff]")
 
 
 def read_control(
-    data: str | bytes | Mapping[str, Any], *, max_bytes: int = _MAX_BYTES
+    data: str | bytes | Mapping[str, Any], *, max_bytes: int = _BUDGET.octets
 ) -> ControlMessage:
     """Read a control message from JSON text, or from what JSON text was parsed into.
 
@@ -97,7 +96,7 @@ def _octets(text: str) -> int:
 
 
 def _parse(text: str) -> Any:
-    check_depth(text, _MAX_DEPTH)
+    scan_json(text, Spending(_BUDGET))
     try:
         return json.loads(
             text,
@@ -114,20 +113,20 @@ def _parse(text: str) -> Any:
 def _check_values(parsed: Mapping[str, Any]) -> None:
     """Refuse what JSON text cannot hold, wherever it stands in the message."""
     waiting: list[tuple[Any, int]] = [(parsed, 1)]
-    left = _MAX_VALUES
+    left = _BUDGET.elements
     while waiting:
         value, depth = waiting.pop()
         left -= 1
         if left < 0:
-            raise ControlMessageError(f"it holds more than {_MAX_VALUES:,} values")
+            raise ControlMessageError(f"it holds more than {_BUDGET.elements:,} values")
         if isinstance(value, str) and _SURROGATE.search(value):
             raise ControlMessageError("half of a surrogate pair cannot be sent as text")
         if isinstance(value, float) and not math.isfinite(value):
             raise ControlMessageError(f"{value} is not a number of JSON")
         if not isinstance(value, Mapping | list | tuple):
             continue
-        if depth > _MAX_DEPTH:
-            raise ControlMessageError(f"nested more than {_MAX_DEPTH} levels deep")
+        if depth > _BUDGET.depth:
+            raise ControlMessageError(f"nested more than {_BUDGET.depth} levels deep")
         if isinstance(value, Mapping):
             for name in value:
                 if not isinstance(name, str):

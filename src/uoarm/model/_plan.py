@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from attrs import field, frozen
 
 from uoarm.model._component import Component
+from uoarm.model._explain import tell_plan
 from uoarm.model._structure import MessageStructure
 
 __all__ = ["Edge", "Plan", "Reason", "Rejection", "Step"]
@@ -73,9 +74,11 @@ class Step:
     structures: Mapping[str, MessageStructure] = field(hash=False)
 
 
-@frozen
+@frozen(repr=False)
 class Plan:
     """What will be opened for one request: steps, producers first, and the edges between.
+
+    As text (`str`, `print`) it is what `uoarm resolve --explain` shows.
 
     Attributes:
         function: the function asked for; provided by the last step.
@@ -95,3 +98,9 @@ class Plan:
     def provider(self) -> Step:
         """The step whose component provides the function asked for."""
         return self.steps[-1]
+
+    def __str__(self) -> str:
+        return tell_plan(self)
+
+    def __repr__(self) -> str:
+        return f"<Plan {self.function}: {' -> '.join(one.component.name for one in self.steps)}>"

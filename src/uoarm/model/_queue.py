@@ -7,6 +7,9 @@ from enum import Enum
 from attrs import field, frozen
 from attrs.validators import ge, gt
 
+from uoarm._mistakes import choose
+from uoarm.errors import ConfigurationError
+
 __all__ = ["OverflowPolicy", "QueuePolicy", "ValidationMode"]
 
 
@@ -18,6 +21,10 @@ class OverflowPolicy(Enum):
     BLOCK = "block"
 
 
+def _policy(name: OverflowPolicy | str) -> OverflowPolicy:
+    return choose(OverflowPolicy, name, "policy", ConfigurationError)
+
+
 @frozen
 class QueuePolicy:
     """Length and overflow policy of one queue.
@@ -25,13 +32,17 @@ class QueuePolicy:
     Attributes:
         length: messages held at most; `latest` always holds one.
         policy: `latest` keeps the newest only, `drop-oldest` makes room at the old end,
-            `block` makes the producer wait.
+            `block` makes the producer wait. Its name does, too; an unknown one is a
+            ConfigurationError.
         timeout: seconds that `block` waits before the new message is dropped and counted.
+        octets: memory that the messages may hold, as decoded values; with more the queue counts as
+            full. One message of any size passes when it is alone.
     """
 
     length: int = field(default=16, validator=ge(1))
-    policy: OverflowPolicy = OverflowPolicy.DROP_OLDEST
+    policy: OverflowPolicy = field(default=OverflowPolicy.DROP_OLDEST, converter=_policy)
     timeout: float = field(default=1.0, validator=gt(0.0))
+    octets: int = field(default=67_108_864, validator=ge(1))
 
 
 class ValidationMode(Enum):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from enum import Enum
 
-from attrs import frozen
+from attrs import asdict, frozen
+
+from uoarm.model._explain import tell_status
 
 __all__ = [
     "BridgeStatus",
@@ -34,10 +36,14 @@ class Health(Enum):
 
 
 class ConnectionState(Enum):
-    """Life of a connection; it moves down this list only."""
+    """Life of a connection; it moves down this list only, but for WAITING and RUNNING.
+
+    One that waits lost a component, nothing can take over, and `failover.wait` is not over yet.
+    """
 
     OPENING = "opening"
     RUNNING = "running"
+    WAITING = "waiting"
     CLOSING = "closing"
     CLOSED = "closed"
     FAILED = "failed"
@@ -49,6 +55,8 @@ class BridgeStatus:
 
     Attributes:
         assigned: options that uoarm chose for it, by name.
+        process: id of the process in which it runs; None once it was lost, and for one on another
+            machine.
     """
 
     name: str
@@ -57,6 +65,7 @@ class BridgeStatus:
     open_channels: int
     cause: str = ""
     assigned: tuple[tuple[str, object], ...] = ()
+    process: int | None = None
 
 
 @frozen
@@ -77,6 +86,13 @@ class MachineStatus:
     clock_offset: float | None = None
     clock_error: float | None = None
     cause: str = ""
+
+    def __str__(self) -> str:
+        state = f"machine {self.name}  {self.cause or 'present'}"
+        if self.clock_offset is None or self.clock_error is None:
+            return state
+        offset, error = 1000 * self.clock_offset, 1000 * self.clock_error
+        return f"{state}, its clock is {offset:+.3f} ms from ours (to {error:.3f} ms)"
 
 
 @frozen
@@ -145,13 +161,14 @@ class Gap:
         position: how many messages the application had been given before it.
         seconds: how long nothing could arrive.
         lost: messages that were under way into or out of what died and did not arrive; what
-            its framework had not handed over yet, nobody can count.
+            its framework had not handed over yet, nobody can count. See `counted`.
         before: the components of the plan that ended.
         after: the components of the plan that goes on.
         cause: why it was replaced.
         dropped: what the routes that ended with it had dropped since they were opened, by
             reason: `closed` waited in a queue, `replaced` came too late, `in-hand` was with a
-            consumer that did not return.
+            consumer that did not return. See `counted`.
+        counted: whether `lost` and `dropped` are known: not before all that died is closed.
     """
 
     time: float
@@ -162,6 +179,7 @@ class Gap:
     after: tuple[str, ...]
     cause: str
     dropped: tuple[tuple[str, int], ...] = ()
+    counted: bool = True
 
 
 @frozen
@@ -169,6 +187,8 @@ class ConnectionStatus:
     """One request that an application made.
 
     Attributes:
+        components: of its plan; while it waits, those that are left of it.
+        cause: why it ended, or for what it waits.
         lost: messages that were under way into or out of components that died, over all changes
             of plan.
         ended: the routes of plans that were replaced, those between the same ends as one. With
@@ -186,13 +206,19 @@ class ConnectionStatus:
 
 @frozen
 class StatusMap:
-    """The whole system at one moment."""
+    """The whole system at one moment.
+
+    As text (`str`, `print`) it is what `uoarm status --url` shows.
+    """
 
     bridges: tuple[BridgeStatus, ...] = ()
     components: tuple[ComponentStatus, ...] = ()
     connections: tuple[ConnectionStatus, ...] = ()
     routes: tuple[RouteStatus, ...] = ()
     machines: tuple[MachineStatus, ...] = ()
+
+    def __str__(self) -> str:
+        return tell_status(asdict(self))
 
 
 @frozen
@@ -205,6 +231,8 @@ class StatusEvent:
         subject: what changed, `connection c3`, `component head_camera`, `bridge ros`.
         change: the new state, one word.
         cause: why, empty for what the application asked for itself.
+
+    As text (`str`, `print`) it is the line that `uoarm status --url --watch` shows.
     """
 
     number: int
@@ -212,3 +240,7 @@ class StatusEvent:
     subject: str
     change: str
     cause: str = ""
+
+    def __str__(self) -> str:
+        cause = f": {self.cause}" if self.cause else ""
+        return f"#{self.number} {self.subject} {self.change}{cause}"

@@ -1,7 +1,6 @@
 """Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
 
 from uoarm.resolve._catalogue import StructureCache
-from uoarm.resolve._explain import tell_plan, tell_rejections
 from uoarm.resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
 from uoarm.resolve._resolver import NoPlanError, Resolver
 
@@ -14,6 +13,4 @@ __all__ = [
     "StructureCache",
     "Structures",
     "Unavailable",
-    "tell_plan",
-    "tell_rejections",
 ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+from attrs import define, field
+
 from uoarm.bridge import Bridge, Description
 from uoarm.errors import UoarmError
 from uoarm.model import Component, Endpoint, MessageStructure
@@ -13,6 +15,14 @@ from uoarm.resolve._protocols import Structures, Unavailable
 __all__ = ["StructureCache"]
 
 _DESCRIBE_SECONDS = 30.0
+
+
+@define(eq=False)
+class _Entry:
+    """What is known of one component, asked for by one caller at a time."""
+
+    asking: threading.Lock = field(factory=threading.Lock)
+    found: Structures | None = None
 
 
 class StructureCache:
@@ -26,28 +36,31 @@ class StructureCache:
 
     def __init__(self, bridge: Callable[[str], Bridge]) -> None:
         self._bridge = bridge
-        self._known: dict[str, Structures] = {}
-        self._asking: dict[str, threading.Lock] = {}
+        self._entries: dict[str, _Entry] = {}
         self._lock = threading.Lock()
 
     def structures(self, component: Component) -> Structures | Unavailable:
         """Return the structures of a component's ports, or why they cannot be had."""
-        known = self._known.get(component.name)
-        if known is not None:
-            return known
         with self._lock:
-            asking = self._asking.setdefault(component.name, threading.Lock())
-        with asking:
-            if component.name not in self._known:
+            entry = self._entries.setdefault(component.name, _Entry())
+        if entry.found is not None:
+            return entry.found
+        with entry.asking:
+            if entry.found is None:
                 try:
-                    self._known[component.name] = self._ask(component)
+                    entry.found = self._ask(component)
                 except (_UnknownError, UoarmError) as error:
                     return Unavailable(str(error))
-            return self._known[component.name]
+            return entry.found
 
     def forget(self, component: str) -> None:
-        """Ask again the next time."""
-        self._known.pop(component, None)
+        """Ask again the next time.
+
+        An answer that is under way goes to those who wait for it and to nobody else: it lands in
+        an entry that is no longer listed.
+        """
+        with self._lock:
+            self._entries.pop(component, None)
 
     def _ask(self, component: Component) -> Structures:
         found: dict[str, MessageStructure] = {}

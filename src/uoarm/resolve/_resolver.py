@@ -11,8 +11,7 @@ from collections.abc import Callable
 from attrs import frozen
 
 from uoarm.errors import ResolutionError
-from uoarm.model import Plan, Rejection, Robot
-from uoarm.resolve._explain import tell_rejections
+from uoarm.model import Plan, Rejection, Robot, tell_rejections
 from uoarm.resolve._fit import Fit
 from uoarm.resolve._protocols import Catalogue, EdgeCheck
 from uoarm.resolve._search import Search
@@ -20,6 +19,7 @@ from uoarm.resolve._search import Search
 __all__ = ["NoPlanError", "Resolver"]
 
 _BUDGET = 1_000_000
+_SEARCHES = 3
 # A candidate that was not there is looked for again after ten times as long as asking for it took.
 _PATIENCE = 10.0
 _LEAST_SECONDS, _MOST_SECONDS = 1.0, 30.0
@@ -72,6 +72,7 @@ class Resolver:
         self._budget = budget
         self._clock = clock
         self._plans: dict[str, _Kept] = {}
+        self._revision = 0
         self._lock = threading.Lock()
 
     def known(self, name: str) -> Plan | None:
@@ -103,13 +104,21 @@ class Resolver:
             close = difflib.get_close_matches(name, self._functions, n=1)
             hint = f"; did you mean {close[0]!r}?" if close else ""
             raise ResolutionError(f"there is no function {name!r} in the configuration{hint}")
-        search = Search(self._functions, self._fit, excluded, self._budget, self._clock)
-        found = search.run(name)
+        # What is invalidated meanwhile may be in the plan: it is sought anew, and not kept when
+        # there is no end of that.
+        for _ in range(_SEARCHES):
+            revision = self._revision
+            search = Search(self._functions, self._fit, excluded, self._budget, self._clock)
+            found = search.run(name)
+            if revision == self._revision:
+                break
         if not isinstance(found, Plan):
             raise NoPlanError(name, found)
         if not excluded:
+            until = self._until(search.asked_in_vain)
             with self._lock:
-                self._plans[name] = _Kept(found, self._until(search.asked_in_vain))
+                if revision == self._revision:
+                    self._plans[name] = _Kept(found, until)
         return found
 
     def invalidate(self, component: str | None = None) -> None:
@@ -118,6 +127,7 @@ class Resolver:
         None forgets every plan. Edges stay judged: they depend on structures alone.
         """
         with self._lock:
+            self._revision += 1
             self._plans = {
                 name: kept
                 for name, kept in self._plans.items()

@@ -9,27 +9,19 @@ from datetime import datetime, timezone
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import urlsplit
 
 from attrs import frozen
-from websockets.datastructures import Headers
 
-from uoarm.errors import ConfigurationError, UoarmError
+from uoarm.errors import ConfigurationError
+from uoarm.server._access_file import read_access
+from uoarm.server._request_head import RefusedError, RequestHead
 from uoarm.server._role import EVERYTHING, Role
-from uoarm.server._tokens import AccessBook, Now, hash_token, read_access
+from uoarm.server._tokens import AccessBook, Now, hash_token
 
-__all__ = ["TOKEN_SUBPROTOCOL", "Admission", "Pass", "RefusedError", "is_loopback"]
+__all__ = ["Admission", "Pass", "is_loopback"]
 
 _log = logging.getLogger("uoarm.server")
-TOKEN_SUBPROTOCOL = "uoarm.token."  # noqa: S105 - the name of the place, not a token
-
-
-class RefusedError(UoarmError):
-    """A handshake that is answered with an HTTP error."""
-
-    def __init__(self, status: HTTPStatus, text: str) -> None:
-        super().__init__(text)
-        self.status = status
 
 
 @frozen
@@ -76,16 +68,15 @@ class Admission:
         self._stamp = self._look()
         self._book: AccessBook | None = None if access is None else read_access(access)
 
-    def check_page(self, headers: Headers) -> None:
+    def check_page(self, head: RequestHead) -> None:
         """Refuse what a strange web page, or a strange name for this machine, brings here.
 
         Raises:
             RefusedError: with the status 403.
         """
-        host = headers.get("Host", "")
+        host, origin = head.host, head.origin
         if self._local and not self._is_ours(host):
             raise RefusedError(HTTPStatus.FORBIDDEN, f"Host {host[:100]!r} is not this server")
-        origin = headers.get("Origin")
         if origin is None or "*" in self._origins or origin in self._origins:
             return
         if origin.partition("://")[2] != host or not host:
@@ -94,13 +85,14 @@ class Admission:
                 f"pages from {origin[:100]!r} may not connect; allow them with --origin",
             )
 
-    def admit(self, path: str, headers: Headers, certificate: Mapping[str, Any]) -> Pass:
+    def admit(self, head: RequestHead, certificate: Mapping[str, Any]) -> Pass:
         """Return what the client showed.
 
         Raises:
             RefusedError: 401, it showed nothing that is known.
         """
-        shown = Pass(_digest(path, headers), _common_name(certificate))
+        digest = hash_token(head.token) if head.token else ""
+        shown = Pass(digest, _common_name(certificate))
         if self.role(shown) is None:
             had = "a token that is not valid" if shown.digest else "no token"
             raise RefusedError(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
@@ -117,7 +109,10 @@ class Admission:
         return None if grant is None else grant.role
 
     def refresh(self) -> None:
-        """Read the access file again if it changed; a file with mistakes changes nothing."""
+        """Read the access file again if it changed; a file with mistakes changes nothing.
+
+        Blocks while it reads: called in a thread of its own, one call at a time.
+        """
         stamp = self._look()
         if self._path is None or stamp == self._stamp:
             return
@@ -150,18 +145,6 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def _digest(path: str, headers: Headers) -> str:
-    """Return the hash of the token that a client shows, wherever it can put one."""
-    kind, _, token = headers.get("Authorization", "").partition(" ")
-    if kind.lower() == "bearer" and token:
-        return hash_token(token.strip())
-    for offer in ",".join(headers.get_all("Sec-WebSocket-Protocol")).split(","):
-        if offer.strip().startswith(TOKEN_SUBPROTOCOL):
-            return hash_token(offer.strip().removeprefix(TOKEN_SUBPROTOCOL))
-    shown = parse_qs(urlsplit(path).query, max_num_fields=10).get("token", [])
-    return hash_token(shown[0]) if shown else ""
 
 
 def _common_name(certificate: Mapping[str, Any]) -> str:

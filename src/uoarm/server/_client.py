@@ -4,31 +4,45 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import time
+from collections.abc import Callable
 from typing import Protocol
 
-from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
+from uoarm._deadlines import result_within
+from uoarm.model import Spending
 from uoarm.server._address import address_of
 from uoarm.server._admission import Pass
+from uoarm.server._connection import TurnConnection
+from uoarm.server._intake import Decoder, Pace
 from uoarm.server._limits import Limits
+from uoarm.server._memory import Account
 from uoarm.server._outbox import Outbox
 from uoarm.server._role import Role
 
 __all__ = ["Client", "Session"]
 
 _log = logging.getLogger("uoarm.server")
-_TURN = 32
+_TURN_SECONDS = 0.001
 
 
 class Session(Protocol):
     """What a protocol does with a client's frames. Called in the loop's thread; never waits."""
 
-    def handle(self, frame: str | bytes) -> None:
-        """Take one frame; answers go to the outbox."""
+    def octets(self, frame: str | bytes) -> int:
+        """Return how much `decode` would have to decode, with what came before the frame."""
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        """Return what is to be done about a frame, in the loop; answers then go to the outbox.
+
+        And how many octets of memory its message holds, which `Client.in_hand` says meanwhile.
+
+        Called in any thread, for one frame after the other. Raises nothing.
+        """
 
     def close(self) -> None:
         """Give back everything that only this client used."""
@@ -43,22 +57,34 @@ class Client:
         shown: what it showed to be let in.
         role: its rights.
         limits: bounds.
+        decoder: where its frames are decoded.
+        account: of what is held for it.
 
     Attributes:
         is_cut: whether the server ended its connection.
         is_kept: whether its session outlives a drop of its connection.
         is_leaving: set when its connection goes on with another session.
         has_dropped: whether its connection ended without a word.
+        in_hand: octets of memory that the message holds which is being acted on.
     """
 
     def __init__(
-        self, socket: ServerConnection, identity: str, shown: Pass, role: Role, limits: Limits
+        self,
+        socket: TurnConnection,
+        identity: str,
+        shown: Pass,
+        role: Role,
+        limits: Limits,
+        decoder: Decoder,
+        account: Account,
     ) -> None:
         self.identity = identity
         self.shown = shown
         self.role = role
         self.limits = limits
-        self.outbox = Outbox(limits.queue_bytes, limits.control_messages)
+        self._decoder = decoder
+        self.account = account
+        self.outbox = Outbox(limits.queue_bytes, limits.control_messages, account)
         self.received = 0
         self.sent = 0
         self.sent_bytes = 0
@@ -66,6 +92,7 @@ class Client:
         self.is_kept = False
         self.is_leaving = False
         self.has_dropped = False
+        self.in_hand = 0
         self._socket = socket
         self._writing_since: float | None = None
         self._closing: set[asyncio.Task[None]] = set()
@@ -75,7 +102,12 @@ class Client:
         """Where the client is, `host:port`."""
         return address_of(self._socket)
 
-    async def run(self, session: Session, socket: ServerConnection) -> None:
+    @property
+    def unread_octets(self) -> int:
+        """Octets that arrived and were not read yet."""
+        return self._socket.unread_octets
+
+    async def run(self, session: Session, socket: TurnConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""
         self._socket = socket
         self.has_dropped = False
@@ -83,7 +115,7 @@ class Client:
         try:
             await self._read(session)
             if self.is_leaving:
-                await asyncio.wait_for(self.outbox.emptied(), self.limits.handshake_seconds)
+                await result_within(self.limits.handshake_seconds, self.outbox.emptied())
         except ConnectionClosed as error:
             self.has_dropped = not self.is_cut and _is_drop(error)
         except asyncio.TimeoutError:
@@ -125,21 +157,30 @@ class Client:
         self._socket.transport.abort()
 
     async def _read(self, session: Session) -> None:
-        allowance = rate = self.limits.messages_per_second
-        before = time.monotonic()
+        began = time.monotonic()
+        pace = Pace(self.limits, began)
         async for frame in self._socket:
             self.received += 1
-            session.handle(frame)
+            octets = len(frame)
+            spending = await self._take(session, frame)
+            del frame  # the error that ends this loop would keep it, and may itself be kept long
             if self.is_leaving:
                 return
             if self.outbox.overflowed:
                 self.cut("it does not read its replies")
                 return
-            if self.received % _TURN == 0:
-                now = time.monotonic()
-                allowance = min(rate, allowance + (now - before) * rate) - _TURN
-                before = now
-                await asyncio.sleep(0 if allowance > 0 else -allowance / rate)
+            wait = pace.spend(time.monotonic(), octets=octets, elements=spending.elements)
+            if wait or time.monotonic() - began >= _TURN_SECONDS:
+                await asyncio.sleep(wait)
+                began = time.monotonic()
+
+    async def _take(self, session: Session, frame: str | bytes) -> Spending:
+        """Act on one frame; returns what it cost."""
+        spending = Spending(self.limits.budget)
+        decode = functools.partial(session.decode, frame, spending)
+        act, self.in_hand = await self._decoder.run(session.octets(frame), decode)
+        act()
+        return spending
 
     async def _write(self) -> None:
         while True:

@@ -6,7 +6,7 @@ import asyncio
 import functools
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
@@ -18,7 +18,8 @@ from uoarm.model import Message, MessageStructure, Plan, StatusEvent, Validation
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
 from uoarm.server._limits import Limits
-from uoarm.server._workers import Workers
+from uoarm.server._memory import Memory
+from uoarm.server._workers import BusyError, Workers
 
 __all__ = ["Desk", "Wanted", "Watcher"]
 
@@ -28,6 +29,7 @@ Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Hears of a change and of the function concerned, empty where it is not known."""
 
 _REMEMBERED = 200
+_CLOSINGS = 8
 _ENDS = frozenset({"closed", "failed"})
 
 
@@ -57,24 +59,29 @@ class Desk:
     Args:
         robot: the manager; it is not closed here.
         limits: bounds.
+
+    Attributes:
+        memory: what is held for all clients.
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
         self.robot = robot
         self.limits = limits
+        self.memory = Memory(limits.total_memory_bytes, limits.memory_bytes)
         self.hop = Hop(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, self.hop)
         self._feeds: dict[Wanted, Feed] = {}
         self._by_id: dict[str, Feed] = {}
         self._claims: dict[Feed, int] = {}
         self._openings: dict[Feed, asyncio.Task[None]] = {}
-        self._closings: set[asyncio.Task[None]] = set()
+        self._kills: dict[str, asyncio.Future[None]] = {}
+        self._closings: Counter[str] = Counter()
         self._watchers: dict[Watcher, None] = {}
         self._names: dict[str, str] = {}
         self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
         self._functions = {
             component.name: function.name
-            for function in robot.robot.functions.values()
+            for function in robot.config.functions.values()
             for component in function.components
         }
         self._stop_listening = robot.listen(
@@ -97,10 +104,15 @@ class Desk:
         Its messages wait until a listener is added.
 
         Raises:
-            UoarmError: as `RobotManager.request`, and BusyError.
+            UoarmError: as `RobotManager.request`, and BusyError; that, too, while earlier
+                connections to the function are being closed still.
         """
         feed = self._feeds.get(wanted)
         if feed is None:
+            if self._closings[wanted.function] >= _CLOSINGS:
+                raise BusyError(
+                    f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
+                )
             feed = self._feeds[wanted] = Feed(self.hop, self.limits.feed_messages)
             opening = asyncio.ensure_future(self._open(wanted, feed))
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
@@ -121,13 +133,33 @@ class Desk:
             del self._claims[feed]
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
-                closing = asyncio.ensure_future(self._kill(feed.connection))
-                self._closings.add(closing)
-                closing.add_done_callback(self._closings.discard)
+                self.kill(feed.connection)
 
-    def feed_of(self, connection: str) -> Feed | None:
-        """Return the running feed of a connection's id."""
-        return self._by_id.get(connection)
+    def kill(self, connection: Connection) -> asyncio.Future[None]:
+        """End a connection in a thread of its own kind; the future has its end.
+
+        Idempotent: while it is being ended, every call returns the same future. It must not be
+        cancelled: `asyncio.shield` it.
+        """
+        pending = self._kills.get(connection.id)
+        if pending is not None:
+            return pending
+        function = connection.plan.function
+        self._closings[function] += 1
+
+        def ended(done: asyncio.Future[None]) -> None:
+            del self._kills[connection.id]
+            self._closings -= Counter({function: 1})
+            if not done.cancelled() and isinstance(error := done.exception(), UoarmError):
+                _log.warning("closing connection %s: %s", connection.id, error)
+
+        killing = self._kills[connection.id] = self.workers.free(connection.kill)
+        killing.add_done_callback(ended)
+        return killing
+
+    def connection(self, identity: str) -> Connection | None:
+        """Return a connection that has not ended, also one that the application itself opened."""
+        return next((one for one in self.robot.connections() if one.id == identity), None)
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
         """Call a service in a worker.
@@ -177,8 +209,8 @@ class Desk:
         for feed in list(self._claims):
             self._claims[feed] = 1
             self.leave(feed)
-        if self._closings:
-            await asyncio.wait(self._closings, timeout=self.limits.stop_seconds / 4)
+        if self._kills:
+            await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         self.workers.close()
 
     async def _open(self, wanted: Wanted, feed: Feed) -> None:
@@ -194,17 +226,11 @@ class Desk:
             self._openings.pop(feed, None)
         feed.connection = connection
         if feed not in self._claims:  # everyone who asked has gone meanwhile
-            await self._kill(connection)
+            self.kill(connection)
             return
         self._by_id[connection.id] = feed
         if connection.ended:
             self._ended(feed)
-
-    async def _kill(self, connection: Connection) -> None:
-        try:
-            await asyncio.shield(self.workers.start(connection.kill, always=True))
-        except UoarmError as error:
-            _log.warning("closing connection %s: %s", connection.id, error)
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
-from urllib.parse import urlsplit
 from weakref import WeakKeyDictionary
 
 import orjson
@@ -19,10 +18,11 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from uoarm.server._address import address_of, host_of
-from uoarm.server._admission import Admission, Pass, RefusedError
+from uoarm.server._admission import Admission, Pass
 from uoarm.server._audit import Audit
 from uoarm.server._limits import Limits
 from uoarm.server._metrics import Totals
+from uoarm.server._request_head import RefusedError, RequestHead, read_head
 from uoarm.server._role import Operation
 from uoarm.wire import FORMS
 
@@ -106,12 +106,12 @@ class Doors:
 
     def process_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a page or a refusal; None lets the handshake go on."""
-        path = urlsplit(request.path).path
         try:
-            self._admission.check_page(request.headers)
-            if not self._only_rosbridge and "Upgrade" not in request.headers:
-                return self._page(connection, path, request)
-            self._enter(connection, path, request)
+            head = read_head(request)
+            self._admission.check_page(head)
+            if not self._only_rosbridge and not head.upgrade:
+                return self._page(connection, head)
+            self._enter(connection, head)
         except RefusedError as error:
             self._totals.refused += 1
             self._audit.arrival(address_of(connection), "", "", str(error))
@@ -137,9 +137,9 @@ class Doors:
                 raise NegotiationError(f"this server speaks {', '.join(FORMS)}, not {others[0]}")
         return chosen
 
-    def _enter(self, connection: ServerConnection, path: str, request: Request) -> None:
-        rosbridge = self._only_rosbridge or path == ROSBRIDGE_PATH
-        if not rosbridge and path not in NATIVE_PATHS:
+    def _enter(self, connection: ServerConnection, head: RequestHead) -> None:
+        rosbridge = self._only_rosbridge or head.path == ROSBRIDGE_PATH
+        if not rosbridge and head.path not in NATIVE_PATHS:
             raise RefusedError(
                 HTTPStatus.NOT_FOUND, f"there is no endpoint here; try / or {ROSBRIDGE_PATH}"
             )
@@ -150,17 +150,18 @@ class Doors:
             raise RefusedError(
                 HTTPStatus.TOO_MANY_REQUESTS, "too many clients of this address are connected"
             )
-        self._entries[connection] = Entry(self._shown(connection, request), rosbridge)
+        self._entries[connection] = Entry(self._shown(connection, head), rosbridge)
 
-    def _shown(self, connection: ServerConnection, request: Request) -> Pass:
+    def _shown(self, connection: ServerConnection, head: RequestHead) -> Pass:
         certificate = connection.transport.get_extra_info("peercert") or {}
-        return self._admission.admit(request.path, request.headers, certificate)
+        return self._admission.admit(head, certificate)
 
-    def _page(self, connection: ServerConnection, path: str, request: Request) -> Response:
+    def _page(self, connection: ServerConnection, head: RequestHead) -> Response:
+        path = head.path
         if path == "/healthz":
             return _response(HTTPStatus.OK, _TYPES[".json"], orjson.dumps(self._health()))
         if path == "/metrics":
-            role = self._admission.role(self._shown(connection, request))
+            role = self._admission.role(self._shown(connection, head))
             if role is None or not role.allows(Operation.SEE, "*"):
                 raise RefusedError(HTTPStatus.FORBIDDEN, "metrics need a role that may see all")
             return _response(HTTPStatus.OK, "text/plain; version=0.0.4", self._metrics())

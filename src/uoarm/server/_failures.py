@@ -10,7 +10,7 @@ from uoarm import errors
 from uoarm.server._role import DeniedError
 from uoarm.server._workers import BusyError
 
-__all__ = ["LimitError", "UnknownError", "code_of", "tell_error"]
+__all__ = ["LimitError", "UnknownError", "code_of", "tell_error", "without_frames"]
 
 _log = logging.getLogger("uoarm.server")
 
@@ -45,6 +45,16 @@ _CODES: _Kinds = {
 def code_of(error: BaseException) -> str:
     """Return the code of an error; `internal` for one that nobody foresaw."""
     return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")
+
+
+def without_frames(error: Exception) -> Exception:
+    """Return an error without what it knows of its raising.
+
+    The frames of a decoder, and the causes of its errors, hold the message. They hold the job of
+    its thread, too, whose result is the error: only the garbage collector breaks that circle.
+    """
+    error.__cause__ = error.__context__ = None
+    return error.with_traceback(None)
 
 
 def tell_error(error: BaseException) -> str:

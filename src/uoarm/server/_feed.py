@@ -12,7 +12,7 @@ from attrs import define, field
 
 from uoarm.errors import MessageError
 from uoarm.manager import Connection
-from uoarm.model import Message
+from uoarm.model import Message, message_octets
 from uoarm.server._hop import Hop
 
 __all__ = ["Feed", "Listener", "Parcel"]
@@ -27,10 +27,12 @@ class Parcel:
     Attributes:
         number: counts the feed's messages from 1; a gap is a loss.
         message: the message as it came.
+        octets: of memory that it holds, where that is known already.
     """
 
     number: int
     message: Message
+    _octets: int | None = None
     _written: dict[str, bytes] = field(factory=dict, init=False)
 
     def written(self, key: str, write: Callable[[int, Message], bytes]) -> bytes:
@@ -43,6 +45,22 @@ class Parcel:
         if frame is None:
             frame = self._written[key] = write(self.number, self.message)
         return frame
+
+    @property
+    def message_octets(self) -> int:
+        """Memory that the message holds, counted once."""
+        if self._octets is None:
+            self._octets = message_octets(self.message)
+        return self._octets
+
+    @property
+    def octets(self) -> int:
+        """Memory that the message and its written forms hold."""
+        return self.message_octets + sum(map(len, self._written.values()))
+
+    def forget_written(self) -> None:
+        """Let its written forms go; they are made again for whoever comes."""
+        self._written.clear()
 
 
 class Listener(Protocol):

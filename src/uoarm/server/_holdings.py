@@ -14,6 +14,7 @@ from uoarm.server._desk import Desk, Wanted
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Feed
 from uoarm.server._limits import Limits
+from uoarm.server._memory import Account
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server._sending import Done, Sending
 from uoarm.server._stream import Stream
@@ -28,6 +29,7 @@ class Holdings:
     Args:
         desk: where feeds are shared.
         outbox: the client's.
+        account: the client's.
         form: in which its messages are.
         limits: bounds.
         on_refused: hears the connection and why one of its messages could not be written.
@@ -37,18 +39,21 @@ class Holdings:
         self,
         desk: Desk,
         outbox: Outbox,
+        account: Account,
         form: Form,
         limits: Limits,
         on_refused: Callable[[str, MessageError], None],
     ) -> None:
         self._desk = desk
         self._outbox = outbox
+        self._account = account
         self._form = form
         self._limits = limits
         self._on_refused = on_refused
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, Sending] = {}
         self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
+        self._killing: dict[str, list[Callable[[], None]]] = {}
         self._opening = 0
 
     async def open(self, wanted: Wanted, options: Mapping[str, Any]) -> Stream:
@@ -89,7 +94,9 @@ class Holdings:
             raise UnknownError(f"this client has no connection {identity[:100]!r}")
         return stream
 
-    def send(self, stream: Stream, message: Message, port: str | None, done: Done) -> None:
+    def send(
+        self, stream: Stream, message: Message, port: str | None, done: Done, octets: int
+    ) -> None:
         """Hand one message to an input; raises as `Sending.send`."""
         identity = stream.connection.id
         sending = self._sendings.get(identity)
@@ -98,19 +105,34 @@ class Holdings:
                 stream.connection,
                 self._form,
                 self._desk.workers,
+                self._account,
                 limit=self._limits.queue_messages,
             )
-        sending.send(message, port, done)
+        sending.send(message, port, done, octets)
 
     def kill(self, stream: Stream, done: Callable[[], None]) -> None:
-        """Give a connection back after what was sent to it; what waits of it is discarded."""
+        """Give a connection back after what was sent to it; what waits of it is discarded.
+
+        While that is under way, another kill of it waits for the same end.
+
+        Raises:
+            LimitError: too many kills of it wait already.
+        """
         identity = stream.connection.id
+        pending = self._killing.get(identity)
+        if pending is not None:
+            if len(pending) >= self._limits.calls:
+                raise LimitError(f"{len(pending)} kills of {identity} wait already")
+            pending.append(done)
+            return
 
         def end() -> None:
             self._remove(identity)
             self._outbox.discard(stream.lane)
-            done()
+            for told in self._killing.pop(identity):
+                told()
 
+        self._killing[identity] = [done]
         sending = self._sendings.get(identity)
         if sending is None:
             end()
@@ -165,7 +187,9 @@ class Holdings:
 
     def _remove(self, identity: str) -> Stream | None:
         stream = self._streams.pop(identity, None)
-        self._sendings.pop(identity, None)
+        sending = self._sendings.pop(identity, None)
+        if sending is not None:
+            sending.close()
         if stream is not None:
             stream.feed.remove(stream)
             self._desk.leave(stream.feed)

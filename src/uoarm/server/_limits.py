@@ -5,6 +5,8 @@ from __future__ import annotations
 from attrs import field, frozen
 from attrs.validators import ge, gt
 
+from uoarm.model import Budget
+
 __all__ = ["Limits"]
 
 
@@ -14,16 +16,24 @@ class Limits:
 
     Attributes:
         message_bytes: longest message taken from a client.
+        elements: values and names in a message taken from a client; octets and a typed array count
+            as one.
         depth: deepest nesting of a message taken from a client.
+        dimensions: of one array in it that says how many it has.
         connections: clients connected at one time.
         connections_per_address: of these, from one address.
         streams: functions, topics and services that one client holds open.
         calls: requests of one client that are being worked on at one time.
         workers: threads for requests of all clients together.
         messages_per_second: a client that sends more is read more slowly.
+        octets_per_second: likewise.
+        elements_per_second: likewise; of all its messages together.
         queue_messages: data messages that wait for one client, at most.
         queue_bytes: bytes that wait for one client, at most.
         control_messages: replies and events that wait for one client; with more it is cut off.
+        memory_bytes: octets of decoded values that are held for one client in all.
+        total_memory_bytes: of these, for all clients together; a client that has less than its
+            equal share is not refused because of others.
         feed_messages: messages of one function that wait for the server's loop.
         handshake_seconds: for the whole opening handshake.
         ping_seconds: between two pings of a silent client.
@@ -31,28 +41,41 @@ class Limits:
         resume_seconds: how long a session that its client asked to keep outlives a drop of its
             connection; 0: no session is kept.
         kept_sessions: sessions that wait for their client at one time.
+        kept_bytes: memory that all of these hold; with more those that hold most are ended.
         request_seconds: for resolving and opening what a client asked for.
         call_seconds: for a service call that names no limit of its own; also the longest.
         stop_seconds: for closing when the server is stopped.
     """
 
     message_bytes: int = field(default=16_777_216, validator=ge(1024))
+    elements: int = field(default=500_000, validator=ge(1024))
     depth: int = field(default=64, validator=ge(4))
+    dimensions: int = field(default=8, validator=ge(1))
     connections: int = field(default=4096, validator=ge(1))
     connections_per_address: int = field(default=4096, validator=ge(1))
     streams: int = field(default=256, validator=ge(1))
     calls: int = field(default=32, validator=ge(1))
     workers: int = field(default=64, validator=ge(1))
     messages_per_second: float = field(default=20_000.0, validator=gt(0))
+    octets_per_second: float = field(default=134_217_728.0, validator=gt(0))
+    elements_per_second: float = field(default=1_000_000.0, validator=gt(0))
     queue_messages: int = field(default=1024, validator=ge(1))
     queue_bytes: int = field(default=16_777_216, validator=ge(1024))
     control_messages: int = field(default=4096, validator=ge(16))
+    memory_bytes: int = field(default=134_217_728, validator=ge(1024))
+    total_memory_bytes: int = field(default=1_073_741_824, validator=ge(1024))
     feed_messages: int = field(default=1024, validator=ge(1))
     handshake_seconds: float = field(default=5.0, validator=gt(0))
     ping_seconds: float = field(default=5.0, validator=gt(0))
     stall_seconds: float = field(default=10.0, validator=gt(0))
     resume_seconds: float = field(default=30.0, validator=ge(0))
     kept_sessions: int = field(default=256, validator=ge(0))
+    kept_bytes: int = field(default=268_435_456, validator=ge(1024))
     request_seconds: float = field(default=30.0, validator=gt(0))
     call_seconds: float = field(default=60.0, validator=gt(0))
     stop_seconds: float = field(default=1.5, validator=gt(0))
+
+    @property
+    def budget(self) -> Budget:
+        """What one message of a client may cost."""
+        return Budget(self.message_bytes, self.elements, self.depth, self.dimensions)

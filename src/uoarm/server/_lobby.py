@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import secrets
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Protocol
 
 from attrs import define, field
 
+from uoarm._deadlines import result_within
 from uoarm.errors import UsageError
 from uoarm.model import ControlMessage
 from uoarm.server._admission import Pass
@@ -21,6 +23,7 @@ from uoarm.server._tokens import hash_token
 
 __all__ = ["Kept", "Lobby", "Resumable"]
 
+_log = logging.getLogger("uoarm.server")
 _KEY_BYTES = 32
 
 
@@ -54,7 +57,7 @@ class Lobby:
     """All sessions that are kept, by the hash of their key; in the loop's thread.
 
     Args:
-        limits: how long, and how many.
+        limits: how long, how many, and how much memory they may hold.
         end: called for a session that nobody takes up in time.
     """
 
@@ -110,7 +113,7 @@ class Lobby:
             return None
         kept, asked = self._successors[client]
         try:
-            await asyncio.wait_for(kept.free.wait(), self._limits.stop_seconds)
+            await result_within(self._limits.stop_seconds, kept.free.wait())
         except asyncio.TimeoutError:
             return None
         finally:
@@ -136,7 +139,7 @@ class Lobby:
         return False
 
     def refresh(self, now: float, roles: Callable[[Pass], Role | None]) -> None:
-        """End sessions that waited too long, for which too much waits, or whose rights changed."""
+        """End sessions that waited too long, that hold too much, or whose rights changed."""
         for kept in list(self._kept.values()):
             client, since = kept.client, kept.since
             if since is not None and (
@@ -145,12 +148,21 @@ class Lobby:
                 or roles(client.shown) != client.role
             ):
                 self._finish(kept)
+        self._make_room()
 
     def close(self) -> None:
         """End all that wait."""
         for kept in list(self._kept.values()):
             if kept.since is not None:
                 self._finish(kept)
+
+    def _make_room(self) -> None:
+        """End the sessions that hold most while all that wait hold too much: they fill up still."""
+        while sum(one.account.held for one in self.waiting) > self._limits.kept_bytes:
+            largest = max(self.waiting, key=lambda one: one.account.held)
+            text = "the session %s is not kept: those that wait hold more than %d bytes"
+            _log.warning(text, largest.identity, self._limits.kept_bytes)
+            self._finish(self._kept[self._keys[largest]])
 
     def _finish(self, kept: Kept) -> None:
         self._forget(kept)

@@ -75,8 +75,18 @@ class Metrics:
         yield _count("sent_messages", "messages to clients", sent)
         octets = totals.sent_bytes + sum(one.sent_bytes for one in clients)
         yield _count("sent_bytes", "bytes of messages to clients", octets)
-        held = sum(one.outbox.waiting_bytes for one in clients)
-        yield _gauge("waiting_bytes", "bytes that wait for clients", held)
+        waiting_bytes = sum(one.outbox.waiting_bytes for one in clients)
+        yield _gauge("waiting_bytes", "bytes that wait for clients", waiting_bytes)
+        held = GaugeMetricFamily(
+            "uoarm_serve_held_bytes", "memory held for clients, by kind", labels=["kind"]
+        )
+        for kind, octets in self._desk.memory.kinds.items():
+            held.add_metric([kind.value], octets)
+        yield held
+        unread = sum(one.unread_octets for one in clients)
+        yield _gauge("unread_bytes", "bytes that arrived and were not read yet", unread)
+        largest = self._desk.memory.largest
+        yield _gauge("held_bytes_largest", "memory held for the client that has most", largest)
         dropped = sum(one.outbox.dropped for one in clients)
         yield _gauge("dropped_messages", "messages lost to slow clients not yet gone", dropped)
         yield _gauge("workers_busy", "requests that wait for the robot", self._desk.workers.busy)

@@ -5,21 +5,31 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from uoarm._version import __version__
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
-from uoarm.model import ControlMessage, Message, Op, StatusEvent, to_json
+from uoarm.manager import Connection
+from uoarm.model import (
+    ControlMessage,
+    Message,
+    Op,
+    Spending,
+    StatusEvent,
+    message_octets,
+    to_json,
+)
 from uoarm.resolve import NoPlanError
 from uoarm.server._answers import Answers
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
-from uoarm.server._failures import LimitError, UnknownError, code_of
+from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
 from uoarm.server._holdings import Holdings, wanted_by
 from uoarm.server._lobby import Lobby
+from uoarm.server._memory import Charge, Held
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
@@ -49,6 +59,7 @@ class NativeSession:
         self._holdings = Holdings(
             desk,
             client.outbox,
+            client.account,
             form,
             client.limits,
             lambda connection, error: self._fail(None, connection, error),
@@ -61,29 +72,38 @@ class NativeSession:
             Op.STATUS: self._status,
             Op.RESUME: self._resume,
         }
-        self._slow: Mapping[Op, Callable[[ControlMessage], Awaitable[None]]] = {
+        self._slow: Mapping[Op, Callable[[ControlMessage], Coroutine[Any, Any, None]]] = {
             Op.REQUEST: self._request,
             Op.CALL: self._call,
             Op.RESOLVE: self._resolve,
         }
         self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
-    def handle(self, frame: str | bytes) -> None:
-        """Answer one frame, now or later."""
+    def octets(self, frame: str | bytes) -> int:
+        """Return how much there is to decode."""
+        return len(frame)
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        """Return what answers one frame, now or later, and how much memory its message holds."""
         fields: Mapping[str, Any] = {}
         try:
-            fields = self._form.read(frame, self._client.limits.depth)
+            fields = self._form.read(frame, spending)
             asked = check_asked(fields)
-        except ControlMessageError as error:
-            self._fail(salvage_id(fields), "", error)
-            return
+        except Exception as error:  # noqa: BLE001 - every message gets its answer
+            if not isinstance(error, ControlMessageError):
+                _log.exception("a message of client %s", self._client.identity)
+            failure = without_frames(error)
+            return functools.partial(self._fail, salvage_id(fields), "", failure), 0
+        return functools.partial(self._handle, asked), message_octets(asked.jsonMessage)
+
+    def _handle(self, asked: ControlMessage) -> None:
         if self._answers is not None and asked.id is not None:
             self._answers.begin(asked.id)
         try:
             if asked.op in self._quick:
                 self._quick[asked.op](asked)
             else:
-                self._begin(asked)
+                self._begin(asked, self._slow[asked.op](asked))
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             self._failed(asked, error)
 
@@ -111,18 +131,26 @@ class NativeSession:
             task.cancel()
         self._holdings.close()
 
-    def _begin(self, asked: ControlMessage) -> None:
-        if len(self._tasks) >= self._client.limits.calls:
-            raise LimitError(
-                f"{self._client.limits.calls} requests are under way; wait for an answer first"
-            )
-        task = asyncio.ensure_future(self._answer(asked))
+    def _begin(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
+        try:
+            charge = self._admit()
+        except BaseException:
+            work.close()
+            raise
+        task = asyncio.ensure_future(self._answer(asked, work))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: charge.release())
 
-    async def _answer(self, asked: ControlMessage) -> None:
+    def _admit(self) -> Charge:
+        most = self._client.limits.calls
+        if len(self._tasks) >= most:
+            raise LimitError(f"{most} requests are under way; wait for an answer first")
+        return self._client.account.charge(Held.ASKED, self._client.in_hand)
+
+    async def _answer(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
         try:
-            await self._slow[asked.op](asked)
+            await work
         except Exception as error:  # noqa: BLE001 - every message gets its answer
             self._failed(asked, error)
 
@@ -156,7 +184,7 @@ class NativeSession:
         self._reply(asked, show_plan(await self._desk.resolve(name), self._form))
 
     def _list(self, asked: ControlMessage) -> None:
-        functions = list_functions(self._desk.robot.robot, self._client.role)
+        functions = list_functions(self._desk.robot.config, self._client.role)
         self._reply(asked, {"functions": functions})
 
     def _status(self, asked: ControlMessage) -> None:
@@ -165,7 +193,7 @@ class NativeSession:
         elif asked.type == "unwatch":
             self._desk.unwatch(self._changed)
         robot = self._desk.robot
-        status = visible_status(robot.robot, robot.status(), self._client.role)
+        status = visible_status(robot.config, robot.status(), self._client.role)
         told = {**status, "own": self._holdings.counters()}
         if asked.type == "watch":
             told["past"] = [
@@ -180,7 +208,8 @@ class NativeSession:
         limits = self._client.limits
         if options is None:
             key = self._lobby.keep(self._client, self)
-            self._answers = Answers(limits.control_messages, limits.queue_bytes)
+            account = self._client.account
+            self._answers = Answers(limits.control_messages, limits.queue_bytes, account)
             self._reply(asked, {"key": key, "seconds": limits.resume_seconds})
         elif self._tasks or self._holdings.counters() or self._answers is not None:
             raise UsageError("Resume with a key must be the first message of a connection")
@@ -192,7 +221,11 @@ class NativeSession:
         stream = self._holdings.own(identity)
         self._require(Operation.SEND, stream.connection.plan.function)
         self._holdings.send(
-            stream, asked.jsonMessage, port or None, lambda error: self._done(asked, error)
+            stream,
+            asked.jsonMessage,
+            port or None,
+            lambda error: self._done(asked, error),
+            self._client.in_hand,
         )
 
     def _kill(self, asked: ControlMessage) -> None:
@@ -203,16 +236,18 @@ class NativeSession:
             self._holdings.kill(stream, lambda: self._reply(asked, None))
 
     def _kill_for_everyone(self, asked: ControlMessage) -> None:
-        feed = self._desk.feed_of(str(asked.type))
-        connection = None if feed is None else feed.connection
+        connection = self._desk.connection(str(asked.type))
         seen = connection is not None and self._client.role.allows(
             Operation.SEE, connection.plan.function
         )
         if connection is None or not seen:
             raise UnknownError(f"there is no connection {asked.type!r:.100}")
         self._require(Operation.KILL, connection.plan.function)
-        killing = self._desk.workers.start(connection.kill, always=True)
-        killing.add_done_callback(lambda done: self._done(asked, done.exception()))
+        self._begin(asked, self._ended_by(asked, connection))
+
+    async def _ended_by(self, asked: ControlMessage, connection: Connection) -> None:
+        await asyncio.shield(self._desk.kill(connection))
+        self._reply(asked, None)
 
     def _changed(self, event: StatusEvent, function: str) -> None:
         if self._client.role.allows(Operation.SEE, function):
@@ -231,6 +266,7 @@ class NativeSession:
             "session": self._client.identity,
             "role": self._client.role.name,
             "message_bytes": self._client.limits.message_bytes,
+            "elements": self._client.limits.elements,
             "depth": self._client.limits.depth,
         }
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections import deque
 
 from attrs import define, field
 
 from uoarm.model import OverflowPolicy, QueuePolicy
+from uoarm.server._memory import Account, Charge, Held, Memory
 
 __all__ = ["Lane", "Outbox"]
 
@@ -23,6 +25,7 @@ class Lane:
         sent: messages that were handed to the socket.
         waiting: messages in their pieces, oldest first.
         waiting_bytes: of them all.
+        finished: whether its last message was added.
     """
 
     policy: QueuePolicy
@@ -31,6 +34,7 @@ class Lane:
     sent: int = 0
     waiting: deque[tuple[bytes, ...]] = field(factory=deque)
     waiting_bytes: int = 0
+    finished: bool = False
 
     @property
     def length(self) -> int:
@@ -42,23 +46,31 @@ class Outbox:
     """Frames for one client, all in the loop's thread.
 
     A reply never waits behind data, save for the one frame that is being written. Streams take
-    turns. When too much waits the oldest of the fullest stream is dropped and counted; replies
-    are never dropped: with too many of them `overflowed` is set, and the client must be cut off.
-    `dropped` counts the data messages that were lost here.
+    turns. When too much waits the oldest of the fullest stream is dropped and counted, but not the
+    only message of a stream as long as there is room for it. Replies and the last messages of
+    streams are never dropped: with too many of them `overflowed` is set, and the client must be cut
+    off. `dropped` counts the data messages that were lost here.
 
     Args:
-        max_bytes: of all data that waits.
+        max_bytes: of data that waits, and as much of what is never dropped; one message more may
+            wait, so that one of any size can pass.
         max_replies: replies and events that may wait.
+        account: of the client; None: one without bounds.
     """
 
-    def __init__(self, max_bytes: int, max_replies: int) -> None:
-        self._max_bytes = max_bytes
+    def __init__(self, max_bytes: int, max_replies: int, account: Account | None = None) -> None:
+        self.max_bytes = max_bytes
         self._max_replies = max_replies
+        self.account = account or Memory(sys.maxsize, sys.maxsize).open()
+        self._replies_held = self.account.hold(Held.REPLIES)
+        self._data_held = self.account.hold(Held.DATA)
         self._replies: deque[tuple[bytes, bool]] = deque()
         self._turns: deque[Lane] = deque()
         self._pieces: deque[tuple[bytes, bool]] = deque()
         self._bytes = 0
+        self._last_bytes = 0
         self._reply_bytes = 0
+        self._written: tuple[Charge, int] = (self._replies_held, 0)
         self._filled = asyncio.Event()
         self._emptied = asyncio.Event()
         self.overflowed = False
@@ -74,15 +86,21 @@ class Outbox:
         """Whether nothing waits."""
         return not (self._replies or self._turns or self._pieces)
 
+    def has_room(self, size: int) -> bool:
+        """Say whether a reply of a size can be added."""
+        waiting = self._reply_bytes + self._last_bytes
+        return len(self._replies) < self._max_replies and (
+            not waiting or waiting + size <= self.max_bytes
+        )
+
     def tell(self, frame: bytes, *, text: bool) -> None:
         """Add a reply or an event."""
-        if len(self._replies) >= self._max_replies or (
-            self._replies and self._reply_bytes + len(frame) > self._max_bytes
-        ):
+        if self.overflowed or not self.has_room(len(frame)):
             self.overflowed = True
-        if not self.overflowed:
+        else:
             self._replies.append((frame, text))
             self._reply_bytes += len(frame)
+            _grow(self._replies_held, len(frame))
         self._filled.set()
 
     def holds(self, frame: bytes) -> bool:
@@ -97,34 +115,50 @@ class Outbox:
         self._add(lane, frames)
         if len(lane.waiting) > lane.length:
             self._drop(lane)
-        while self._bytes > self._max_bytes and self._drop_somewhere():
+        while self._is_over() and self._drop_somewhere():
             pass
 
     def finish(self, lane: Lane, *frames: bytes) -> None:
         """Add the last message of a stream, after all that waits of it; it is never dropped."""
-        self._add(lane, frames)
+        size = sum(map(len, frames))
+        if self.overflowed or not self.has_room(size):
+            self.overflowed = True
+            self._filled.set()
+        else:
+            lane.finished = True
+            self._last_bytes += size
+            self._add(lane, frames)
 
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
         while lane.waiting:
-            self._take(lane)
+            self._forget(lane)
         if lane in self._turns:
             self._turns.remove(lane)
 
     async def next(self) -> tuple[bytes, bool]:
-        """Wait for the next frame; returns it and whether it is text."""
-        while True:
-            if self._replies:
-                frame, text = self._replies.popleft()
-                self._reply_bytes -= len(frame)
-                return frame, text
-            if self._pieces:
-                return self._pieces.popleft()
-            if self._turns:
-                return self._next_data()
+        """Wait for the next frame; returns it and whether it is text.
+
+        Its memory counts as held until the next one is asked for: then it has been written.
+        """
+        held, size = self._written
+        _grow(held, -size)
+        self._written = (held, 0)
+        while self.empty:
             self._filled.clear()
             self._emptied.set()
             await self._filled.wait()
+        held = self._data_held
+        if self._replies:
+            frame, text = self._replies.popleft()
+            self._reply_bytes -= len(frame)
+            held = self._replies_held
+        else:
+            if not self._pieces:
+                self._begin_message()
+            frame, text = self._pieces.popleft()
+        self._written = (held, len(frame))
+        return frame, text
 
     async def emptied(self) -> None:
         """Wait until nothing waits."""
@@ -132,39 +166,73 @@ class Outbox:
             self._emptied.clear()
             await self._emptied.wait()
 
-    def _next_data(self) -> tuple[bytes, bool]:
+    def _begin_message(self) -> None:
         lane = self._turns.popleft()
-        frames = self._take(lane)
-        self._pieces.extend((piece, lane.text) for piece in frames[1:])
+        self._pieces.extend((piece, lane.text) for piece in self._take(lane))
         lane.sent += 1
         if lane.waiting:
             self._turns.append(lane)
-        return frames[0], lane.text
 
     def _drop(self, lane: Lane) -> None:
-        self._take(lane)
+        self._forget(lane)
         lane.dropped += 1
         self.dropped += 1
 
+    def _is_over(self) -> bool:
+        return self._bytes > self.max_bytes or not self.account.has_room(0)
+
     def _drop_somewhere(self) -> bool:
-        """Drop from the stream that holds most; the only message of a stream is always kept."""
+        """Drop from the stream that holds most; the only message of a stream as the last resort.
+
+        The largest of these is always kept.
+        """
         several = [lane for lane in self._turns if len(lane.waiting) > 1]
         if several:
-            self._drop(max(several, key=lambda lane: lane.waiting_bytes))
-        return bool(several)
+            self._drop(max(several, key=_bytes_of))
+            return True
+        largest = max(self._turns, key=_bytes_of, default=None)
+        if largest is None or (
+            self._bytes - largest.waiting_bytes <= self.max_bytes and self.account.has_room(0)
+        ):
+            return False
+        others = [lane for lane in self._turns if lane is not largest and not lane.finished]
+        if others:
+            lane = max(others, key=_bytes_of)
+            self._drop(lane)
+            self._turns.remove(lane)
+        return bool(others)
 
     def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
         if not lane.waiting:
             self._turns.append(lane)
         lane.waiting.append(frames)
-        size = sum(map(len, frames))
+        size = _size(frames)
         lane.waiting_bytes += size
         self._bytes += size
+        _grow(self._data_held, size)
         self._filled.set()
 
     def _take(self, lane: Lane) -> tuple[bytes, ...]:
+        """Take the oldest message of a stream; its memory is still held."""
         frames = lane.waiting.popleft()
-        size = sum(map(len, frames))
+        size = _size(frames)
         lane.waiting_bytes -= size
         self._bytes -= size
+        if lane.finished and not lane.waiting:
+            self._last_bytes -= size
         return frames
+
+    def _forget(self, lane: Lane) -> None:
+        _grow(self._data_held, -_size(self._take(lane)))
+
+
+def _size(frames: tuple[bytes, ...]) -> int:
+    return sum(map(len, frames))
+
+
+def _bytes_of(lane: Lane) -> int:
+    return lane.waiting_bytes
+
+
+def _grow(charge: Charge, octets: int) -> None:
+    charge.resize(charge.octets + octets)

@@ -12,6 +12,8 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import ModuleType
 
+from uoarm._origin import install_command
+from uoarm._whole_file import write_whole
 from uoarm.errors import ConfigurationError
 
 __all__ = ["fingerprint_of", "own_certificate", "state_folder"]
@@ -50,7 +52,7 @@ def own_certificate(folder: Path, names: Sequence[str], now: datetime | None = N
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not _is_usable(path, wanted, moment):
             made = _maker().make(wanted, moment - _EARLIER, moment + _VALID)
-            _write_private(path, made)
+            write_whole(path, made, private=True)
     except OSError as error:
         raise ConfigurationError(f"the server's own certificate: {path}: {error}") from error
     return path
@@ -86,20 +88,11 @@ def _is_usable(path: Path, wanted: Sequence[str], now: datetime) -> bool:
     return found is not None and set(wanted) <= found.names and found.ends - now > _RENEW_BEFORE
 
 
-def _write_private(path: Path, data: bytes) -> None:
-    """Write a file that only its owner may read, whole or not at all."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(data)
-    part.replace(path)
-
-
 def _maker() -> ModuleType:
     try:
         from uoarm.certificates import _self_signed  # noqa: PLC0415 - its package is slow to import
     except ImportError as error:
-        raise ConfigurationError(
-            f"making a certificate needs the package {error.name!r}: pip install 'uoarm[server]'"
-        ) from error
+        command = install_command("uoarm", "server")
+        text = f"making a certificate needs the package {error.name!r}: {command}"
+        raise ConfigurationError(text) from error
     return _self_signed

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm.manager import RobotManager
+from uoarm.server._listener import NoRoomError
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings
 
@@ -111,6 +112,13 @@ def _new_loop() -> asyncio.AbstractEventLoop:
     try:
         import uvloop  # noqa: PLC0415 - an optional package
     except ImportError:
-        return asyncio.new_event_loop()
-    loop: asyncio.AbstractEventLoop = uvloop.new_event_loop()
+        loop = asyncio.new_event_loop()
+    else:
+        loop = uvloop.new_event_loop()
+    loop.set_exception_handler(_on_exception)
     return loop
+
+
+def _on_exception(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    if not isinstance(context.get("exception"), NoRoomError):  # its socket has logged that
+        loop.default_exception_handler(context)

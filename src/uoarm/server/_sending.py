@@ -5,21 +5,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import islice
 from typing import TypeAlias
 
 from attrs import define
 
-from uoarm.errors import UsageError
+from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.flow import make_check
 from uoarm.manager import Connection
 from uoarm.model import Message, MessageStructure, ValidationMode
+from uoarm.server._memory import Account, Charge, Held
 from uoarm.server._workers import BusyError, Workers
 from uoarm.wire import Form
 
 __all__ = ["Sending", "read_message"]
 
 _BATCH = 256
+_BATCH_OCTETS = 1_048_576
 _FLUSH_SECONDS = 2.0
 Done: TypeAlias = Callable[[BaseException | None], None]
 
@@ -29,6 +30,7 @@ class _Letter:
     message: Message
     port: str | None
     done: Done
+    charge: Charge
 
 
 class Sending:
@@ -41,43 +43,65 @@ class Sending:
         connection: open.
         form: in which the messages come.
         workers: where they are handed over, many in one go.
+        account: of the client, charged until a message is handed over.
         limit: messages that may wait.
     """
 
-    def __init__(self, connection: Connection, form: Form, workers: Workers, *, limit: int) -> None:
+    def __init__(
+        self, connection: Connection, form: Form, workers: Workers, account: Account, *, limit: int
+    ) -> None:
         self._connection = connection
         self._form = form
         self._workers = workers
+        self._account = account
         self._limit = limit
         self._waiting: deque[_Letter] = deque()
         self._running = False
+        self._closed = False
+        self._flushing = False
         self._after: list[Callable[[], None]] = []
 
-    def send(self, message: Message, port: str | None, done: Done) -> None:
+    def send(self, message: Message, port: str | None, done: Done, octets: int) -> None:
         """Hand one message over, after those before it; `done` hears how it went.
+
+        Args:
+            message: as it came.
+            port: name of the input; None for the only one.
+            done: called once.
+            octets: of memory that the message holds.
 
         Raises:
             BusyError: too many wait already, or every worker is taken.
+            LimitError: the client has too much memory held.
         """
         if len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
-        self._waiting.append(_Letter(message, port, done))
+        charge = self._account.charge(Held.SENDING, octets)
+        self._waiting.append(_Letter(message, port, done, charge))
         if not self._running:
             try:
                 self._run()
             except BusyError:
-                self._waiting.pop()
+                self._waiting.pop().charge.release()
                 raise
 
     def after(self, action: Callable[[], None]) -> None:
         """Do something once the component has taken all that was sent until now.
 
-        A component that hangs is waited for two seconds only.
+        A component that hangs is waited for two seconds only. Whatever else is to be done after it
+        waits for the same flush.
         """
-        if self._running:
-            self._after.append(action)
-        else:
-            self._flush([action])
+        self._after.append(action)
+        if not self._running:
+            self._flush()
+
+    def close(self) -> None:
+        """Hand over nothing more; what waits is told so and let go. Idempotent."""
+        self._closed = True
+        while self._waiting:
+            letter = self._waiting.popleft()
+            letter.charge.release()
+            letter.done(self._has_ended())
 
     def structure(self, port: str | None) -> MessageStructure:
         """Return the structure of an input; None stands for the only one.
@@ -93,12 +117,21 @@ class Sending:
             raise UsageError(f"{step.component.function!r} takes no {name!r}; its inputs: {has}")
         return step.structures[f"input.{name}"]
 
-    def _flush(self, actions: list[Callable[[], None]]) -> None:
-        flushed = self._workers.start(lambda: self._connection.flush(_FLUSH_SECONDS), always=True)
-        flushed.add_done_callback(lambda _: [action() for action in actions])
+    def _flush(self) -> None:
+        if self._flushing:
+            return
+        self._flushing = True
+        flushed = self._workers.free(lambda: self._connection.flush(_FLUSH_SECONDS))
+        flushed.add_done_callback(lambda _: self._flushed())
+
+    def _flushed(self) -> None:
+        self._flushing = False
+        actions, self._after = self._after, []
+        for action in actions:
+            action()
 
     def _run(self) -> None:
-        batch = list(islice(self._waiting, _BATCH))
+        batch = self._next_batch()
         future = self._workers.start(
             lambda: [self._hand_over(letter) for letter in batch], always=self._running
         )
@@ -107,20 +140,37 @@ class Sending:
             self._waiting.popleft()
         future.add_done_callback(lambda done: self._handed(batch, done.result()))
 
+    def _next_batch(self) -> list[_Letter]:
+        """Return what waits, oldest first, up to a count and an amount of memory."""
+        batch: list[_Letter] = []
+        octets = 0
+        for letter in self._waiting:
+            octets += letter.charge.octets
+            if batch and (octets > _BATCH_OCTETS or len(batch) == _BATCH):
+                break
+            batch.append(letter)
+        return batch
+
     def _handed(self, batch: list[_Letter], outcomes: list[BaseException | None]) -> None:
         for letter, outcome in zip(batch, outcomes, strict=True):
+            letter.charge.release()
             letter.done(outcome)
         if self._waiting:
             self._run()
             return
         self._running = False
         if self._after:
-            after, self._after = self._after, []
-            self._flush(after)
+            self._flush()
+
+    def _has_ended(self) -> ConnectionClosedError:
+        cause = self._connection.cause or "kill"
+        return ConnectionClosedError(f"connection {self._connection.id} has ended: {cause}")
 
     def _hand_over(self, letter: _Letter) -> BaseException | None:
         """Return what went wrong with one message, in a worker."""
         try:
+            if self._closed:
+                return self._has_ended()
             structure = self.structure(letter.port)
             place = f"{self._connection.plan.provider.component.name}.{letter.port or 'input'}"
             message = read_message(self._form, structure, letter.message)

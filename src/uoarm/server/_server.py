@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from functools import cache
 from typing import Any
 
@@ -20,8 +21,11 @@ from uoarm.server._address import host_of
 from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
+from uoarm.server._connection import TurnConnection
 from uoarm.server._desk import Desk
 from uoarm.server._doors import Doors
+from uoarm.server._intake import Decoder
+from uoarm.server._listener import connections_possible, listen
 from uoarm.server._lobby import Lobby
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
@@ -34,6 +38,7 @@ __all__ = ["Server"]
 _log = logging.getLogger("uoarm.server")
 _GLANCE_SECONDS = 0.5
 _UNFINISHED = 64
+_UNREAD_MESSAGES = 4
 
 
 class Server:
@@ -60,30 +65,39 @@ class Server:
         )
         self._tls = settings.tls()
         self._audit = Audit()
+        self._decoder = Decoder()
         self._totals = Totals()
         self._hub = Hub()
         self._connected: Counter[str] = Counter()
         self._clients: dict[Client, None] = {}
         self._lobby = Lobby(self._limits, self._end)
         self._listening: list[Listening] = []
-        self._sockets: set[ServerConnection] = set()
+        self._ports: list[int] = []
+        self._room = connections_possible(self._limits.connections + _UNFINISHED)
+        self._sockets: set[TurnConnection] = set()
         self._desk: Desk | None = None
-        self._watch: asyncio.Task[None] | None = None
+        self._watches: list[asyncio.Task[None]] = []
 
     @property
     def ports(self) -> tuple[int, ...]:
         """The ports it listens on: the main one, then that of rosbridge."""
-        return tuple(
-            socket.getsockname()[1]
-            for listening in self._listening
-            for socket in list(listening.sockets)[:1]
-        )
+        return tuple(self._ports)
+
+    @property
+    def held_octets(self) -> int:
+        """Octets of decoded values that are held for all clients; 0 before it is started."""
+        return 0 if self._desk is None else self._desk.memory.held
+
+    @property
+    def unread_octets(self) -> int:
+        """Octets that arrived and that no session has read."""
+        return sum(one.unread_octets for one in self._sockets)
 
     async def start(self) -> None:
         """Listen.
 
         Raises:
-            OSError: a port is taken.
+            OSError: a port is taken, or the address is none of this machine; the text names it.
         """
         desk = self._desk = Desk(self._robot, self._limits)
         metrics = Metrics(desk, self._totals, lambda: self._clients, self._lobby)
@@ -95,12 +109,20 @@ class Server:
         except BaseException:
             await self.stop()
             raise
-        self._watch = asyncio.ensure_future(self._keep_watch())
+        self._watches = [
+            asyncio.ensure_future(_repeat(self._look_after_clients, "looking after the clients")),
+            # Reading and checking a file takes its time; a folder on the network may even hang.
+            asyncio.ensure_future(
+                _repeat(
+                    lambda: asyncio.to_thread(self._admission.refresh), "reading the access file"
+                )
+            ),
+        ]
 
     async def stop(self) -> None:
         """Take no more clients, let what waits be written, close properly; bounded in time."""
-        if self._watch is not None:
-            self._watch.cancel()
+        for watch in self._watches:
+            watch.cancel()
         for listening in self._listening:
             listening.close(close_connections=False)
         limit = self._limits.stop_seconds / 4
@@ -112,6 +134,7 @@ class Server:
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
         self._lobby.close()
+        self._decoder.close()
         if self._desk is not None:
             await self._desk.close()
 
@@ -131,13 +154,22 @@ class Server:
         )
 
         async def handle(socket: ServerConnection) -> None:
+            assert isinstance(socket, TurnConnection), "_make_connection makes no others"
             await self._handle(socket, doors, desk)
 
-        self._listening.append(
-            await serve(
+        try:
+            sockets = await listen(self._settings.host, port)
+        except OSError as error:
+            number = error.errno or 0  # of the resolver's errors it is negative
+            reason = os.strerror(number) if number > 0 else error.strerror or str(error)
+            raise OSError(
+                number, f"cannot listen on {self._settings.place(port)}: {reason}"
+            ) from error
+        self._ports.append(sockets[0].getsockname()[1])
+        for one in sockets:
+            listening = serve(
                 handle,
-                self._settings.host,
-                port,
+                sock=one,
                 ssl=self._tls,
                 process_request=doors.process_request,
                 select_subprotocol=doors.select_subprotocol,
@@ -149,21 +181,28 @@ class Server:
                 ping_timeout=limits.stall_seconds,
                 close_timeout=limits.stop_seconds,
                 max_size=limits.message_bytes,
+                max_queue=_UNREAD_MESSAGES,
             )
-        )
+            self._listening.append(await listening)
 
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
-        return _Counted(
-            self._sockets, self._limits.connections + _UNFINISHED, *arguments, **options
-        )
+        return TurnConnection(self._sockets, self._room, *arguments, **options)
 
-    async def _handle(self, socket: ServerConnection, doors: Doors, desk: Desk) -> None:
+    async def _handle(self, socket: TurnConnection, doors: Doors, desk: Desk) -> None:
         entry = doors.entry(socket)
         role = self._admission.role(entry.shown)
         if role is None:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
-        client = Client(socket, secrets.token_hex(6), entry.shown, role, self._limits)
+        client = Client(
+            socket,
+            secrets.token_hex(6),
+            entry.shown,
+            role,
+            self._limits,
+            self._decoder,
+            desk.memory.open(),
+        )
         host = host_of(socket)
         session = self._session(client, desk, socket, rosbridge=entry.rosbridge)
         self._connected[host] += 1
@@ -178,7 +217,7 @@ class Server:
         finally:
             self._connected -= Counter({host: 1})
 
-    async def _attend(self, client: Client, session: Session, socket: ServerConnection) -> None:
+    async def _attend(self, client: Client, session: Session, socket: TurnConnection) -> None:
         """Serve a client until its connection ends, then keep its session or end it."""
         self._clients[client] = None
         try:
@@ -192,6 +231,7 @@ class Server:
 
     def _end(self, client: Client, session: Session) -> None:
         session.close()
+        client.account.close()
         self._totals.add(client)
         self._audit.departure(client.identity)
 
@@ -203,17 +243,9 @@ class Server:
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
         return NativeSession(client, desk, form, self._audit, self._lobby)
 
-    async def _keep_watch(self) -> None:
-        """Look after clients that are stuck and rights that have changed."""
-        while True:
-            await asyncio.sleep(_GLANCE_SECONDS)
-            try:
-                self._look_after_clients(time.monotonic())
-            except Exception:  # noqa: BLE001 - the watch must outlive whatever goes wrong
-                _log.exception("looking after the clients failed; it is tried again")
-
-    def _look_after_clients(self, now: float) -> None:
-        self._admission.refresh()
+    async def _look_after_clients(self) -> None:
+        """Look after clients that are stuck or whose rights have changed."""
+        now = time.monotonic()
         role = cache(self._admission.role)
         self._lobby.refresh(now, role)
         for client in list(self._clients):
@@ -225,25 +257,14 @@ class Server:
         return {"status": "ok", "clients": len(self._clients)}
 
 
-class _Counted(ServerConnection):
-    """A connection that is known from its first byte on, and refused when there are too many."""
-
-    def __init__(
-        self, sockets: set[ServerConnection], limit: int, *arguments: Any, **options: Any
-    ) -> None:
-        super().__init__(*arguments, **options)
-        self._sockets = sockets
-        self._limit = limit
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self._sockets.add(self)
-        if len(self._sockets) > self._limit:
-            self.transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._sockets.discard(self)
-        super().connection_lost(exc)
+async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:
+    """Do something again and again; it must outlive whatever goes wrong once."""
+    while True:
+        await asyncio.sleep(_GLANCE_SECONDS)
+        try:
+            await action()
+        except Exception:  # noqa: BLE001 - as said above
+            _log.exception("%s failed; it is tried again", what)
 
 
 async def _all_within(seconds: float, steps: list[Coroutine[Any, Any, None]]) -> None:

@@ -52,6 +52,10 @@ class Settings:
         """Whether only this machine can reach the server."""
         return is_loopback(self.host)
 
+    def place(self, port: int) -> str:
+        """Return `host:port` as it stands in a URL."""
+        return f"[{self.host}]:{port}" if ":" in self.host else f"{self.host}:{port}"
+
     def check(self) -> None:
         """Refuse settings that would let the network in unasked.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
-from uoarm.resolve import tell_plan
 from uoarm.server._role import Operation, Role
 from uoarm.wire import Form
 
@@ -59,7 +58,7 @@ def show_plan(plan: Plan, form: Form) -> dict[str, Any]:
             structure["schema"] = form.schema(structure["schema"])
     for edge in data["edges"]:
         del edge["producer_structure"], edge["consumer_structure"]
-    return {"plan": data, "text": tell_plan(plan)}
+    return {"plan": data, "text": str(plan)}
 
 
 def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any]:

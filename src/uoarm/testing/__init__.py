@@ -12,6 +12,7 @@ from uoarm.testing._instances import find_instance, instances
 from uoarm.testing._losses import losses
 from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
+from uoarm.testing._patience import patience, slowness, wait
 from uoarm.testing._same import plain, same
 
 __all__ = [
@@ -30,7 +31,10 @@ __all__ = [
     "instances",
     "losses",
     "lying",
+    "patience",
     "plain",
     "raising",
     "same",
+    "slowness",
+    "wait",
 ]

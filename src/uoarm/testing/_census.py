@@ -7,6 +7,8 @@ import threading
 import time
 from pathlib import Path
 
+from uoarm.testing._patience import patience
+
 __all__ = ["Census"]
 
 _DESCRIPTORS = ("/proc/self/fd", "/dev/fd")
@@ -25,13 +27,15 @@ class Census:
         self._threads = set(threading.enumerate())
         self._descriptors = _count_descriptors()
 
-    def check(self, patience: float = 10.0) -> None:
+    def check(self, timeout: float | None = None) -> None:
         """Hold that nothing is left over, giving threads and descriptors time to end.
+
+        Without a timeout they have the time of `patience`.
 
         Raises:
             AssertionError: it names the threads, or gives the number of descriptors, that stay.
         """
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + (patience() if timeout is None else timeout)
         for thread in self._left_over():
             thread.join(max(0.0, deadline - time.monotonic()))
         names = sorted(thread.name for thread in self._left_over())

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 from uoarm.model import Message
+from uoarm.testing._patience import patience
 
 __all__ = ["Background", "Collector"]
 
 T = TypeVar("T")
-_PATIENCE_SECONDS = 10.0
 
 
 class Collector:
@@ -64,34 +64,37 @@ class Collector:
         finally:
             self._open.set()
 
-    def wait(self, count: int, timeout: float = _PATIENCE_SECONDS) -> list[Message]:
-        """Return the messages once there are `count` or more.
+    def wait(self, count: int, timeout: float | None = None) -> list[Message]:
+        """Return the messages once there are `count` or more; without a timeout, see `patience`.
 
         Raises:
             AssertionError: fewer came within `timeout` seconds.
         """
+        timeout = patience() if timeout is None else timeout
         with self._changed:
             if not self._changed.wait_for(lambda: len(self._messages) >= count, timeout):
                 came = len(self._messages)
                 raise AssertionError(f"{came} of {count} messages came within {timeout:g} s")
             return list(self._messages)
 
-    def wait_for(self, fits: Callable[[Message], bool], timeout: float = _PATIENCE_SECONDS) -> None:
+    def wait_for(self, fits: Callable[[Message], bool], timeout: float | None = None) -> None:
         """Wait until a message has come that fits.
 
         Raises:
             AssertionError: none came within `timeout` seconds.
         """
+        timeout = patience() if timeout is None else timeout
         with self._changed:
             if not self._changed.wait_for(lambda: any(map(fits, self._messages)), timeout):
                 raise AssertionError(f"no such message within {timeout:g} s: {self._messages}")
 
-    def wait_begun(self, count: int, timeout: float = _PATIENCE_SECONDS) -> None:
+    def wait_begun(self, count: int, timeout: float | None = None) -> None:
         """Wait until `count` deliveries have begun.
 
         Raises:
             AssertionError: fewer began within `timeout` seconds.
         """
+        timeout = patience() if timeout is None else timeout
         with self._changed:
             if not self._changed.wait_for(lambda: self._begun >= count, timeout):
                 text = f"{self._begun} of {count} deliveries began within {timeout:g} s"
@@ -114,12 +117,13 @@ class Background(Generic[T]):
         except BaseException as error:  # noqa: BLE001 - handed to whoever asks for the result
             self._error = error
 
-    def result(self, timeout: float = _PATIENCE_SECONDS) -> T:
+    def result(self, timeout: float | None = None) -> T:
         """Return what the action returned, or raise what it raised.
 
         Raises:
             AssertionError: it is still running after `timeout` seconds.
         """
+        timeout = patience() if timeout is None else timeout
         self._thread.join(timeout)
         if self._thread.is_alive():
             raise AssertionError(f"still running after {timeout:g} s: {self._action}")

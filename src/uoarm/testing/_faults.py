@@ -13,10 +13,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm.bridge import Bridge, Channel
+from uoarm.testing._patience import patience
 
 __all__ = ["Hang", "hanging", "lying", "raising"]
-
-_LONGEST_SECONDS = 60.0
 
 
 class Hang:
@@ -37,7 +36,7 @@ class Hang:
     def wait(self) -> None:
         """Hang here; for use as a step."""
         self.entered.set()
-        self._released.wait(_LONGEST_SECONDS)
+        self._released.wait(2 * patience())  # longer than whoever waits for what hangs here
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
 from uoarm.wire._binary import read_binary, write_binary
 from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form, write_or_tell
 from uoarm.wire._skeleton import dump_parts
+from uoarm.wire._text import read_text
 
 __all__ = [
     "ASKED",
@@ -18,6 +19,7 @@ __all__ = [
     "dump_parts",
     "protocol_schema",
     "read_binary",
+    "read_text",
     "salvage_id",
     "write_binary",
     "write_or_tell",

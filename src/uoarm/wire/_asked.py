@@ -10,7 +10,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import ControlMessage, Op
+from uoarm.model import ControlMessage, Op, message_octets
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
@@ -27,6 +27,9 @@ _QUICK = {"op", "type", "id", "jsonMessage"}
 _MAX_ID = 128
 _MAX_NAME = 256
 _SHOWN = 200
+# Of a control message without the message in it: the schema check takes its time, and quotes.
+_MAX_FIELDS = 64
+_MAX_OCTETS = 1_048_576
 
 
 @cache
@@ -51,6 +54,9 @@ def check_asked(fields: Mapping[str, Any]) -> ControlMessage:
         envelope = dict(fields)
         if op in {"Data", "Call"} and "jsonMessage" in envelope:
             envelope["jsonMessage"] = None  # any message is allowed: spare the walk through it
+        if len(envelope) > _MAX_FIELDS or message_octets(envelope, most=_MAX_OCTETS) > _MAX_OCTETS:
+            allowed = f"{_MAX_FIELDS} fields and {_MAX_OCTETS:,} octets are allowed"
+            raise ControlMessageError(f"{op}: too much beside a message: {allowed}")
         error = next(_validator(op).iter_errors(envelope), None)
         if error is not None:
             path = ".".join(str(part) for part in error.absolute_path)

@@ -12,14 +12,14 @@ from typing import Any
 import cbor2
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message
+from uoarm.model import Message, Spending
+from uoarm.wire._cbor_scan import scan_cbor
 
 __all__ = ["read_binary", "write_binary"]
 
 _LARGE = 4096
 _MAX_BITS = 3072
 _MULTIPLE_DIMENSIONS = 40
-_HALF = {80: ">", 84: "<"}
 # Tag to (typecode, big-endian): the numbers of RFC 8746, section 2.1, of sizes that `array` has.
 _TYPED = {
     64: ("B", False), 65: ("H", True), 66: ("I", True), 67: ("Q", True), 68: ("B", False),
@@ -31,7 +31,9 @@ _LITTLE_TAGS = {
     ("u", 1): 64, ("u", 2): 69, ("u", 4): 70, ("u", 8): 71, ("i", 1): 72, ("i", 2): 77,
     ("i", 4): 78, ("i", 8): 79, ("f", 2): 84, ("f", 4): 85, ("f", 8): 86,
 }  # fmt: skip
-_KINDS = {"B": "u", "H": "u", "I": "u", "L": "u", "Q": "u", "f": "f", "d": "f"}
+_SIGNS = {"B": "u", "H": "u", "I": "u", "L": "u", "Q": "u", "f": "f", "d": "f"}
+_CONTAINERS = {list, dict}
+_KINDS = {type(None), bool, int, float, str, bytes, array, *_CONTAINERS}
 # Tags that the library would turn into dates, fractions, sets, references: no message has them.
 _FOREIGN = (0, 1, 4, 5, 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261, 1004, 43000)
 
@@ -52,30 +54,42 @@ def write_binary(message: Message) -> bytes:
         raise MessageError(f"the message has no form as CBOR: {error}") from error
 
 
-def read_binary(data: bytes, *, depth: int) -> Message:
+def read_binary(data: bytes, spending: Spending) -> Message:
     """Return the value that CBOR stands for; numeric arrays come as `array.array`.
 
     Raises:
-        ControlMessageError: it is not CBOR, is nested deeper than `depth`, or holds a tag or a
-            simple value that no message has.
+        ControlMessageError: it is not CBOR, holds a tag or a simple value that no message has, or
+            costs more than its budget.
     """
-    stream = BytesIO(data)
+    spending.octets(len(data))
+    made = _Made(Spending(spending.budget))
+    if len(data) > spending.budget.elements:  # else each octet may be an item
+        scan_cbor(data, Spending(spending.budget))
+    stream = _Octets(data)
     try:
-        decoder = cbor2.CBORDecoder(
+        value = cbor2.CBORDecoder(
             stream,
-            semantic_decoders=_DECODERS,
-            max_depth=depth,
+            semantic_decoders={**_DECODERS, **made.decoders},
+            max_depth=spending.budget.depth,
             allow_duplicate_keys=False,
             strict_hashable_types=True,
-        )
-        value = decoder.decode()
+        ).decode()
     except (cbor2.CBORError, ValueError, OverflowError, RecursionError) as error:
-        cause = error.__cause__ if isinstance(error.__cause__, MessageError) else error
+        cause = error.__cause__ or error
+        if isinstance(cause, ControlMessageError):
+            raise cause from None
         raise ControlMessageError(f"not CBOR as messages have it: {str(cause)[:200]}") from error
     if stream.tell() != len(data):
         raise ControlMessageError(f"more follows the message of {stream.tell():,} bytes")
-    _refuse_strange(value)
+    _examine(value, spending)
     return value
+
+
+class _Octets(BytesIO):
+    """Read through Python, some thousand octets at a time: there other threads have their turn."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(size)
 
 
 def _dumps(value: Any) -> bytes:
@@ -123,7 +137,7 @@ def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
 
 
 def _encode_array(encoder: cbor2.CBOREncoder, value: array[Any]) -> None:
-    kind = _KINDS.get(value.typecode, "i")
+    kind = _SIGNS.get(value.typecode, "i")
     _encode_typed(encoder, kind, value.itemsize, _little(value).tobytes())
 
 
@@ -166,57 +180,78 @@ def _typed_reader(typecode: str, *, big: bool) -> Callable[[Any, bool], array[An
     return read
 
 
-def _half_reader(order: str) -> Callable[[Any, bool], list[float]]:
-    def read(octets: Any, immutable: bool) -> list[float]:  # noqa: FBT001 - the library's signature
+class _Made:
+    """Decoders of what stands for more values than it has items, for one message."""
+
+    def __init__(self, spending: Spending) -> None:
+        self._spending = spending
+        self.decoders = {
+            80: self._half(">"),
+            84: self._half("<"),
+            _MULTIPLE_DIMENSIONS: self._rows,
+        }
+
+    def _half(self, order: str) -> Callable[[Any, bool], list[float]]:
+        def read(octets: Any, immutable: bool) -> list[float]:  # noqa: FBT001 - the library's signature
+            del immutable
+            count = len(octets) // 2
+            self._spending.add(count)
+            return list(struct.unpack(f"{order}{count}e", octets))
+
+        return read
+
+    def _rows(self, value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
+        """Return rows as lists of lists (RFC 8746, section 3.1.1)."""
         del immutable
-        return list(struct.unpack(f"{order}{len(octets) // 2}e", octets))
+        sizes, items = value
+        if not (isinstance(sizes, list) and isinstance(items, list | array | bytes)):
+            raise ControlMessageError("an array of several dimensions: expected sizes and items")
+        self._spending.dimensions(sizes, len(items))
+        for size in reversed(sizes[1:]):
+            items = [list(items[at : at + size]) for at in range(0, len(items), size)]
+        return items
 
-    return read
 
-
-def _read_rows(value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
-    """Return rows as lists of lists (RFC 8746, section 3.1.1)."""
-    del immutable
-    sizes, items = value
-    count = 1
-    for size in sizes:
-        if type(size) is not int or size < 1:
-            raise ValueError(f"dimensions {sizes!r}: expected positive integers")
-        count *= size
-    if count != len(items):
-        raise ValueError(f"dimensions {sizes!r} do not hold {len(items)} items")
-    for size in reversed(sizes[1:]):
-        items = [list(items[at : at + size]) for at in range(0, len(items), size)]
-    return items
+def _read_integer(octets: Any, *, negative: bool) -> int:
+    if len(octets) > _MAX_BITS // 8:
+        raise ControlMessageError(f"an integer of more than {_MAX_BITS:,} bits")
+    number = int.from_bytes(octets, "big")
+    return -1 - number if negative else number
 
 
 def _refuse(value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
     del value, immutable
-    raise MessageError("a tag that no message has")
+    raise ControlMessageError("a tag that no message has")
 
 
-def _refuse_strange(value: Any) -> None:
-    """Refuse what CBOR knows and the JSON data model does not."""
-    waiting = [value]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, dict):
-            waiting.extend(one.values())
-            for key in one:
-                if not isinstance(key, str):
-                    raise ControlMessageError(f"expected names to be strings, got {key!r:.60}")
-        elif isinstance(one, list):
-            waiting.extend(one)
-        elif isinstance(one, int) and one.bit_length() > _MAX_BITS:
-            raise ControlMessageError(f"an integer of more than {_MAX_BITS:,} bits")
-        elif not (one is None or isinstance(one, str | int | float | bytes | array)):
-            raise ControlMessageError(f"a value of type {type(one).__name__} is no message")
+def _examine(value: Any, spending: Spending) -> None:
+    """Count what was made, one level of nesting after the other, and refuse what JSON lacks."""
+    depth, level = 0, [value]
+    while level:
+        spending.add(len(level))
+        kinds = set(map(type, level))
+        if not kinds <= _KINDS:
+            strange = ", ".join(sorted(kind.__name__ for kind in kinds - _KINDS))
+            raise ControlMessageError(f"a value of type {strange} is no message")
+        inner: list[Any] = []
+        if not kinds.isdisjoint(_CONTAINERS):
+            depth += 1
+            spending.depth(depth)
+        for one in level if dict in kinds or list in kinds else ():
+            if type(one) is list:
+                inner += one
+            elif type(one) is dict:
+                if not set(map(type, one)) <= {str}:
+                    raise ControlMessageError("expected names to be strings, got octets")
+                spending.add(len(one))
+                inner += one.values()
+        level = inner
 
 
 _ENCODERS: dict[Any, Any] = {memoryview: _encode_octets, array: _encode_array}
 _DECODERS: dict[int, Any] = {
     **dict.fromkeys(_FOREIGN, _refuse),
     **{tag: _typed_reader(code, big=big) for tag, (code, big) in _TYPED.items()},
-    **{tag: _half_reader(order) for tag, order in _HALF.items()},
-    _MULTIPLE_DIMENSIONS: _read_rows,
+    2: lambda octets, _: _read_integer(octets, negative=False),
+    3: lambda octets, _: _read_integer(octets, negative=True),
 }

@@ -6,12 +6,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, final
 
-import orjson
-
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, Schema, check_depth
+from uoarm.model import Message, Schema, Spending
 from uoarm.wire._binary import read_binary, write_binary
-from uoarm.wire._text import write_text, write_text_parts
+from uoarm.wire._text import read_text, write_text, write_text_parts
 from uoarm.wire._text_structure import make_reader, text_schema
 
 __all__ = ["BINARY_FORM", "FORMS", "TEXT_FORM", "Form", "write_or_tell"]
@@ -43,11 +41,11 @@ class Form(ABC):
         """Return one Data message, the same bytes for every client; raises as `write`."""
 
     @abstractmethod
-    def read(self, frame: str | bytes, depth: int) -> Mapping[str, Any]:
-        """Return the fields of a control message.
+    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
+        """Return the fields of a control message, in any thread.
 
         Raises:
-            ControlMessageError: it cannot be read.
+            ControlMessageError: it cannot be read, or costs more than its budget.
         """
 
     @abstractmethod
@@ -70,16 +68,12 @@ class _TextForm(Form):
         head = f'{{"op":"Data","type":"{connection}","x-number":{number},"jsonMessage":'
         return b"".join((head.encode(), *write_text_parts(message), b"}"))
 
-    def read(self, frame: str | bytes, depth: int) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
         if isinstance(frame, bytes):
             raise ControlMessageError(
                 f"a binary frame: expected JSON text; offer {BINARY_FORM.subprotocol} for CBOR"
             )
-        check_depth(frame, depth)
-        try:
-            return _fields(orjson.loads(frame))
-        except orjson.JSONDecodeError as error:
-            raise ControlMessageError(f"not JSON: {error}") from error
+        return _fields(read_text(frame, spending))
 
     def reader(self, schema: Schema) -> Callable[[Message], Message] | None:
         return make_reader(schema)
@@ -99,12 +93,12 @@ class _BinaryForm(Form):
         head = {"op": "Data", "type": connection, "x-number": number}
         return write_binary({**head, "jsonMessage": message})
 
-    def read(self, frame: str | bytes, depth: int) -> Mapping[str, Any]:
+    def read(self, frame: str | bytes, spending: Spending) -> Mapping[str, Any]:
         if isinstance(frame, str):
             raise ControlMessageError(
                 f"a text frame: expected CBOR; offer {TEXT_FORM.subprotocol} for JSON"
             )
-        return _fields(read_binary(frame, depth=depth))
+        return _fields(read_binary(frame, spending))
 
     def reader(self, schema: Schema) -> None:
         del schema

@@ -15,17 +15,31 @@ from typing import Any
 
 import orjson
 
-from uoarm.errors import MessageError
-from uoarm.model import Message
+from uoarm.errors import ControlMessageError, MessageError
+from uoarm.model import Message, Spending, scan_json
 from uoarm.wire._skeleton import dump_parts
 
-__all__ = ["SAFE_INTEGER", "write_text", "write_text_parts"]
+__all__ = ["SAFE_INTEGER", "read_text", "write_text", "write_text_parts"]
 
 SAFE_INTEGER = 2**53 - 1
 _OPTIONS = orjson.OPT_STRICT_INTEGER
 _NUMPY = orjson.OPT_SERIALIZE_NUMPY
 _WIDE_KINDS = "iu"
 _WIDE_SIZE = 8
+
+
+def read_text(text: str, spending: Spending) -> Any:
+    """Return the value that JSON text stands for.
+
+    Raises:
+        ControlMessageError: it is not JSON, or costs more than its budget.
+    """
+    spending.octets(len(text))  # characters: no more than the octets that the transport counted
+    scan_json(text, spending)
+    try:
+        return orjson.loads(text)
+    except orjson.JSONDecodeError as error:
+        raise ControlMessageError(f"not JSON: {error}") from error
 
 
 def write_text(message: Message) -> bytes:

@@ -15,9 +15,10 @@ from uoarm.wire._text import SAFE_INTEGER
 
 __all__ = ["make_reader", "text_schema"]
 
-Reader: TypeAlias = Callable[[Message, str], Message]
+Reader: TypeAlias = Callable[[Message], Message]
 
 _MAX_DEPTH = 64
+_SHOWN = 100
 _DIGITS = re.compile(r"-?(0|[1-9][0-9]{0,999})\Z")
 _NAMES = {"NaN": float("nan"), "Infinity": float("inf"), "-Infinity": float("-inf")}
 _MAPS = ("properties", "patternProperties", "$defs", "dependentSchemas")
@@ -59,7 +60,32 @@ def make_reader(schema: Schema) -> Callable[[Message], Message] | None:
     result matches the schema is checked elsewhere.
     """
     reader = _Compiler(schema).reader(schema, 0)
-    return None if reader is None else lambda message: reader(message, "$")
+    if reader is None:
+        return None
+
+    def read(message: Message) -> Message:
+        try:
+            return reader(message)
+        except _MisfitError as error:
+            raise MessageError(error.told()) from error.__cause__
+
+    return read
+
+
+class _MisfitError(Exception):
+    """Text that its place cannot carry.
+
+    Its path is put together on the way out only: a path made for every value would cost as much as
+    the longest name for each.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.path: list[str] = []
+
+    def told(self) -> str:
+        path = "".join(one[:_SHOWN] for one in reversed(self.path))
+        return f"${path}: {self}"
 
 
 class _Compiler:
@@ -93,11 +119,11 @@ class _Compiler:
         }
         rest = self.reader(schema.get("additionalProperties"), depth + 1)
         if fields or rest is not None:
-            return lambda value, path: _object(value, path, fields, rest)
+            return lambda value: _object(value, fields, rest)
         heads = [self.reader(one, depth + 1) for one in _sequence(schema.get("prefixItems"))]
         items = self.reader(schema.get("items"), depth + 1)
         if any(heads) or items is not None:
-            return lambda value, path: _array(value, path, heads, items)
+            return lambda value: _array(value, heads, items)
         return None
 
     def _first(self, branches: Sequence[object], depth: int) -> Reader | None:
@@ -111,62 +137,70 @@ class _Compiler:
         known = self._references
         if reference not in known:
 
-            def later(value: Message, path: str) -> Message:
+            def later(value: Message) -> Message:
                 reader = known[reference]
-                return value if reader is None or reader is later else reader(value, path)
+                return value if reader is None or reader is later else reader(value)
 
             known[reference] = later
             known[reference] = self.reader(_find(reference, self._root), depth + 1)
         return known[reference]
 
 
-def _object(value: Any, path: str, fields: Mapping[str, Reader], rest: Reader | None) -> Any:
+def _object(value: Any, fields: Mapping[str, Reader], rest: Reader | None) -> Any:
     if not isinstance(value, dict):
         return value
     read = dict(value)
     for name, one in value.items():
         reader = fields.get(name, rest)
         if reader is not None:
-            read[name] = reader(one, f"{path}.{name}")
+            try:
+                read[name] = reader(one)
+            except _MisfitError as error:
+                error.path.append(f".{name}")
+                raise
     return read
 
 
-def _array(value: Any, path: str, heads: list[Reader | None], items: Reader | None) -> Any:
+def _array(value: Any, heads: list[Reader | None], items: Reader | None) -> Any:
     if not isinstance(value, list):
         return value
     read = []
     for place, one in enumerate(value):
         reader = heads[place] if place < len(heads) else items
-        read.append(one if reader is None else reader(one, f"{path}[{place}]"))
+        try:
+            read.append(one if reader is None else reader(one))
+        except _MisfitError as error:
+            error.path.append(f"[{place}]")
+            raise
     return read
 
 
-def _octets(value: Any, path: str) -> Any:
+def _octets(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     try:
         return b64decode(value, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise MessageError(f"{path}: expected octets as base64 text: {error}") from error
+        raise _MisfitError(f"expected octets as base64 text: {error}") from error
 
 
-def _integer(value: Any, path: str) -> Any:
+def _integer(value: Any) -> Any:
     if isinstance(value, str):
         if not _DIGITS.match(value):
-            raise MessageError(f"{path}: expected an integer or its digits, got {value[:40]!r}")
+            raise _MisfitError(f"expected an integer or its digits, got {value[:40]!r}")
         return int(value)
     if isinstance(value, float) and abs(value) > SAFE_INTEGER:
-        text = f"{path}: {value} has lost digits; write integers beyond 53 bits as strings"
-        raise MessageError(text)
+        text = f"{value} has lost digits; write integers beyond 53 bits as strings"
+        raise _MisfitError(text)
     return value
 
 
-def _number(value: Any, path: str) -> Any:
+def _number(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     if value in _NAMES:
         return _NAMES[value]
-    raise MessageError(f"{path}: expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
+    raise _MisfitError(f"expected a number or {', '.join(_NAMES)}, got {value[:40]!r}")
 
 
 def _is_wide(schema: Mapping[str, object]) -> bool:

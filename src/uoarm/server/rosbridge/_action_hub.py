@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, Protocol
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._sending import Done
@@ -22,7 +23,12 @@ class ActionProvider(Protocol):
     """A client that works on goals."""
 
     def tell(self, message: Mapping[str, Any]) -> None:
-        """Send one message to the client."""
+        """Send one message to the client.
+
+        Raises:
+            BusyError: it leaves too much unread.
+            MessageError: the message has no form.
+        """
 
 
 @frozen(eq=False)
@@ -37,16 +43,20 @@ class _Offer:
     def start(self, goal: Goal) -> None:
         """Send a goal to the provider."""
         identity = self.hub.note(self, goal)
-        self.provider.tell(
-            {
-                "op": "send_action_goal",
-                "id": identity,
-                "action": self.name,
-                "action_type": self.kind,
-                "args": {} if goal.arguments is None else goal.arguments,
-                "feedback": True,
-            }
-        )
+        try:
+            self.provider.tell(
+                {
+                    "op": "send_action_goal",
+                    "id": identity,
+                    "action": self.name,
+                    "action_type": self.kind,
+                    "args": {} if goal.arguments is None else goal.arguments,
+                    "feedback": True,
+                }
+            )
+        except BaseException:
+            self.hub.close_goal(identity)
+            raise
 
     def cancel(self, goal: Goal, done: Done) -> None:
         """Ask the provider to end a goal."""
@@ -57,8 +67,9 @@ class _Offer:
 
     def abandon(self, goal: Goal) -> None:
         """Ask for its end; the answer is taken and goes nowhere."""
-        self.cancel(goal, lambda _: None)
         goal.ended = True
+        with suppress(UoarmError):
+            self.cancel(goal, lambda _: None)
 
 
 class ActionHub:

@@ -15,11 +15,12 @@ from uoarm.errors import (
     MessageError,
     UsageError,
 )
-from uoarm.model import Message, QueuePolicy
+from uoarm.model import Message, QueuePolicy, show_value
 from uoarm.server._client import Client
 from uoarm.server._complaints import Complaints
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, tell_error
+from uoarm.server._memory import Charge, Held
 from uoarm.server._outbox import Lane
 from uoarm.server._role import Operation
 from uoarm.server.rosbridge._action_hub import ActionHub
@@ -40,6 +41,7 @@ class _Sent:
     place: Place
     goal: Goal
     runner: Runner
+    charge: Charge
 
 
 class Actions:
@@ -54,6 +56,7 @@ class Actions:
         hub: where clients meet.
         require: raises DeniedError for what the client may not do.
         fail: tells the client what went wrong with a message of its.
+        ask: sends another client's request; raises BusyError where it leaves too much unread.
     """
 
     def __init__(
@@ -63,12 +66,14 @@ class Actions:
         hub: ActionHub,
         require: Callable[[Operation, str], None],
         fail: Callable[[Fields, BaseException], None],
+        ask: Callable[[Fields], None],
     ) -> None:
         self._client = client
         self._desk = desk
         self._hub = hub
         self._require = require
         self._fail = fail
+        self.tell = ask
         self._sent: dict[str, _Sent] = {}
         self._joined: set[str] = set()
         self._offered: set[str] = set()
@@ -84,11 +89,12 @@ class Actions:
         place = find_place(fields["action"])
         self._require(Operation.CALL, place.right)
         runner = self._runner(place)
-        sent = self._sent[identity] = _Sent(place, self._goal(identity, fields), runner)
+        charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
+        sent = self._sent[identity] = _Sent(place, self._goal(identity, fields), runner, charge)
         try:
             runner.start(sent.goal)
         except BaseException:
-            del self._sent[identity]
+            self._forget(identity)
             raise
 
     def cancel_goal(self, fields: Fields) -> None:
@@ -141,12 +147,8 @@ class Actions:
         if fields["result"] is True:
             goal.finish({} if values is None else values, status)
         else:
-            text = f"the goal ended {status.name.lower()}: {values!r:.500}"
+            text = f"the goal ended {status.name.lower()}: {show_value(values, 500)}"
             goal.fail(BridgeError(text, FailureReason.REFUSED))
-
-    def tell(self, message: Fields) -> None:
-        """Send one message to the client; raises MessageError when it has no form."""
-        self._client.outbox.tell(write_ros(message), text=True)
 
     def close(self) -> None:
         """Give everything back; what this client asked for is cancelled."""
@@ -163,7 +165,7 @@ class Actions:
             if runner is None:
                 raise UnknownError(f"there is no action {place.name!r:.200}")
             return runner
-        function = self._desk.robot.robot.functions.get(place.function)
+        function = self._desk.robot.config.functions.get(place.function)
         if function is None or place.port:
             raise UnknownError(f"there is no function {place.wanted!r:.200}")
         if any(is_action(one) for one in function.components):
@@ -199,10 +201,16 @@ class Actions:
             finish(_result(named, tell_error(error), GoalStatus.UNKNOWN, result=False))
 
         def finish(frame: bytes) -> None:
-            self._sent.pop(identity, None)
+            self._forget(identity)
             self._client.outbox.finish(lane, *self._split(frame, fields))
 
-        return Goal(fields.get("args"), on_feedback, on_result, on_failure)
+        octets = self._client.in_hand
+        return Goal(fields.get("args"), on_feedback, on_result, on_failure, octets)
+
+    def _forget(self, identity: str) -> None:
+        sent = self._sent.pop(identity, None)
+        if sent is not None:
+            sent.charge.release()
 
     def _split(self, frame: bytes, fields: Fields) -> list[bytes]:
         return split(frame, fragment_size(fields), f"uoarm:goal:{next(self._numbers)}")
@@ -213,7 +221,7 @@ def _status(given: Any) -> GoalStatus:
         return GoalStatus(given)
     except ValueError:
         known = ", ".join(f"{one.value} ({one.name.lower()})" for one in GoalStatus)
-        text = f"action_result: status: expected one of {known}, got {given!r:.60}"
+        text = f"action_result: status: expected one of {known}, got {show_value(given)}"
         raise ControlMessageError(text) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from sys import getsizeof
 from typing import Any
 
 import orjson
@@ -15,23 +16,28 @@ __all__ = ["Fragments", "fragment_size", "split"]
 _UNFINISHED = 8
 _PIECES = 100_000
 _SMALLEST = 64
+_PLACE = 100  # what one piece takes in a dictionary, and its number
 
 
 @define
 class _Message:
     total: int
     pieces: dict[int, str] = field(factory=dict)
-    size: int = 0
+    octets: int = 0
 
 
 class Fragments:
     """The unfinished messages of one client.
 
     Args:
-        most: characters that all of them may have together.
+        most: octets of memory that all of them may take together.
+
+    Attributes:
+        octets: that they take.
     """
 
     def __init__(self, most: int) -> None:
+        self.octets = 0
         self._most = most
         self._messages: dict[str, _Message] = {}
 
@@ -51,22 +57,26 @@ class Fragments:
         message = self._messages.get(identity)
         if message is None:
             if len(self._messages) >= _UNFINISHED:
-                oldest = next(iter(self._messages))
-                del self._messages[oldest]
+                self._forget(next(iter(self._messages)))
                 raise ControlMessageError(f"fragment: {_UNFINISHED} messages are unfinished")
             message = self._messages[identity] = _Message(total)
         if message.total != total or number in message.pieces:
-            del self._messages[identity]
+            self._forget(identity)
             raise ControlMessageError(f"fragment: piece {number} of {total} fits no message")
         message.pieces[number] = data
-        message.size += len(data)
-        if sum(one.size for one in self._messages.values()) > self._most:
-            del self._messages[identity]
-            raise ControlMessageError(f"fragment: more than {self._most:,} characters wait")
+        octets = getsizeof(data) + _PLACE
+        message.octets += octets
+        self.octets += octets
+        if self.octets > self._most:
+            self._forget(identity)
+            raise ControlMessageError(f"fragment: more than {self._most:,} octets wait")
         if len(message.pieces) < total:
             return None
-        del self._messages[identity]
+        self._forget(identity)
         return "".join(message.pieces[place] for place in range(total))
+
+    def _forget(self, identity: str) -> None:
+        self.octets -= self._messages.pop(identity).octets
 
 
 def fragment_size(fields: Mapping[str, Any]) -> int:

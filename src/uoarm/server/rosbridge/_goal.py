@@ -37,6 +37,7 @@ class Goal:
         on_feedback: hears what comes before the result.
         on_result: hears the result and how the goal ended.
         on_failure: hears why there is no result.
+        octets: of memory that the arguments hold.
         ended: whether one of the two last was called, or the client has gone.
     """
 
@@ -44,6 +45,7 @@ class Goal:
     on_feedback: Callable[[Message], None]
     on_result: Callable[[Message, GoalStatus], None]
     on_failure: Callable[[BaseException], None]
+    octets: int = 0
     ended: bool = field(default=False, init=False)
 
     def feed(self, values: Message) -> None:

@@ -9,10 +9,12 @@ from typing import Protocol
 
 from attrs import define, field
 
+from uoarm._deadlines import result_within
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Listener, Parcel
+from uoarm.server._memory import Account, Charge, Held
 from uoarm.server.rosbridge._action_hub import ActionHub
 
 __all__ = ["Hub", "Provider", "Topic"]
@@ -28,15 +30,45 @@ class Provider(Protocol):
 
 
 @define(eq=False)
+class Latched:
+    """The last message of a publisher, kept for listeners that are still to come."""
+
+    parcel: Parcel
+    publisher: object
+    charge: Charge
+    account: Account
+
+    def offer(self, listener: Listener) -> None:
+        """Hand it to a listener; its written forms are kept where the publisher has room."""
+        _offer(listener, self.parcel)
+        self.charge.resize(self.parcel.octets)
+        if not self.account.has_room(0):
+            self.parcel.forget_written()
+            self.charge.resize(self.parcel.octets)
+
+
+@define(eq=False)
 class Topic:
-    """One topic between clients; it lives while someone publishes or listens."""
+    """One topic between clients; it lives while someone publishes or listens.
+
+    Attributes:
+        type: as its publishers state it; the first of them decides while any of them stays.
+        wished: as the first listener named it, which binds nobody.
+    """
 
     name: str
     type: str = ""
+    wished: str = ""
     number: int = 0
     publishers: set[object] = field(factory=set)
     listeners: dict[Listener, None] = field(factory=dict)
-    latched: Parcel | None = None
+    latched: Latched | None = None
+
+    def unlatch(self) -> None:
+        """Keep no message for listeners that are still to come."""
+        if self.latched is not None:
+            self.latched.charge.release()
+            self.latched = None
 
 
 class Hub:
@@ -56,7 +88,7 @@ class Hub:
     @property
     def topics(self) -> dict[str, str]:
         """Types by topic."""
-        return {topic.name: topic.type for topic in self._topics.values()}
+        return {topic.name: topic.type or topic.wished for topic in self._topics.values()}
 
     @property
     def services(self) -> dict[str, str]:
@@ -67,7 +99,7 @@ class Hub:
         """Count a publisher of a topic.
 
         Raises:
-            MessageError: the topic has another type.
+            MessageError: other publishers of the topic state another type.
             LimitError: there are too many topics.
         """
         topic = self._topic(name)
@@ -82,16 +114,43 @@ class Hub:
         topic = self._topics.get(name)
         if topic is not None:
             topic.publishers.discard(publisher)
+            if topic.latched is not None and topic.latched.publisher is publisher:
+                topic.unlatch()
             if not topic.publishers:
-                topic.latched = None
+                topic.type = ""
             self._drop_if_unused(topic)
 
-    def publish(self, name: str, message: Message, *, latch: bool) -> None:
-        """Hand a message to every listener of a topic."""
+    def publish(
+        self,
+        name: str,
+        message: Message,
+        publisher: object,
+        octets: int,
+        latch: Account | None = None,
+    ) -> None:
+        """Hand a message to every listener of a topic.
+
+        Args:
+            name: of the topic.
+            message: an object.
+            publisher: who advertised it.
+            octets: of memory that the message holds.
+            latch: what is charged for keeping the message for those who come; None: it is not kept.
+
+        Raises:
+            LimitError: the publisher has too much memory held; the message went nowhere.
+            BusyError: all clients together have.
+        """
         topic = self._topic(name)
+        parcel = Parcel(topic.number + 1, message, octets)
+        if latch is not None:
+            before = topic.latched
+            if before is not None and before.publisher is publisher:
+                topic.unlatch()
+            charge = latch.charge(Held.LATCHED, parcel.octets)
+            topic.unlatch()
+            topic.latched = Latched(parcel, publisher, charge, latch)
         topic.number += 1
-        parcel = Parcel(topic.number, message)
-        topic.latched = parcel if latch else topic.latched
         for listener in tuple(topic.listeners):
             _offer(listener, parcel)
 
@@ -102,10 +161,10 @@ class Hub:
             LimitError: there are too many topics.
         """
         topic = self._topic(name)
-        topic.type = topic.type or kind
+        topic.wished = topic.wished or kind
         topic.listeners[listener] = None
         if topic.latched is not None:
-            _offer(listener, topic.latched)
+            topic.latched.offer(listener)
 
     def leave(self, name: str, listener: Listener) -> None:
         """Hand a listener no more."""
@@ -147,6 +206,7 @@ class Hub:
 
         Raises:
             UnknownError: there is none.
+            BusyError: the client that provides it does not read its requests.
             BridgeError: it failed, has gone, or did not answer in time.
         """
         found = self._services.get(name)
@@ -157,7 +217,7 @@ class Hub:
         self._waiting[identity] = (found[1], future)
         try:
             found[1].ask(identity, name, message)
-            return await asyncio.wait_for(future, timeout)
+            return await result_within(timeout, future)
         except asyncio.TimeoutError:
             raise BridgeTimeoutError(f"{name!r} did not answer within {timeout:g} s") from None
         finally:

@@ -10,6 +10,7 @@ from uoarm.errors import UoarmError
 from uoarm.model import Message
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._feed import Feed
+from uoarm.server._memory import Account, Charge, Held
 from uoarm.server._sending import Done, Sending
 from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._names import Place
@@ -24,34 +25,42 @@ class Publication:
     Args:
         place: the function and its input.
         desk: where the function is opened.
+        account: of the client.
         on_failed: hears why it could not be opened, or that it ended.
     """
 
     def __init__(
-        self, place: Place, desk: Desk, on_failed: Callable[[BaseException], None]
+        self,
+        place: Place,
+        desk: Desk,
+        account: Account,
+        on_failed: Callable[[BaseException], None],
     ) -> None:
         self._place = place
         self._desk = desk
+        self._account = account
         self._on_failed = on_failed
         self._limit = desk.limits.queue_messages
-        self._waiting: deque[tuple[Message, Done]] = deque()
+        self._waiting: deque[tuple[Message, Done, Charge]] = deque()
         self._feed: Feed | None = None
         self._sending: Sending | None = None
         self._closing = False
         self._opening = asyncio.ensure_future(self._open())
 
-    def publish(self, message: Message, done: Done) -> None:
-        """Send one message after those before it; `done` hears how it went.
+    def publish(self, message: Message, done: Done, octets: int) -> None:
+        """Send one message of so many octets after those before it; `done` hears how it went.
 
         Raises:
             BusyError: too many wait.
+            LimitError: the client has too much memory held.
         """
         if self._sending is not None:
-            self._sending.send(message, self._place.port or None, done)
+            self._sending.send(message, self._place.port or None, done, octets)
         elif len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._place.name} wait already")
         else:
-            self._waiting.append((message, done))
+            charge = self._account.charge(Held.SENDING, octets)
+            self._waiting.append((message, done, charge))
 
     def close(self) -> None:
         """Let go of the function after what was published."""
@@ -62,6 +71,7 @@ class Publication:
     def abandon(self) -> None:
         """Let go of the function now."""
         self._opening.cancel()
+        self._waiting.clear()
         self._leave()
 
     async def _open(self) -> None:
@@ -70,17 +80,23 @@ class Publication:
         except Exception as error:  # noqa: BLE001 - told to the one who publishes
             self._on_failed(error)
             while self._waiting:
-                self._waiting.popleft()[1](error)
+                _, done, charge = self._waiting.popleft()
+                charge.release()
+                done(error)
             return
         assert feed.connection is not None, "join returns feeds that are open"
         self._feed = feed
-        self._sending = Sending(feed.connection, TEXT_FORM, self._desk.workers, limit=self._limit)
+        self._sending = Sending(
+            feed.connection, TEXT_FORM, self._desk.workers, self._account, limit=self._limit
+        )
         feed.add(self)
         while self._waiting:
-            message, done = self._waiting.popleft()
+            message, done, charge = self._waiting.popleft()
+            octets = charge.octets
+            charge.release()
             try:
-                self.publish(message, done)
-            except BusyError as error:
+                self.publish(message, done, octets)
+            except UoarmError as error:
                 done(error)
         if self._closing:
             self._sending.after(self._leave)
@@ -97,6 +113,8 @@ class Publication:
         self._on_failed(UoarmError(f"{self._place.name} has {state}: {cause or 'killed'}"))
 
     def _leave(self) -> None:
+        if self._sending is not None:
+            self._sending.close()
         if self._feed is not None:
             self._feed.remove(self)
             self._desk.leave(self._feed)

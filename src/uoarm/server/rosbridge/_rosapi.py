@@ -239,7 +239,7 @@ class Rosapi:
         }
 
     def _functions(self) -> list[Function]:
-        functions = self._desk.robot.robot.functions.values()
+        functions = self._desk.robot.config.functions.values()
         return [one for one in functions if self._role.allows(Operation.SEE, one.name)]
 
     def _components(self, function: str) -> list[Component]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.errors import BridgeError, UsageError
-from uoarm.model import Message
+from uoarm.model import Message, show_value
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError
@@ -32,6 +32,7 @@ class Services:
         hub: where clients call one another.
         require: raises DeniedError for what the client may not do.
         tell: sends one message to the client, in fragments of a size, 0 for none.
+        ask: sends another client's request; raises BusyError where it leaves too much unread.
         cancel_goals: asks for the end of all the client's goals to an action.
     """
 
@@ -42,6 +43,7 @@ class Services:
         hub: Hub,
         require: Callable[[Operation, str], None],
         tell: Callable[[Fields, int], None],
+        ask: Callable[[Fields], None],
         cancel_goals: Callable[[Place], None],
     ) -> None:
         self._limits = client.limits
@@ -49,6 +51,7 @@ class Services:
         self._hub = hub
         self._require = require
         self._tell = tell
+        self._ask = ask
         self._cancel_goals = cancel_goals
         self._rosapi = Rosapi(desk, hub, client.role)
         self._provided: set[str] = set()
@@ -96,13 +99,13 @@ class Services:
             if fields["result"] is True:
                 future.set_result({} if values is None else values)
             else:
-                future.set_exception(BridgeError(f"the service said no: {values!r:.500}"))
+                future.set_exception(BridgeError(f"the service said no: {show_value(values, 500)}"))
 
         self._hub.answer(str(fields["id"]), self, conclude)
 
     def ask(self, identity: str, service: str, message: Message) -> None:
         """Send another client's request to this one, which provides the service."""
-        self._tell({"op": "call_service", "id": identity, "service": service, "args": message}, 0)
+        self._ask({"op": "call_service", "id": identity, "service": service, "args": message})
 
     def close(self) -> None:
         """Withdraw everything."""

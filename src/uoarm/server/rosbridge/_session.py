@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import itertools
+import logging
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
@@ -11,12 +13,14 @@ import orjson
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Message
+from uoarm.model import Message, Spending, message_octets
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
-from uoarm.server._failures import LimitError, code_of, tell_error
+from uoarm.server._failures import LimitError, code_of, tell_error, without_frames
+from uoarm.server._memory import Charge, Held
 from uoarm.server._role import Operation
+from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._actions import Actions
 from uoarm.server.rosbridge._fragments import Fragments, split
 from uoarm.server.rosbridge._goal import GoalStatus
@@ -27,6 +31,7 @@ from uoarm.server.rosbridge._wire import check_fields, read_operation, write_ros
 
 __all__ = ["RosbridgeSession"]
 
+_log = logging.getLogger("uoarm.server")
 _LEVELS = ("info", "warning", "error", "none")
 _ERROR = _LEVELS.index("error")
 _REFUSED = {
@@ -58,12 +63,13 @@ class RosbridgeSession:
         self._audit = audit
         self._level = _ERROR
         self._numbers = itertools.count(1)
-        self._fragments = Fragments(client.limits.message_bytes)
+        self._fragments = Fragments(2 * client.limits.message_bytes)
+        self._fragments_held = client.account.hold(Held.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
         self._topics = Topics(client, desk, hub, self._require, self._fail)
-        self._actions = Actions(client, desk, hub.actions, self._require, self._fail)
+        self._actions = Actions(client, desk, hub.actions, self._require, self._fail, self.ask)
         cancel = self._actions.cancel_all
-        self._services = Services(client, desk, hub, self._require, self.tell, cancel)
+        self._services = Services(client, desk, hub, self._require, self.tell, self.ask, cancel)
         topics, services, actions = self._topics, self._services, self._actions
         self._operations = {
             "advertise": _Operation(("topic", "type"), topics.advertise),
@@ -81,19 +87,25 @@ class RosbridgeSession:
             "unadvertise_action": _Operation(("action",), actions.unadvertise),
             "action_feedback": _Operation(("id", "action", "values"), actions.take_feedback),
             "action_result": _Operation(("id", "action", "status", "result"), actions.take_result),
-            "fragment": _Operation(("id", "data", "num", "total"), self._collect),
             "set_level": _Operation(("level",), self._set_level),
             "status": _Operation((), _ignore),
         }
 
-    def handle(self, frame: str | bytes) -> None:
-        """Act on one frame, now or later."""
+    def octets(self, frame: str | bytes) -> int:
+        """Return how much there may be to decode, with the fragments that this one may complete."""
+        return len(frame) + self._fragments.octets
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        """Return what acts on one frame, now or later, and how much memory its message holds."""
         fields: Mapping[str, Any] = {}
         try:
-            fields = read_operation(frame, self._client.limits.depth)
-            self._act(fields)
+            fields = read_operation(frame, spending)
+            whole = self._collect(fields, spending) if fields.get("op") == "fragment" else fields
         except Exception as error:  # noqa: BLE001 - every message that is wrong is told
-            self._fail(fields, error)
+            if not isinstance(error, ControlMessageError):
+                _log.exception("a message of client %s", self._client.identity)
+            return functools.partial(self._fail, fields, without_frames(error)), 0
+        return functools.partial(self._handle, whole), message_octets(whole)
 
     def close(self) -> None:
         """Give back everything that only this client used."""
@@ -109,6 +121,28 @@ class RosbridgeSession:
         for frame in split(write_ros(message), size, identity):
             self._client.outbox.tell(frame, text=True)
 
+    def ask(self, message: Mapping[str, Any]) -> None:
+        """Send what another client asks of this one.
+
+        Raises:
+            BusyError: this client leaves too much unread; it must not be cut off for that.
+            MessageError: the message has no form.
+        """
+        frame = write_ros(message)
+        if not self._client.outbox.has_room(len(frame)):
+            raise BusyError("the client that provides it leaves too much unread")
+        self._client.outbox.tell(frame, text=True)
+
+    def _handle(self, fields: Mapping[str, Any] | None) -> None:
+        """Act on a message; None: on a fragment that completes none."""
+        self._fragments_held.resize(self._fragments.octets)
+        if fields is None:
+            return
+        try:
+            self._act(fields)
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            self._fail(fields, error)
+
     def _act(self, fields: Mapping[str, Any]) -> None:
         op = fields.get("op")
         if not isinstance(op, str):
@@ -117,7 +151,7 @@ class RosbridgeSession:
             raise ControlMessageError(_REFUSED[op])
         operation = self._operations.get(op)
         if operation is None:
-            known = ", ".join(self._operations)
+            known = ", ".join((*self._operations, "fragment"))
             raise ControlMessageError(f"unknown op {op[:60]!r}; expected one of {known}")
         check_fields(fields, operation.needed)
         later = operation.act(fields)
@@ -125,12 +159,21 @@ class RosbridgeSession:
             self._begin(fields, later)
 
     def _begin(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
-        if len(self._tasks) >= self._client.limits.calls:
+        try:
+            charge = self._admit()
+        except BaseException:
             work.close()
-            raise LimitError(f"{self._client.limits.calls} calls are under way; wait for an answer")
+            raise
         task = asyncio.ensure_future(self._finish(fields, work))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: charge.release())
+
+    def _admit(self) -> Charge:
+        most = self._client.limits.calls
+        if len(self._tasks) >= most:
+            raise LimitError(f"{most} calls are under way; wait for an answer")
+        return self._client.account.charge(Held.ASKED, self._client.in_hand)
 
     async def _finish(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
         try:
@@ -138,13 +181,16 @@ class RosbridgeSession:
         except Exception as error:  # noqa: BLE001 - every message that is wrong is told
             self._fail(fields, error)
 
-    def _collect(self, fields: Mapping[str, Any]) -> None:
-        whole = self._fragments.add(fields)
-        if whole is not None:
-            inner = read_operation(whole, self._client.limits.depth)
-            if inner.get("op") == "fragment":
-                raise ControlMessageError("fragment: a fragment of fragments")
-            self._act(inner)
+    def _collect(self, fields: Mapping[str, Any], spending: Spending) -> Mapping[str, Any] | None:
+        """Return the message that this fragment completes."""
+        check_fields(fields, ("id", "data", "num", "total"))
+        text = self._fragments.add(fields)
+        if text is None:
+            return None
+        inner = read_operation(text, spending)
+        if inner.get("op") == "fragment":
+            raise ControlMessageError("fragment: a fragment of fragments")
+        return inner
 
     def _set_level(self, fields: Mapping[str, Any]) -> None:
         if fields["level"] not in _LEVELS:

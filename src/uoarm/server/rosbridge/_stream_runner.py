@@ -16,6 +16,7 @@ from uoarm.manager import Connection
 from uoarm.model import Component, Message
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._feed import Feed, Parcel
+from uoarm.server._memory import Account
 from uoarm.server._sending import Done, Sending
 from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._arguments import name_arguments
@@ -30,6 +31,7 @@ _ENDS = {
     "aborted": GoalStatus.ABORTED,
 }
 _EARLY = 64
+_CANCEL_OCTETS = 500
 
 
 def is_action(component: Component) -> bool:
@@ -65,6 +67,7 @@ class StreamRunner:
         self._timer: asyncio.TimerHandle | None = None
         self._early: deque[tuple[str, Mapping[str, Message]]] = deque(maxlen=_EARLY)
         self._parts: dict[_Part, Feed] = {}
+        self._account: Account | None = None
         self._sending: Sending | None = None
         self._opening: asyncio.Task[None] | None = None
 
@@ -92,7 +95,7 @@ class StreamRunner:
         else:
             identity = next((name for name, one in self._running.items() if one is goal), None)
             if identity is not None and self._sending is not None:
-                self._sending.send({"goal_id": identity}, "cancel", done)
+                self._sending.send({"goal_id": identity}, "cancel", done, _CANCEL_OCTETS)
 
     def abandon(self, goal: Goal) -> None:
         """Cancel a goal whose client has gone, if it can be."""
@@ -121,7 +124,10 @@ class StreamRunner:
         finally:
             self._opening = None
         limit = self._desk.limits.queue_messages
-        self._sending = Sending(connection, TEXT_FORM, self._desk.workers, limit=limit)
+        self._account = self._desk.memory.open()
+        self._sending = Sending(
+            connection, TEXT_FORM, self._desk.workers, self._account, limit=limit
+        )
         for listener, feed in tuple(self._parts.items()):
             if listener in self._parts:  # until one of them tells that it has ended
                 feed.add(listener)
@@ -152,7 +158,7 @@ class StreamRunner:
             if error is not None:
                 self._refused(goal, error)
 
-        sending.send(arguments, "goal", done)
+        sending.send(arguments, "goal", done, goal.octets)
 
     def _refused(self, goal: Goal, error: BaseException) -> None:
         goal.fail(error)
@@ -228,6 +234,9 @@ class StreamRunner:
 
     def _leave(self) -> None:
         parts, self._parts = self._parts, {}
+        if self._sending is not None and self._account is not None:
+            self._sending.close()
+            self._account.close()
         self._sending = None
         for part, feed in parts.items():
             feed.remove(part)

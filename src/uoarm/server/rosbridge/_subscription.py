@@ -16,6 +16,7 @@ from uoarm.flow import Clock
 from uoarm.model import MessageStructure, QueuePolicy
 from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel
+from uoarm.server._memory import Held
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server.rosbridge._fragments import fragment_size, split
 from uoarm.server.rosbridge._png import write_publish_png
@@ -104,6 +105,7 @@ class Subscription:
         self._on_end = on_end
         self._due = -math.inf
         self._held: deque[Parcel] = deque()
+        self._charge = outbox.account.hold(Held.THROTTLED)
         self._timer: asyncio.TimerHandle | None = None
         text = wish.compression in _TEXTS
         self.lane = Lane(QueuePolicy(most), text=text)
@@ -143,6 +145,7 @@ class Subscription:
         if self._timer is not None:
             self._timer.cancel()
         self._held.clear()
+        self._charge.release()
         self._outbox.discard(self.lane)
 
     def offer(self, parcel: Parcel) -> None:
@@ -152,10 +155,7 @@ class Subscription:
             self._due = now + self._every
             self._send(parcel)
         elif self._length:
-            self._held.append(parcel)
-            while len(self._held) > self._length:
-                self._held.popleft()
-                self.lane.dropped += 1
+            self._hold(parcel)
             self._set_timer(now)
         else:
             self.lane.dropped += 1
@@ -184,13 +184,30 @@ class Subscription:
         if self._held:
             now = self._clock()
             self._due = now + self._every
-            parcel = self._held.popleft()
+            parcel = self._let_go()
             try:
                 self._send(parcel)
             except MessageError as error:
                 self.refuse(parcel, error)
             if self._held:
                 self._set_timer(now)
+
+    def _hold(self, parcel: Parcel) -> None:
+        """Keep a message until it is due; the oldest are lost where there are too many."""
+        self._held.append(parcel)
+        self._charge.resize(self._charge.octets + parcel.message_octets)
+        while len(self._held) > 1 and (
+            len(self._held) > self._length
+            or self._charge.octets > self._outbox.max_bytes
+            or not self._outbox.account.has_room(0)
+        ):
+            self._let_go()
+            self.lane.dropped += 1
+
+    def _let_go(self) -> Parcel:
+        parcel = self._held.popleft()
+        self._charge.resize(self._charge.octets - parcel.message_octets)
+        return parcel
 
     def _send(self, parcel: Parcel) -> None:
         frame = parcel.written(self._key, self._write)

@@ -88,7 +88,8 @@ class Topics:
         if publication is None:
             self._publish_between_clients(place, fields, message)
         else:
-            publication.publish(message, lambda error: self._done(fields, error))
+            done = lambda error: self._done(fields, error)  # noqa: E731
+            publication.publish(message, done, self._client.in_hand)
 
     def subscribe(self, fields: Fields) -> None:
         """Listen to a topic, or add a wish to a subscription that there is."""
@@ -131,10 +132,11 @@ class Topics:
         if len(self._publications) >= self._client.limits.streams:
             raise LimitError(f"{self._client.limits.streams} topics are published already")
         if place.function:
-            if place.function not in self._desk.robot.robot.functions:
+            if place.function not in self._desk.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
-            self._publications[place.name] = Publication(place, self._desk, failed)
+            account = self._client.account
+            self._publications[place.name] = Publication(place, self._desk, account, failed)
         else:
             self._hub.advertise(place.name, str(fields.get("type") or ""), self)
             self._publications[place.name] = None
@@ -145,7 +147,9 @@ class Topics:
         if not isinstance(message, dict):
             raise ControlMessageError("publish: msg: expected an object")
         latch = fields.get("latch") is True or place.name in self._latched
-        self._hub.publish(place.name, message, latch=latch)
+        parcel_octets = self._client.in_hand
+        account = self._client.account if latch else None
+        self._hub.publish(place.name, message, self, parcel_octets, account)
 
     def _publication_failed(self, place: Place, fields: Fields, error: BaseException) -> None:
         self._publications.pop(place.name, None)

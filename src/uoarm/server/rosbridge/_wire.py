@@ -13,8 +13,8 @@ from typing import Any
 import orjson
 
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.model import Message, check_depth
-from uoarm.wire import dump_parts, write_binary
+from uoarm.model import Message, Spending, show_value
+from uoarm.wire import dump_parts, read_text, write_binary
 
 __all__ = [
     "check_fields",
@@ -34,19 +34,15 @@ _MAX_TEXT = 1024
 _NANOSECONDS = 1_000_000_000
 
 
-def read_operation(frame: str | bytes, depth: int) -> dict[str, Any]:
+def read_operation(frame: str | bytes, spending: Spending) -> dict[str, Any]:
     """Return the fields of a message.
 
     Raises:
-        ControlMessageError: it is no JSON object in a text frame, or nested too deep.
+        ControlMessageError: it is no JSON object in a text frame, or costs more than its budget.
     """
     if isinstance(frame, bytes):
         raise ControlMessageError("a binary frame: expected JSON text")
-    check_depth(frame, depth)
-    try:
-        fields = orjson.loads(frame)
-    except orjson.JSONDecodeError as error:
-        raise ControlMessageError(f"not JSON: {error}") from error
+    fields = read_text(frame, spending)
     if not isinstance(fields, dict):
         raise ControlMessageError(f"expected an object, got {type(fields).__name__}")
     return fields
@@ -70,7 +66,7 @@ def check_fields(fields: Mapping[str, Any], needed: tuple[str, ...]) -> None:
         value = fields.get(name)
         if value is not None and not (type(value) in {int, float} and 0 <= value <= _MOST):
             raise ControlMessageError(
-                f"{op}: {name}: expected a number from 0 on, got {value!r:.60}"
+                f"{op}: {name}: expected a number from 0 on, got {show_value(value)}"
             )
 
 

@@ -138,4 +138,4 @@ class Ending:
         census = Census()
         for _ in range(_CYCLES):
             cycle()
-        census.check()
+        census.check(world.patience)

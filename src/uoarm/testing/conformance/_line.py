@@ -96,4 +96,4 @@ def example_of(structure: MessageStructure) -> Message:
     """
     verdict = check(structure.schema, False)
     assert verdict.compatible is False, f"no message fits {structure.schema}: {verdict}"
-    return verdict.counterexample
+    return verdict.build_counterexample()

@@ -9,6 +9,7 @@ from attrs import frozen
 
 from uoarm.bridge import Bridge
 from uoarm.model import Endpoint, Message
+from uoarm.testing._patience import patience
 
 __all__ = ["Pair", "Served", "Victim", "World"]
 
@@ -53,12 +54,12 @@ class World(ABC):
 
     Must implement: `bridge`, `pair`, `missing`. What else is not overridden is not tested, and
     the test says that it was skipped and why.
-
-    Attributes:
-        patience: seconds that a message, or the news of a death, may take at most.
     """
 
-    patience: float = 10.0
+    @property
+    def patience(self) -> float:
+        """Seconds that a message, or the news of a death, may take at most."""
+        return patience()
 
     @abstractmethod
     def bridge(self) -> Bridge:

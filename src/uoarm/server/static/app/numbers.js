@@ -40,3 +40,14 @@ export class Series {
     }
   }
 }
+
+/** A line as an SVG path in a square of 100: times to the right, values upwards, a level line in the middle. */
+export function traced({ times, values }) {
+  const scale = (all) => {
+    const [low, high] = [Math.min(...all), Math.max(...all)];
+    return (one) => (high > low ? (100 * (one - low)) / (high - low) : 50);
+  };
+  const [x, y] = [scale(times), scale(values)];
+  const points = times.map((time, at) => `${x(time).toFixed(2)} ${(100 - y(values[at])).toFixed(2)}`);
+  return points.length > 1 ? `M${points.join("L")}` : "";
+}

@@ -107,7 +107,7 @@ function BridgePanel({ store, address }) {
   return html`<div class="panel-body">
     <p><${Health} of=${live?.health ?? "idle"} word=${true} /></p>
     ${live && html`<${Facts} of=${[["plugin", live.plugin], ["open channels", short(live.open_channels)],
-      ["machine", machine?.name ?? ""]]} />`}
+      ["machine", machine?.name ?? ""], ["process", live.process ?? ""]]} />`}
     ${live?.cause && html`<${Notice} kind="bad" title="Cause">${live.cause}</${Notice}>`}
     <h3>Components</h3><ul class="parts">${rows.map((row) => html`<${Part} key=${row.name} row=${row} />`)}</ul></div>`;
 }

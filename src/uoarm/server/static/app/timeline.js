@@ -8,7 +8,7 @@ const KINDS = [["connection", "Applications"], ["component", "Components"], ["br
 const SAID = { connection: "application", bridge: "framework" };
 const BAD = new Set(["lost", "failed"]);
 const QUIET = new Set(["opening", "closed", "finished"]);
-const UNSURE = new Set(["degraded", "closing"]);
+const UNSURE = new Set(["degraded", "waiting", "closing"]);
 const SHOWN = 300;
 
 /** How grave a change is: "lost", "degraded", "finished" or "ok". */

@@ -26,9 +26,22 @@ class FunctionStatus:
         provider: the component that a request would get, None when no plan fits.
         candidates: its components in the order in which they are tried.
         cause: why no plan fits, empty when one does.
+
+    As text (`str`, `print`) it is what `uoarm status` shows.
     """
 
     name: str
     provider: str | None
     candidates: tuple[Availability, ...]
     cause: str = ""
+
+    def __str__(self) -> str:
+        state = "cannot be had" if self.provider is None else f"from {self.provider}"
+        lines = [f"{self.name}  {state}"]
+        for one in self.candidates:
+            mark = "*" if one.component == self.provider else " "
+            told = one.cause or "available"
+            lines.append(f"  {mark} {one.priority:>4}  {one.component}  ({one.bridge})  {told}")
+        if self.provider is None and not any(one.cause for one in self.candidates):
+            lines.append(f"  {self.cause}")
+        return "\n".join(lines)

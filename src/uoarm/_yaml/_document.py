@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from attrs import define, frozen
 
-from uoarm.config._problem import Place, Problem
+from uoarm._yaml._problem import Place, Problem
 
 __all__ = ["Document", "Path", "Spot"]
 

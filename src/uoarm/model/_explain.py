@@ -1,15 +1,26 @@
-"""Plans and refusals as text that a person can act on."""
+"""Plans, refusals and the status map as text that a person can act on."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from enum import Enum
+from typing import TYPE_CHECKING, Any
 
-from uoarm.model import Plan, Reason, Rejection
+if TYPE_CHECKING:  # these print themselves with what is here
+    from uoarm.model._plan import Plan, Reason, Rejection
 
-__all__ = ["tell_plan", "tell_rejections"]
+__all__ = ["tell_plan", "tell_rejections", "tell_status"]
 
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
+_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
+    "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
+    "components": ("name", "function", "health", "cause"),
+    "connections": ("id", "function", "state", "lost", "cause"),
+    "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
+}
 
 
 def tell_plan(plan: Plan) -> str:
@@ -65,3 +76,36 @@ def _tell_reason(reason: Reason) -> list[str]:
         lines.append("    it would fit with:")
         lines.extend(f"      {line}" for line in reason.suggestion.splitlines())
     return lines
+
+
+def tell_status(status: Mapping[str, Any]) -> str:
+    """Return a status map, as data or as JSON has it, as one table for each kind of thing."""
+    lines: list[str] = []
+    for name, columns in _COLUMNS.items():
+        rows = [
+            [_shown(one.get(column), column) for column in columns] for one in status.get(name, ())
+        ]
+        if name == "machines" and not rows:
+            continue
+        lines.append(f"{name}: {len(rows) or 'none'}")
+        if rows:
+            lines.extend(_table(columns, rows))
+    return "\n".join(lines)
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
+    padded = (map(str.ljust, row, widths) for row in (columns, *rows))
+    return [f"  {'  '.join(cells)}".rstrip() for cells in padded]
+
+
+def _shown(value: object, column: str) -> str:
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(f"{reason} {count}" for reason, count in value)
+    return "" if value is None else str(value)

@@ -2,31 +2,49 @@
 
 The parser is libyaml's through PyYAML (its pure Python twin where libyaml is absent). Its events
 are built into values here, without recursion, by the scalar rules of the YAML 1.2 core schema and
-with limits on depth, size and what aliases unfold to. Tags are refused: configuration is data.
+within a budget of octets, depth and what aliases unfold to, spent before any value is built. A key
+that is given twice is refused, and so are tags: these files are data.
 """
 
 from __future__ import annotations
 
 import re
+import stat
 from collections.abc import Callable, Iterator
+from pathlib import Path as File
 from typing import Any
 
 import yaml
+from attrs import frozen
 
-from uoarm.config._document import Document, Path, Spot
-from uoarm.config._problem import Place, Problem, clip, write_path
-from uoarm.config._scalar import ScalarError, resolve
+from uoarm._yaml._document import Document, Path, Spot
+from uoarm._yaml._problem import Place, Problem, clip, write_path
+from uoarm._yaml._scalar import ScalarError, resolve
 
-__all__ = ["MAX_BYTES", "MAX_DEPTH", "MAX_NODES", "read"]
-
-MAX_BYTES = 10_000_000
-MAX_DEPTH = 64
-MAX_NODES = 1_000_000
+__all__ = ["Budget", "read", "read_file"]
 
 _FORBIDDEN = re.compile(r"[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _TAG_PREFIX = "tag:yaml.org,2002:"
 _START = Place(1, 1)
+
+
+@frozen
+class Budget:
+    """How much one file may ask for.
+
+    Attributes:
+        octets: of the file; of text that was not read from one, characters.
+        nodes: values, each alias counted with all that it stands for.
+        depth: how deeply they are nested.
+    """
+
+    octets: int = 10_000_000
+    nodes: int = 200_000
+    depth: int = 64
+
+
+_ROBOT = Budget()
 
 
 class _StopError(Exception):
@@ -52,12 +70,47 @@ class _Frame:
         self.key_place: Place | None = None
 
 
-def read(text: str, file: str = "") -> Document:
+def read_file(path: File, budget: Budget = _ROBOT) -> Document:
+    """Read one document from a regular file; what is wrong with it stands in its `problems`."""
+    try:
+        return read(_octets(path, budget.octets).decode("utf-8"), str(path), budget)
+    except UnicodeDecodeError as error:
+        place = Place(error.object[: error.start].count(b"\n") + 1, 1)
+        sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
+        hint = "save it as UTF-8"
+    except OSError as error:
+        place, sentence, hint = _START, f"the file cannot be read: {error.strerror or error}", ""
+    except ValueError as error:
+        place, sentence, hint = _START, f"the file cannot be read: {error}", ""
+    problem = Problem(place=place, path="$", sentence=sentence, hint=hint, file=str(path))
+    return Document(None, Spot(_START), (problem,), whole=False)
+
+
+def _octets(path: File, limit: int) -> bytes:
+    """Read a regular file; a pipe or device could go on for ever.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no regular file, too large, or the path cannot be one.
+    """
+    mode = path.stat().st_mode
+    if stat.S_ISDIR(mode):
+        raise ValueError("it is a folder")
+    if not stat.S_ISREG(mode):
+        raise ValueError("it is not a regular file")
+    with path.open("rb") as stream:
+        raw = stream.read(limit + 1)
+    if len(raw) > limit:
+        raise ValueError(f"it has more than {limit:,} bytes")
+    return raw
+
+
+def read(text: str, file: str = "", budget: Budget = _ROBOT) -> Document:
     """Read one document; what is wrong with it as YAML stands in its `problems`."""
     text = text.removeprefix("\ufeff")
-    builder = _Builder(file)
+    builder = _Builder(file, budget)
     try:
-        _refuse_size_and_characters(text)
+        _refuse_size_and_characters(text, budget.octets)
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         builder.build(yaml.parse(text, Loader=loader))
     except _StopError as stop:
@@ -69,11 +122,9 @@ def read(text: str, file: str = "") -> Document:
     return Document(None, Spot(_START), tuple(builder.problems), whole=False)
 
 
-def _refuse_size_and_characters(text: str) -> None:
-    if len(text) > MAX_BYTES:
-        raise _StopError(
-            _START, f"the file has {len(text):,} characters; {MAX_BYTES:,} are allowed"
-        )
+def _refuse_size_and_characters(text: str, limit: int) -> None:
+    if len(text) > limit:
+        raise _StopError(_START, f"the file has {len(text):,} characters; {limit:,} are allowed")
     bad = _FORBIDDEN.search(text)
     if bad is not None:
         before = text[: bad.start()]
@@ -84,7 +135,8 @@ def _refuse_size_and_characters(text: str) -> None:
 class _Builder:
     """Builds values from parser events, with an explicit stack."""
 
-    def __init__(self, file: str) -> None:
+    def __init__(self, file: str, budget: Budget) -> None:
+        self._budget = budget
         self.root: object = None
         self.spot = Spot(_START)
         self.problems: list[Problem] = []
@@ -199,8 +251,8 @@ class _Builder:
         if frame is not None and frame.key is None and isinstance(frame.value, dict):
             raise _StopError(_place(event), "a key must be text, not a mapping or a list")
         self._check_tag(event, container=True)
-        if len(self._stack) >= MAX_DEPTH:
-            raise _StopError(_place(event), f"nested more than {MAX_DEPTH} levels deep")
+        if len(self._stack) >= self._budget.depth:
+            raise _StopError(_place(event), f"nested more than {self._budget.depth} levels deep")
         self._count(event, 1)
         is_mapping = type(event) is yaml.MappingStartEvent
         value: object = {} if is_mapping else []
@@ -241,9 +293,9 @@ class _Builder:
 
     def _count(self, event: Any, size: int) -> None:
         self._nodes += size
-        if self._nodes > MAX_NODES:
+        if self._nodes > self._budget.nodes:
             raise _StopError(
-                _place(event), f"more than {MAX_NODES:,} values, aliases counted in full"
+                _place(event), f"more than {self._budget.nodes:,} values, aliases counted in full"
             )
 
     def _check_tag(self, event: Any, *, container: bool = False) -> None:

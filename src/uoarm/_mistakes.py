@@ -1,0 +1,133 @@
+"""What a validator found wrong, in our own words: what was expected, what came, what to write.
+
+They are for schemas of anybody; a schema with meanings of its own has words of its own for those.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from enum import Enum
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+from uoarm._spelling import Speller
+from uoarm._yaml import Path, clip
+from uoarm.errors import UoarmError
+
+if TYPE_CHECKING:
+    from jsonschema.exceptions import ValidationError
+
+__all__ = ["TYPES", "Mistake", "any_of", "choose", "mistakes", "near"]
+
+E = TypeVar("E", bound=Enum)
+
+Mistake: TypeAlias = "tuple[Path, str, str, bool]"
+"""Path, sentence, hint, and whether the key rather than the value is at fault."""
+
+TYPES: Mapping[str, str] = {
+    "object": "a mapping",
+    "array": "a list",
+    "string": "text",
+    "integer": "a whole number",
+    "number": "a number",
+    "boolean": "true or false",
+    "null": "nothing",
+}
+_BOUNDS: Mapping[str, str] = {
+    "minimum": "at least",
+    "maximum": "at most",
+    "exclusiveMinimum": "more than",
+    "exclusiveMaximum": "less than",
+}
+
+
+def mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
+    """Put one error of the validator into our own words.
+
+    Args:
+        error: of a value that was read from JSON or YAML.
+        speller: guesses what misspelt words were meant to be.
+    """
+    path: Path = tuple(error.absolute_path)
+    value: Any = error.instance
+    expected: Any = error.validator_value
+    keyword = str(error.validator)
+    rules: Any = error.schema
+    if keyword == "additionalProperties":
+        yield from _unknown_keys(path, value, rules.get("properties", {}), speller)
+    elif keyword == "required":
+        missing = next(key for key in expected if error.message.startswith(repr(key)))
+        yield path, f"the key {clip(missing)} is missing", "", False
+    elif keyword == "type":
+        sentence = f"expected {_expected(expected)}, got {clip(value)}"
+        yield path, sentence, _type_hint(expected, value), False
+    elif keyword == "const":
+        yield path, f"expected {expected}, got {clip(value)}", "", False
+    elif keyword == "enum":
+        sentence = f"expected {any_of(expected)}, got {clip(value)}"
+        yield path, sentence, near(value, expected, speller), False
+    elif keyword == "pattern":
+        yield path, f"expected text that matches {expected}, got {clip(value)}", "", False
+    elif keyword in _BOUNDS:
+        sentence = f"expected {_BOUNDS[keyword]} {expected}, got {clip(value)}"
+        yield path, sentence, "", False
+    elif keyword in {"minItems", "minProperties", "minLength"}:
+        yield path, f"expected at least {expected}, got {clip(value)}", "", False
+    elif keyword == "uniqueItems":
+        yield path, "the same entry stands here twice", "", False
+    elif keyword in {"anyOf", "oneOf"}:
+        yield path, f"{clip(value)} is none of the {len(expected)} forms allowed", "", False
+    else:
+        yield path, f"{keyword}: expected {clip(expected)}, got {clip(value)}", "", False
+
+
+def _unknown_keys(
+    path: Path, value: Any, known: Collection[str], speller: Speller
+) -> Iterator[Mistake]:
+    for key in value:
+        if key not in known:
+            hint = speller.guess_or_list(key, known, "known keys")
+            yield (*path, key), f"unknown key {clip(key)}", hint, True
+
+
+def near(value: object, allowed: Collection[object], speller: Speller) -> str:
+    """Return which of the allowed words a misspelt one may have been."""
+    if not isinstance(value, str):
+        return ""
+    return speller.guess(value, [str(one) for one in allowed if one != value])
+
+
+def _expected(types: str | list[str]) -> str:
+    names = [types] if isinstance(types, str) else types
+    return " or ".join(TYPES.get(name, name) for name in names)
+
+
+def _type_hint(expected: str | list[str], value: object) -> str:
+    if value is None and expected == "object":
+        return "write {} where there is nothing to set"
+    if isinstance(value, str) and expected == "array":
+        return f"write [{clip(value)}]"
+    return ""
+
+
+def choose(kind: type[E], name: E | str, what: str, error: type[UoarmError]) -> E:
+    """Return the member of an enumeration that a program named.
+
+    Args:
+        kind: the enumeration, whose values are texts.
+        name: a member, or its value.
+        what: what is chosen, for the text.
+        error: raised for a name that there is not; it lists those there are.
+    """
+    try:
+        return kind(name)
+    except ValueError:
+        known = [str(one.value) for one in kind]
+        hint = Speller().guess(str(name), known).replace('"', "'")
+        text = f"{what} {name!r}: expected {any_of(known)}"
+        raise error(f"{text}; {hint}" if hint else text) from None
+
+
+def any_of(allowed: Collection[object]) -> str:
+    """Write a choice: `a, b or c`."""
+    words = [str(one) for one in allowed]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -1,0 +1,76 @@
+"""Where installed distributions came from, and what installs more of the same.
+
+A hint must work where it is read. In an environment that was made from a checkout or from wheel
+files, names of an index would be another uoarm's, or nobody's.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from attrs import frozen
+
+__all__ = ["Origin", "install_command", "installed", "origin_of"]
+
+_CORE = "uoarm"
+
+
+@frozen
+class Origin:
+    """What a distribution was installed from, or could be.
+
+    Attributes:
+        path: a project's folder, or a wheel file; it exists.
+        editable: whether the folder itself is what runs.
+    """
+
+    path: Path
+    editable: bool = False
+
+
+def installed(name: str) -> Distribution | None:
+    """Return the installed distribution of a name."""
+    try:
+        return distribution(name)
+    except PackageNotFoundError:
+        return None
+
+
+def origin_of(name: str) -> Origin | None:
+    """Return what installs a distribution of ours; None: its name, from an index.
+
+    That is what it was installed from (PEP 610), as long as it is still there. One that is not
+    installed is looked for beside the core: among the plugins of its checkout, or its wheels.
+    """
+    found = installed(name)
+    if found is not None:
+        return _recorded(found)
+    core = None if name == _CORE else origin_of(_CORE)
+    if core is None:
+        return None
+    if core.path.is_dir():
+        project = core.path / "plugins" / name
+        return Origin(project, core.editable) if (project / "pyproject.toml").is_file() else None
+    wheels = sorted(core.path.parent.glob(f"{name.replace('-', '_')}-*.whl"))
+    return Origin(wheels[-1]) if wheels else None
+
+
+def install_command(name: str, extra: str = "") -> str:
+    """Return the command that installs a distribution of ours with one of its extras."""
+    origin = origin_of(name)
+    target = name if origin is None else str(origin.path)
+    option = "-e " if origin is not None and origin.editable else ""
+    return f"pip install {option}{shlex.quote(f'{target}[{extra}]' if extra else target)}"
+
+
+def _recorded(found: Distribution) -> Origin | None:
+    said = json.loads(found.read_text("direct_url.json") or "{}")
+    url = urlsplit(str(said.get("url", "")))
+    path = Path(unquote(url.path))
+    if url.scheme != "file" or not path.exists():
+        return None
+    return Origin(path, editable=said.get("dir_info", {}).get("editable", False) is True)

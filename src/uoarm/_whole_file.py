@@ -1,0 +1,33 @@
+"""Files that are there whole or not at all, also when the disk is full or the process is killed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+__all__ = ["write_whole"]
+
+
+def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
+    """Write a file beside its place and move it there; one that stands there is replaced.
+
+    Args:
+        path: of the file.
+        data: what stands in it.
+        private: only its owner may read it, from its first octet on.
+
+    Raises:
+        OSError: it cannot be written; then nothing of it is left, and what was there still is.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    part.unlink(missing_ok=True)  # of a process that was killed, and had this number
+    try:
+        place = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if private else 0o666)
+        with os.fdopen(place, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise

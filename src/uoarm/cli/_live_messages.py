@@ -1,0 +1,89 @@
+"""What a person sees of a running connection: its messages, and below them its flows."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from uoarm import Connection, RobotManager
+from uoarm.cli._shared import plain
+from uoarm.model import Message, RouteStatus
+
+__all__ = ["show_live"]
+
+_REFRESH_SECONDS = 0.25
+_LINES = 10
+_ITEMS = 100
+
+
+class _Shown:
+    """Which messages have a line of their own: so many in each period, and the others counted."""
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.hidden = 0
+        self._begun = 0.0
+        self._lines = 0
+
+    def has_line(self) -> bool:
+        """Count one message and say whether it is shown."""
+        now = time.monotonic()
+        if now - self._begun >= _REFRESH_SECONDS:
+            self._begun, self._lines = now, 0
+        self.messages += 1
+        self._lines += 1
+        if self._lines > _LINES:
+            self.hidden += 1
+        return self._lines <= _LINES
+
+    def __str__(self) -> str:
+        told = f"{self.messages:,} message{'s' if self.messages != 1 else ''}"
+        if self.hidden:
+            told += f", {self.hidden:,} of them not shown; --json writes all"
+        return told
+
+
+def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Message]) -> None:
+    """Print the plan, then messages as they come above a table of flows, until they end."""
+    console = Console(highlight=False)
+    console.print(str(connection.plan), markup=False, soft_wrap=True)
+    shown = _Shown()
+
+    def table() -> Table:
+        return _table(_routes(robot, connection), str(shown))
+
+    period = 1 / _REFRESH_SECONDS
+    with Live(get_renderable=table, console=console, refresh_per_second=period):
+        for message in messages:
+            if shown.has_line():
+                line = json.dumps(plain(message, _ITEMS))[: console.width + 1]
+                console.print(Text(line), no_wrap=True, overflow="ellipsis")
+
+
+def _routes(robot: RobotManager, connection: Connection) -> tuple[RouteStatus, ...]:
+    """Return the flows of the robot, or, once the connection has ended, what its own counted."""
+    routes = robot.status().routes
+    if connection.ended:
+        return (*connection.status().ended, *connection.course.routes())
+    return routes
+
+
+def _table(routes: Iterable[RouteStatus], caption: str) -> Table:
+    table = Table("from", "to", "received", "delivered", "rate", "dropped", caption=caption)
+    for route in routes:
+        rate = "" if route.rate is None else f"{route.rate:.1f}/s"
+        table.add_row(
+            route.producer,
+            route.consumer,
+            str(route.received),
+            str(route.delivered),
+            "native" if route.native else rate,
+            ", ".join(f"{reason} {count}" for reason, count in route.dropped),
+        )
+    return table

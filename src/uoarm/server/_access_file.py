@@ -1,0 +1,173 @@
+"""Reading an access file: every mistake at once with its place, or who may do what."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path as File
+from typing import Any
+
+from uoarm._yaml import Budget, Document, Path, Problem, clip, read_file, write_path
+from uoarm.errors import ConfigurationError
+from uoarm.server._role import Operation, Role
+from uoarm.server._tokens import AccessBook, Grant
+
+__all__ = ["BUDGET", "read_access"]
+
+BUDGET = Budget(octets=1_048_576, nodes=100_000, depth=16)
+_SHOWN = 50
+_HASH = re.compile(r"[0-9a-f]{64}")
+_TIME = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:\.(\d{1,6}))?(Z|[+-]\d\d:\d\d)?", re.ASCII
+)
+_KINDS = {dict: "names and values", list: "a list", type(None): "nothing"}
+
+
+def read_access(path: File) -> AccessBook:
+    """Read an access file.
+
+    Raises:
+        ConfigurationError: it cannot be read or has mistakes; the text lists the first 50.
+    """
+    document = read_file(path, BUDGET)
+    reader = _Reader(document, str(path))
+    book = reader.book() if document.whole else AccessBook({})
+    problems = sorted([*document.problems, *reader.problems], key=lambda one: one.place)
+    if problems:
+        lines = [str(problem) for problem in problems[:_SHOWN]]
+        if len(problems) > _SHOWN:
+            lines.append(f"... and {len(problems) - _SHOWN:,} more")
+        raise ConfigurationError("\n".join(lines))
+    return book
+
+
+class _Reader:
+    def __init__(self, document: Document, file: str) -> None:
+        self.problems: list[Problem] = []
+        self._document = document
+        self._file = file
+
+    def book(self) -> AccessBook:
+        parts = self._mapping(self._document.value, ())
+        self._check_names(parts, (), ("version", "roles", "tokens", "certificates"))
+        version = parts.get("version")
+        if version != 1 or isinstance(version, bool):
+            self._say(("version",), f"expected 1, got {clip(version)}")
+        roles = {
+            name: self._role(name, rules)
+            for name, rules in self._mapping(parts.get("roles", {}), ("roles",)).items()
+        }
+        listed = parts.get("tokens", [])
+        if not isinstance(listed, list):
+            self._say(("tokens",), f"expected a list, got {_kind(listed)}")
+            listed = []
+        tokens: dict[str, Grant] = {}
+        for place, one in enumerate(listed):
+            self._token(one, ("tokens", place), roles, tokens)
+        certificates = self._mapping(parts.get("certificates", {}), ("certificates",))
+        return AccessBook(
+            tokens,
+            {
+                name: self._grant(name, one, ("certificates", name), roles, ("role", "expires"))
+                for name, one in certificates.items()
+            },
+        )
+
+    def _role(self, name: str, data: Any) -> Role:
+        known = tuple(operation.value for operation in Operation)
+        rules: dict[Operation, tuple[str, ...]] = {}
+        for key, patterns in self._mapping(data, ("roles", name)).items():
+            path = ("roles", name, key)
+            if key not in known:
+                self._say(path, f"expected one of {', '.join(known)}")
+            elif not isinstance(patterns, list) or not all(
+                isinstance(one, str) for one in patterns
+            ):
+                self._say(
+                    path, f'expected a list of function patterns such as ["*"], {_got(patterns)}'
+                )
+            else:
+                rules[Operation(key)] = tuple(patterns)
+        return Role(name, rules)
+
+    def _token(
+        self, data: Any, path: Path, roles: Mapping[str, Role], tokens: dict[str, Grant]
+    ) -> None:
+        entry = self._mapping(data, path)
+        name = entry.get("name", f"tokens[{path[-1]}]")
+        if not isinstance(name, str):
+            self._say((*path, "name"), f"expected text, {_got(name)}", "write it in quotes")
+        grant = self._grant(str(name), entry, path, roles, ("name", "role", "sha256", "expires"))
+        digest = entry.get("sha256")
+        if not isinstance(digest, str) or not _HASH.fullmatch(digest):
+            self._say(
+                (*path, "sha256"),
+                f"expected 64 hexadecimal digits, {_got(digest)}",
+                "`uoarm token NAME --role ROLE` writes the whole line",
+            )
+        elif digest in tokens:
+            self._say((*path, "sha256"), "the same token stands above")
+        else:
+            tokens[digest] = grant
+
+    def _grant(
+        self, name: str, data: Any, path: Path, roles: Mapping[str, Role], known: tuple[str, ...]
+    ) -> Grant:
+        entry = self._mapping(data, path)
+        self._check_names(entry, path, known)
+        wanted = entry.get("role")
+        role = roles.get(wanted) if isinstance(wanted, str) else None
+        if role is None:
+            expected = ", ".join(clip(one) for one in roles) or "the roles, of which there are none"
+            self._say((*path, "role"), f"expected one of {expected}, got {clip(wanted)}")
+        expires = _time(entry["expires"]) if "expires" in entry else None
+        if "expires" in entry and expires is None:
+            self._say(
+                (*path, "expires"),
+                f"expected a time such as 2027-01-31T00:00:00Z, {_got(entry['expires'])}",
+            )
+        return Grant(name, role or Role("", {}), expires)
+
+    def _check_names(self, parts: Mapping[str, Any], path: Path, known: tuple[str, ...]) -> None:
+        for name in parts:
+            if name not in known:
+                self._say((*path, name), f"unknown; expected one of {', '.join(known)}")
+
+    def _mapping(self, data: Any, path: Path) -> Mapping[str, Any]:
+        if isinstance(data, dict):
+            return data
+        self._say(path, f"expected names and values, got {_kind(data)}")
+        return {}
+
+    def _say(self, path: Path, sentence: str, hint: str = "") -> None:
+        self.problems.append(
+            Problem(
+                place=self._document.key_place(path),
+                path=write_path(path),
+                sentence=sentence,
+                hint=hint,
+                file=self._file,
+            )
+        )
+
+
+def _time(data: object) -> datetime | None:
+    """Read a time of day of a date; without a zone it is one of UTC."""
+    found = _TIME.fullmatch(data) if isinstance(data, str) else None
+    if found is None:
+        return None
+    day, time, fraction, zone = found.groups()
+    offset = "+00:00" if zone in {None, "Z"} else zone
+    try:
+        return datetime.fromisoformat(f"{day}T{time}.{(fraction or '0'):0<6}{offset}")
+    except ValueError:
+        return None
+
+
+def _kind(data: object) -> str:
+    return _KINDS.get(type(data), clip(data))
+
+
+def _got(data: object) -> str:
+    return f"got {_kind(data)}"

@@ -1,0 +1,125 @@
+"""One socket of the server: read in small turns, so that no client keeps the loop for itself."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+from websockets.frames import DATA_OPCODES, Frame
+from websockets.http11 import Request
+
+__all__ = ["TurnConnection"]
+
+_SLICE = 2048
+"""Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
+_TURN_SECONDS = 0.001
+_CONTROL_PER_SECOND = 200.0
+
+
+class TurnConnection(ServerConnection):
+    """A connection that is known from its first byte on, and refused when there are too many.
+
+    What arrives is parsed for a millisecond at a time; what is left waits for the loop's next turn,
+    with the socket unread meanwhile. Pings and pongs beyond 200 a second make the client be read
+    more slowly: each ping costs an answer, and no well-behaved client sends them by the thousand.
+
+    Args:
+        sockets: all connections of the server, this one among them while it lasts.
+        limit: how many there may be.
+        arguments: of `ServerConnection`.
+        options: of `ServerConnection`.
+    """
+
+    def __init__(
+        self, sockets: set[TurnConnection], limit: int, *arguments: Any, **options: Any
+    ) -> None:
+        super().__init__(*arguments, **options)
+        self._sockets = sockets
+        self._limit = limit
+        self._unread: deque[bytes] = deque()
+        self._begin = 0
+        self._timer: asyncio.Handle | None = None
+        self._full = False
+        self._allowance = _CONTROL_PER_SECOND
+        self._counted = time.monotonic()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin; see `asyncio.Protocol`."""
+        super().connection_made(transport)
+        self.recv_messages.pause = self._hold
+        self.recv_messages.resume = self._go_on
+        self._sockets.add(self)
+        if len(self._sockets) > self._limit:
+            self.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End; see `asyncio.Protocol`."""
+        self._sockets.discard(self)
+        self._unread.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+        super().connection_lost(exc)
+
+    @property
+    def unread_octets(self) -> int:
+        """Octets that arrived and that no session has read."""
+        parsed = sum(len(one.data) for one in self.recv_messages.frames.queue)
+        return parsed + sum(map(len, self._unread)) - self._begin
+
+    def data_received(self, data: bytes) -> None:
+        """Take what arrived; see `asyncio.Protocol`."""
+        self._unread.append(data)
+        if self._timer is None:
+            self._turn()
+
+    def process_event(self, event: Frame | Request) -> None:  # type: ignore[override]
+        """Count a frame, and let the library act on it."""
+        if isinstance(event, Frame) and event.opcode not in DATA_OPCODES:
+            self._allowance -= 1
+        super().process_event(event)
+
+    def _turn(self) -> None:
+        """Parse for a moment."""
+        self._timer = None
+        end = time.perf_counter() + _TURN_SECONDS
+        while self._unread and not self._full and self._pause() <= 0:
+            super().data_received(self._next_slice())
+            if time.perf_counter() >= end:
+                break
+        if self.transport.is_closing():
+            return
+        if not self._unread:
+            if not self._full:
+                self.transport.resume_reading()
+            return
+        self.transport.pause_reading()
+        if not self._full:
+            self._timer = self.loop.call_later(max(0.0, self._pause()), self._turn)
+
+    def _next_slice(self) -> bytes:
+        first, begin = self._unread[0], self._begin
+        self._begin = begin + _SLICE
+        if self._begin >= len(first):
+            self._unread.popleft()
+            self._begin = 0
+        return first[begin : begin + _SLICE]
+
+    def _pause(self) -> float:
+        """Return the seconds until another control frame may come; none are left at 0."""
+        now = time.monotonic()
+        earned = (now - self._counted) * _CONTROL_PER_SECOND
+        self._allowance = min(_CONTROL_PER_SECOND, self._allowance + earned)
+        self._counted = now
+        return -self._allowance / _CONTROL_PER_SECOND
+
+    def _hold(self) -> None:
+        """Parse nothing more: enough messages wait for the session."""
+        self._full = True
+
+    def _go_on(self) -> None:
+        self._full = False
+        if self._timer is None:
+            self._timer = self.loop.call_soon(self._turn)

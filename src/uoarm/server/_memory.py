@@ -1,0 +1,181 @@
+"""How much memory the server holds for its clients: octets of decoded values, by client and kind.
+
+Plain states without I/O, for the loop's thread. What is held is charged to the account of the
+client that caused it, before it is kept, and released when it is let go; a client that goes
+releases everything, whatever still runs for it elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import final
+
+from uoarm.server._failures import LimitError
+from uoarm.server._workers import BusyError
+
+__all__ = ["Account", "Charge", "Held", "Memory"]
+
+
+class Held(Enum):
+    """What memory is held for."""
+
+    ASKED = "asked"
+    """Calls, requests and goals that are worked on, with their arguments."""
+    SENDING = "sending"
+    """Messages on their way into a component."""
+    REPLIES = "replies"
+    """Replies, events and results that wait to be written."""
+    DATA = "data"
+    """Data messages that wait to be written."""
+    ANSWERS = "answers"
+    """Replies that were written, kept for a client that may come back."""
+    LATCHED = "latched"
+    """Last messages of topics that the client publishes with latch."""
+    THROTTLED = "throttled"
+    """Messages that a subscription holds back until they are due."""
+    FRAGMENTS = "fragments"
+    """Pieces of messages that are not complete."""
+
+
+@final
+class Charge:
+    """Something that is held. Made by `Account.charge` and `Account.hold`."""
+
+    __slots__ = ("_account", "kind", "octets")
+
+    def __init__(self, account: Account, kind: Held) -> None:
+        self._account = account
+        self.kind = kind
+        self.octets = 0
+
+    def resize(self, octets: int) -> None:
+        """Hold another amount, without regard to limits; nothing once it was released."""
+        if self in self._account.charges:
+            self._account.add(octets - self.octets)
+            self.octets = octets
+
+    def release(self) -> None:
+        """Hold it no more. Idempotent."""
+        self.resize(0)
+        self._account.charges.discard(self)
+
+
+@final
+class Account:
+    """What the server holds for one client. Made by `Memory.open`.
+
+    Attributes:
+        held: octets in all.
+        charges: everything that is held.
+    """
+
+    def __init__(self, memory: Memory) -> None:
+        self._memory = memory
+        self._is_closed = False
+        self.held = 0
+        self.charges: set[Charge] = set()
+
+    def has_room(self, octets: int) -> bool:
+        """Say whether so much more may be held for this client."""
+        held = self.held + octets
+        return held <= self._memory.most_each and (
+            self._memory.held + octets <= self._memory.most or held <= self._memory.fair_share
+        )
+
+    def charge(self, kind: Held, octets: int) -> Charge:
+        """Hold something more for the client.
+
+        Raises:
+            LimitError: it is more than one client may have.
+            BusyError: it is more than all clients may have, and this one has its share.
+        """
+        if not self.has_room(octets):
+            most = self._memory.most_each
+            if self.held + octets > most:
+                raise LimitError(
+                    f"{octets:,} octets of memory are needed, and {self.held:,} of the {most:,} "
+                    "that one client may have are taken; wait for answers, or send less at a time"
+                )
+            raise BusyError(
+                f"{self._memory.held:,} octets of memory are taken by all clients together; the "
+                f"server holds {self._memory.most:,}: ask again later"
+            )
+        made = self.hold(kind)
+        made.resize(octets)
+        return made
+
+    def hold(self, kind: Held) -> Charge:
+        """Return a charge of nothing yet, for what has bounds of its own; see `Charge.resize`."""
+        made = Charge(self, kind)
+        if not self._is_closed:
+            self.charges.add(made)
+        return made
+
+    def add(self, octets: int) -> None:
+        """Count what a charge has changed by; for charges."""
+        self.held += octets
+        self._memory.held += octets
+
+    def close(self) -> None:
+        """Release everything; what is charged later counts as nothing. Idempotent."""
+        self._is_closed = True
+        for one in tuple(self.charges):
+            one.release()
+        self._memory.forget(self)
+
+
+@final
+class Memory:
+    """What the server holds for all its clients.
+
+    No client that has less than its share is refused because of others: its share is what each
+    would have if all had the same. So at most twice `most` is held.
+
+    Args:
+        most: octets for all clients together.
+        most_each: octets for one client.
+
+    Attributes:
+        held: octets in all.
+    """
+
+    def __init__(self, most: int, most_each: int) -> None:
+        self.most = most
+        self.most_each = most_each
+        self.held = 0
+        self._accounts: set[Account] = set()
+
+    @property
+    def fair_share(self) -> int:
+        """Octets for each client if all had the same."""
+        return self.most // max(1, len(self._accounts))
+
+    @property
+    def is_full(self) -> bool:
+        """Whether more is held than all clients together should have."""
+        return self.held > self.most
+
+    @property
+    def kinds(self) -> Mapping[Held, int]:
+        """Octets of each kind."""
+        kinds = dict.fromkeys(Held, 0)
+        for account in self._accounts:
+            for charge in account.charges:
+                kinds[charge.kind] += charge.octets
+        return kinds
+
+    @property
+    def largest(self) -> int:
+        """Octets of the client that has most."""
+        return max((account.held for account in self._accounts), default=0)
+
+    def open(self) -> Account:
+        """Return the account of a client that has come."""
+        account = Account(self)
+        self._accounts.add(account)
+        return account
+
+    def forget(self, account: Account) -> None:
+        """Count a client no more; for accounts."""
+        self._accounts.discard(account)

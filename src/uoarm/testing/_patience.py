@@ -1,0 +1,68 @@
+"""How long a test waits for what is to happen: one limit, longer on a machine that is slow."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+
+__all__ = ["patience", "slowness", "wait"]
+
+_IDLE_SECONDS = 60.0
+_SLOWEST = 10.0
+_VARIABLE = "UOARM_TEST_SLOWNESS"
+_SAMPLE_COUNT = 200_000
+_SAMPLE_SECONDS = 0.02
+_GLANCE_SECONDS = 0.005
+
+
+def slowness() -> float:
+    """Return how many times slower than an idle one of two gigahertz this machine is; 1 to 10.
+
+    Measured once: the time of a fixed sample of work, times the processes that wait for each
+    core. Child processes inherit the figure in ``UOARM_TEST_SLOWNESS``, which may also be set.
+    """
+    given = os.environ.get(_VARIABLE)
+    if given is None:
+        given = os.environ[_VARIABLE] = f"{_sample() * _crowd():.1f}"
+    return min(max(1.0, float(given)), _SLOWEST)
+
+
+def patience() -> float:
+    """Return the seconds that a test waits for anything that is to happen.
+
+    It is a limit for what would hang otherwise, not a measure of speed: a minute on an
+    idle machine, longer by `slowness` on another. Do not assert that something happens within it.
+    """
+    return _IDLE_SECONDS * slowness()
+
+
+def wait(ready: Callable[[], object], never: str = "it did not come to pass") -> None:
+    """Wait until something is true that no event tells of, looking every five milliseconds.
+
+    Raises:
+        AssertionError: with the text of `never`, after `patience` seconds.
+    """
+    deadline = time.monotonic() + patience()
+    pause = threading.Event()
+    while not ready():
+        assert time.monotonic() < deadline, never
+        pause.wait(_GLANCE_SECONDS)
+
+
+def _sample() -> float:
+    """Return the best of three times of the sample of work, as a multiple of what is usual."""
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        sum(range(_SAMPLE_COUNT))
+        sum(one & 1 for one in range(_SAMPLE_COUNT))
+        times.append(time.perf_counter() - begin)
+    return min(times) / _SAMPLE_SECONDS
+
+
+def _crowd() -> float:
+    """Return how many processes there are for each core; 1 where the system does not tell."""
+    load = getattr(os, "getloadavg", lambda: (1.0,))()[0]
+    return max(1.0, float(load) / (os.cpu_count() or 1))

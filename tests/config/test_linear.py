@@ -1,0 +1,122 @@
+"""The work of a check grows with the file, whatever it holds: calls are counted, not seconds."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.config._shape import _validator
+from uoarm.errors import ConfigurationError
+
+HEAD = "version: 1\nbridges: {p: {plugin: python}}\n"
+EMPTY = HEAD + "functions: {}\n"
+OUTPUT = "output: {endpoint: ['x:y'], structure: {type: object, properties: {a: {type: integer}}}}"
+COMPONENT = "{name: c@, bridge: p, " + OUTPUT + "}"
+
+
+def fed(source: str) -> str:
+    return COMPONENT[:-1] + ", input: {from: f" + source + ", endpoint: [a]}}"
+
+
+def each(part: str, between: str = ", ") -> Callable[[int], str]:
+    """Return what writes a part many times; in it stands @ for its number, < and > for others."""
+
+    def write(count: int) -> str:
+        return between.join(
+            part.replace("@", str(n))
+            .replace("<", str(max(n - 1, 0)))
+            .replace(">", str((n + 1) % count))
+            for n in range(count)
+        )
+
+    return write
+
+
+def within(before: str, part: Callable[[int], str], after: str = "") -> Callable[[int], str]:
+    return lambda count: before + part(count) + after
+
+
+def functions(components: str) -> Callable[[int], str]:
+    return within(HEAD + "functions:\n", each(f"  f@: {{components: [{components}]}}", "\n"))
+
+
+def structure(part: Callable[[int], str], around: str) -> Callable[[int], str]:
+    before, after = around.split("...")
+    component = "functions: {f: {components: [{name: c, bridge: p, output: {endpoint: ['x:y'], "
+    return within(f"{HEAD}{component}structure: {{{before}", part, f"{after}}}}}}}]}}}}")
+
+
+SHAPES = {
+    "functions": functions(COMPONENT),
+    "functions without components": functions(""),
+    "components": within(HEAD + "functions: {f: {components: [", each(COMPONENT), "]}}"),
+    "components of one name": within(HEAD + "functions: {f: {components: [", each("{}"), "]}}"),
+    "a chain": functions(fed("<")),
+    "a ring": functions(fed(">")),
+    "a star": functions(fed("0")),
+    "unknown keys": within(EMPTY, each("kk@: 1\n", "")),
+    "one key again and again": within(EMPTY, each("functions: {}\n", "")),
+    "bridges": within("version: 1\nfunctions: {}\nbridges: {", each("b@: {}"), "}"),
+    "applications": within(EMPTY + "applications: {", each("a@: {needs: [f]}"), "}"),
+    "needs": within(EMPTY + "applications: {a: {needs: [", each("{x: @}"), "]}}"),
+    "required": structure(each("{x: @}"), "required: [...]"),
+    "types": structure(each("[@]"), "type: [...]"),
+    "definitions": structure(each("d@: {$ref: '#/$defs/d>'}"), "$defs: {...}"),
+}
+
+
+def calls(text: str) -> int:
+    """Return how many functions were called and left again while a configuration was read."""
+    types = Registry().types
+    counted = 0
+
+    def count(*_: object) -> None:
+        nonlocal counted
+        counted += 1
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        loads(text, types=types)
+    except ConfigurationError:
+        pass
+    finally:
+        sys.setprofile(before)
+    return counted
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_twice_as_much_costs_twice_as_much(shape: str) -> None:
+    calls(EMPTY)  # what is imported and made once
+    make = SHAPES[shape]
+    assert calls(make(200)) < 2.3 * calls(make(100))
+
+
+@pytest.mark.parametrize("kind", ["[0]", "{a: 1}", "[]", "null"])
+def test_a_type_that_is_none_is_a_mistake_like_any_other(kind: str) -> None:
+    text = structure(lambda _: f"[{kind}]", "type: ...")(1)
+    with pytest.raises(ConfigurationError, match=r"structure\.type: not a JSON Schema: expected"):
+        loads(text, types=Registry().types)
+
+
+SCALARS = st.none() | st.booleans() | st.sampled_from([0, 1, 2, 0.0, 1.0, 0.5, "", "a", "1"])
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from("ab"), inner, max_size=2)
+    ),
+)
+
+
+@given(st.lists(VALUES, max_size=6))
+def test_what_stands_twice_is_told_as_json_schema_tells_it(values: Any) -> None:
+    ours = _validator({"uniqueItems": True}).is_valid(values)
+    assert ours == Draft202012Validator({"uniqueItems": True}).is_valid(values)
