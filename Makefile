@@ -4,8 +4,13 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PLUGINS = $(wildcard plugins/*)
 
+# Of the page that `make live` shows.
+PORT = 9080
+# Further arguments of the demos: make healthbot ARGS=--free-ports
+ARGS =
 NAMESERVICE ?= localhost:2809
 FIGURES ?= build/healthbot
+RUNS ?= 100000
 
 # pip would say that there is no matching distribution of some package, and not why.
 WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
@@ -13,16 +18,16 @@ WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
   sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
 
 .DELETE_ON_ERROR:
-.PHONY: demo live healthbot healthbot-tables plots test test-long lint types docs check bench mutation interop-rtm clean
+.PHONY: attack demo live healthbot healthbot-tables plots test test-core test-long coverage matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
-	$(BIN)/python examples/vision/demo.py
+	$(BIN)/python examples/vision/demo.py $(ARGS)
 
-live: $(VENV)/.live  ## the same chain without an end, with pictures at http://127.0.0.1:9080/
-	$(BIN)/python examples/vision/live.py
+live: $(VENV)/.live  ## the same chain without an end, with pictures at http://127.0.0.1:$(PORT)/
+	$(BIN)/python examples/vision/live.py --port $(PORT) $(ARGS)
 
 healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications
-	$(BIN)/python examples/healthbot/scene.py
+	$(BIN)/python examples/healthbot/scene.py $(ARGS)
 
 healthbot-tables: $(VENV)/.healthbot  ## the paper's evaluation as tables; takes about eight minutes
 	$(BIN)/python examples/healthbot/experiments/every.py --record $(FIGURES)
@@ -31,14 +36,24 @@ plots: $(VENV)/.healthbot  ## plots of the figures that healthbot-tables recorde
 	$(BIN)/python -m pip install --quiet -e '.[plots]'
 	$(BIN)/python examples/healthbot/experiments/plots.py $(FIGURES)
 
-test: $(VENV)/.dev  ## every test
-	$(BIN)/python -m pytest -n 2 tests
-	@for plugin in $(PLUGINS); do \
-	  echo "== $$plugin"; $(BIN)/python -m pytest -c pyproject.toml --rootdir=. $$plugin/tests || exit 1; \
-	done
+test: $(VENV)/.dev  ## every test that this machine can run, and a table of what was run
+	$(BIN)/python -m tests.tiers
 
-test-long: $(VENV)/.dev  ## the property tests with their long profile
-	HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -n 2 tests
+test-core: $(VENV)/.core  ## what needs no framework, no browser and no camera
+	$(BIN)/python -m tests.tiers core
+
+test-long: $(VENV)/.dev mutation  ## the rest: properties at length, another order, a soak, mutations
+	$(BIN)/python -m tests.tiers long
+	$(BIN)/python -m bench.soak --minutes 10
+
+coverage: $(VENV)/.core  ## lines and branches that the core's tests reach
+	rm -rf build/coverage; mkdir -p build/coverage
+	$(BIN)/python -m coverage run -m pytest -q -n auto -m "not needs and not long" tests
+	$(BIN)/python -m coverage combine -q
+	$(BIN)/python -m coverage report
+
+matrix: $(VENV)/.core  ## a part of the core on every other CPython that is here
+	.ci/matrix $(BIN)/python
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -58,6 +73,13 @@ check: lint types test  ## everything that must be green
 bench: $(VENV)/.dev  ## tables of medians and p99
 	$(BIN)/python -m bench
 
+fuzz: $(VENV)/.dev  ## every decoder under random input, RUNS for each; guided by coverage where atheris installs
+	-@$(BIN)/python -m pip install --quiet --only-binary :all: atheris
+	$(BIN)/python -m tests.fuzz --runs $(RUNS)
+
+attack: $(VENV)/.dev  ## hostile clients against a server of its own, with a well-behaved one beside them
+	$(BIN)/python -m bench.attack
+
 mutation: $(VENV)/.dev  ## mutation tests of the schema checker, sampled
 	$(BIN)/python -m pip install --quiet 'mutmut>=3.8'
 	$(BIN)/python bench/mutation.py --sample 300
@@ -69,35 +91,48 @@ $(BIN)/python:
 
 $(VENV)/.demo: pyproject.toml | $(BIN)/python
 	@echo "Installing uoarm with its vision packages into $(VENV) (about 200 MB, once) ..."
-	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib]'
+	$(BIN)/python -m pip install --progress-bar on -e '.[vision-lbph,vision-dlib]'
 	@touch $@
 
 $(VENV)/.live: pyproject.toml | $(BIN)/python
 	@echo "Installing uoarm with its vision and server packages into $(VENV) (about 210 MB, once) ..."
-	$(BIN)/python -m pip install --progress-bar on -e '.[vision,vision-dlib,server]'
+	$(BIN)/python -m pip install --progress-bar on -e '.[vision-lbph,vision-dlib,server]'
 	@touch $@
 
 $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
 	$(WANTS_ROS)
 	@echo "Installing uoarm, its bridges and the HealthBot's packages into $(VENV) (once) ..."
 	$(BIN)/python -m pip install --progress-bar on \
-	  -e '.[vision,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
+	  -e '.[vision-lbph,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
 	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]'
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
-	$(WANTS_ROS)
-	@echo "Installing uoarm, its plugins and the test tools into $(VENV) (about 900 MB, once) ..."
-	$(BIN)/python -m pip install --quiet -e '.[dev,vision,vision-dlib,healthbot]' \
-	  $(foreach plugin,$(PLUGINS),-e '$(plugin)[dev]')
+$(VENV)/.core: pyproject.toml | $(BIN)/python
+	@echo "Installing uoarm and the test tools into $(VENV) (about 80 MB, once) ..."
+	$(BIN)/python -m pip install --quiet -e '.[dev]'
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core $(wildcard plugins/*/pyproject.toml)
+	@echo "Installing what the plugins and the examples need (up to 900 MB, once) ..."
+	$(BIN)/python -m tests.tiers --install
+	@touch $@
+
+$(VENV)/.build: | $(BIN)/python
+	$(BIN)/python -m pip install --quiet 'build>=1.2'
 	@touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet -e '.[docs]'
 	@touch $@
 
+wheels: $(VENV)/.build  ## source archives and wheels of everything, in dist; the same tree makes the same files
+	.ci/wheels $(BIN)/python dist
+
+smoke: wheels  ## the wheels in an environment of their own, away from the checkout
+	.ci/smoke $(BIN)/python dist
+
 interop-rtm: $(VENV)/.dev  ## the OpenRTM plugin against the components at NAMESERVICE
 	NAMESERVICE=$(NAMESERVICE) $(BIN)/python -m pytest plugins/uoarm-rtm/tests/interop.py
 
 clean:
-	rm -rf $(VENV) build .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output
+	rm -rf $(VENV) build dist .cache .hypothesis .mypy_cache .pytest_cache .ruff_cache demo-output

@@ -7,7 +7,16 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-OTHER = {"__init__", "__main__", "chain_components", "mutation", "schema_fuzz", "soak", "tables"}
+OTHER = {
+    "__init__",
+    "__main__",
+    "attack",
+    "chain_components",
+    "mutation",
+    "schema_fuzz",
+    "soak",
+    "tables",
+}
 
 
 def main() -> int:

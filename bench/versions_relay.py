@@ -60,7 +60,7 @@ def main() -> int:
             rows.append((*_times("straight, on one domain", ONE_DOMAIN, size, rounds), label))
     with RobotManager(loads(ROBOT)) as robot:
         jazzy, kilted = (
-            robot.robot.bridges[one].options["domain_id"] for one in ("jazzy", "kilted")
+            robot.config.bridges[one].options["domain_id"] for one in ("jazzy", "kilted")
         )
         with _node("kilted", kilted, "echo"):
             for label, (size, rounds) in SIZES.items():

@@ -15,11 +15,13 @@ ROOT = Path(uoarm.__file__).parent
 
 # From the bottom up; a layer may import itself and everything before it.
 LAYERS = [
-    {"errors", "_version"},
+    {"errors", "_version", "_origin", "_spelling", "_whole_file"},
+    {"_yaml"},
+    {"_mistakes"},
     {"schema"},
     {"model"},
     {"wire"},
-    {"_bounded", "_event_by"},
+    {"_bounded", "_deadlines"},
     {"adapt"},
     {"bridge"},
     {"local"},
@@ -38,6 +40,7 @@ RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 ALONE = {
     "schema": {"schema"},
     "wire": {"wire", "model", "errors"},
+    "_yaml": {"_yaml"},
     "local": {"local", "bridge", "model", "errors"},
 }
 

@@ -82,6 +82,8 @@ def _run(options: argparse.Namespace) -> int:
             parts = parts_of(places, places.write_robot(options.robot, hosts), HERE / "browser")
             with Crew(places.run, places.environment()) as crew:
                 crew.start_all(parts, _tell)
+                _say(f"For a visit open {places.page_url}")
+                _say(f"To see into the robot open {places.robot_url.replace('ws', 'http', 1)}")
                 _say("Everything is ready; Ctrl-C ends it.")
                 return _visit(places.robot_url) if options.visit else _watch(crew)
     except (FootageError, PartError, UoarmError, OSError) as error:

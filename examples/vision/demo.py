@@ -29,7 +29,7 @@ def main() -> int:
 
         from uoarm import UoarmError  # noqa: PLC0415
     except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed: pip install '.[vision,vision-dlib]'")
+        print(f"{error.name} is not installed: pip install '.[vision-lbph,vision-dlib]'")
         return 2
     cache = Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision"
     console = Console(stderr=options.json)

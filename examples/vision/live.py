@@ -38,7 +38,7 @@ def main() -> int:
         console = Console()
         serve(options.port, console)
     except ModuleNotFoundError as error:
-        print(f"{error.name} is not installed: pip install '.[vision,vision-dlib,server]'")
+        print(f"{error.name} is not installed: pip install '.[vision-lbph,vision-dlib,server]'")
         return 2
     except (FootageError, UoarmError, OSError) as error:
         console.print(str(error), style="red", markup=False, highlight=False, soft_wrap=True)
@@ -51,6 +51,8 @@ def main() -> int:
 def serve(port: int, console: Console) -> None:
     """Fetch, enrol, run the chain and serve it until SIGTERM or Ctrl-C.
 
+    Fetching and enrolling take minutes, so that the port is looked at before.
+
     Sets UOARM_VISION, which the configuration names.
 
     Raises:
@@ -58,11 +60,15 @@ def serve(port: int, console: Console) -> None:
         UoarmError: no plan fits.
         OSError: the port is taken.
     """
+    from vision_demo.ports import listens  # noqa: PLC0415 - beside the other imports
     from vision_demo.run import enrol_persons, fetch  # noqa: PLC0415 - needs the extras
 
     from uoarm import RobotManager  # noqa: PLC0415
     from uoarm.server import Settings, run  # noqa: PLC0415 - needs the extra `server`
 
+    if listens(port):
+        text = f"port {port} is in use, perhaps by another make live; take another with"
+        raise OSError(f"{text} make live PORT=..., or live.py --port ...")
     footage = fetch(Path(os.environ.get("UOARM_CACHE", ROOT / ".cache")) / "vision", console)
     os.environ["UOARM_VISION"] = str(footage.folder)
     with RobotManager(endless(HERE / "robot.yaml")) as robot:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import threading
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
@@ -12,7 +14,9 @@ from uoarm import _bounded
 from uoarm.bridge import Bridge, BridgeType, Channel, Description, Registry, Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Deliver, Endpoint, Message, MessageStructure, Role
+from uoarm.testing import patience
 
+ROOT = Path(__file__).parents[2]
 ENDPOINT = Endpoint("b", "c", Role.OUTPUT, ("x",))
 ANY = MessageStructure({})
 
@@ -70,12 +74,12 @@ def test_what_a_bridge_raises_is_translated_with_its_cause() -> None:
 
 def test_a_bridge_that_hangs_is_given_up_and_what_opens_late_is_closed() -> None:
     bridge, gate, closed = Puppet(), threading.Event(), threading.Event()
-    bridge.step = lambda: gate.wait(30)
+    bridge.step = lambda: gate.wait(patience())
     bridge.closing = closed.set
     with pytest.raises(BridgeTimeoutError, match=r"within 0\.05 s"):
         bridge.open_source(ENDPOINT, ANY, lambda _: None, timeout=0.05)
     gate.set()
-    assert closed.wait(10)
+    assert closed.wait(patience())
     assert bridge.open_channels == 0
 
 
@@ -118,7 +122,7 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
 
     def outer() -> None:
         _bounded.run("the quick step", 5, lambda: None)
-        _bounded.run("the stuck step", 0.05, lambda: gate.wait(30))
+        _bounded.run("the stuck step", 0.05, lambda: gate.wait(patience()))
 
     with pytest.raises(BridgeTimeoutError, match="the stuck step"):
         _bounded.run("the whole", 30, outer)
@@ -161,6 +165,35 @@ def test_another_contract_version_is_refused_by_number() -> None:
         registry.add(BridgeType("x", "", lambda *_: Puppet(), contract=99))
 
 
+def test_a_plugin_that_states_no_contract_version_is_a_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "unstated.py").write_text(
+        "from uoarm.bridge import BridgeType, hookimpl\n"
+        "@hookimpl\n"
+        "def uoarm_bridge_types():\n"
+        "    return [BridgeType(name='x', summary='', create=lambda *_: None)]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    registry = Registry([point("unstated", "unstated")])
+    assert not registry.types
+    [problem] = registry.problems
+    assert "contract" in problem.cause
+
+
+@pytest.mark.parametrize("folder", ["plugins", "src/uoarm/cli/template", "src/uoarm/local"])
+def test_what_we_ship_states_its_contract_version_as_a_number(folder: str) -> None:
+    """A version that is imported from the core would agree with any core."""
+    stated = [
+        {one.arg: one.value for one in call.keywords}.get("contract")
+        for file in (ROOT / folder).rglob("src/**/*.py" if folder == "plugins" else "**/*.py")
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "BridgeType"
+    ]
+    assert stated
+    assert all(isinstance(one, ast.Constant) and one.value == 1 for one in stated)
+
+
 def test_a_missing_plugin_says_what_to_install() -> None:
-    with pytest.raises(PluginError, match="pip install uoarm-rtm"):
+    with pytest.raises(PluginError, match=r"pip install .*uoarm-rtm$"):
         Registry([]).create(BridgeSpec("r", "rtm"))

@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from uoarm.bridge import install_command
 from uoarm.cli import main
 
+pytestmark = pytest.mark.keeps("descriptor of pipe")  # doctor: of ROS 2, for signals
 ROBOT = """
 version: 1
 bridges: {python: {}}
@@ -114,6 +116,15 @@ def test_a_refusal_exits_with_one_and_shows_the_counterexample(robot: str) -> No
     assert "'text'" in result.output
 
 
+def test_a_refusal_is_data_too(robot: str) -> None:
+    result = run("resolve", "misfit", "-f", robot, "--json")
+    assert result.exit_code == 1
+    told = json.loads(result.stdout)
+    assert told["function"] == "misfit"
+    assert "misfit" in told["error"]
+    assert [one["component"] for one in told["rejected"]] == ["misfit"]
+
+
 def test_request_prints_a_message_a_line(robot: str) -> None:
     result = run("request", "doubled", "-f", robot)
     assert [json.loads(line)["n"] for line in result.output.splitlines()] == [0, 2, 4, 6]
@@ -149,6 +160,37 @@ def test_doctor_and_bridges_know_the_built_in_bridge() -> None:
     assert json.loads(run("doctor", "--json").output)["python"]["usable"] == "yes"
 
 
+def test_the_doctor_says_that_a_plugin_without_its_middleware_is_not_usable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("uoarm_ros2")
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    for name in [one for one in sys.modules if one.startswith("uoarm_ros2._middleware")]:
+        monkeypatch.delitem(sys.modules, name)
+    found = json.loads(run("doctor", "--json").output)["ros2"]
+    assert found["usable"].startswith("no: rclpy cannot be imported: install it with pip install")
+    assert "rclpy" not in found
+
+
+def test_the_doctor_asks_the_environments_of_a_configuration(tmp_path: Path) -> None:
+    pytest.importorskip("uoarm.host")
+    there = tmp_path / "bin" / "python"
+    there.parent.mkdir()
+    told = {"uoarm": {"version": "9.9"}, "python": {"usable": "yes", "library": "old 1.2"}}
+    there.write_text(f"#!/bin/sh\necho \"$@\" >&2\necho '{json.dumps(told)}'\n")
+    there.chmod(0o755)
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        f"version: 1\nbridges:\n  far: {{plugin: python, host: {{python: {there}}}}}\n"
+        f"  gone: {{plugin: python, host: {{python: {tmp_path / 'none'}}}}}\n"
+        "  near: {plugin: python}\nfunctions: {}\n"
+    )
+    found = json.loads(run("doctor", "-f", str(file), "--json").stdout)
+    assert found[f"far, with {there}"] == {"uoarm": "9.9", "usable": "yes", "library": "old 1.2"}
+    assert found[f"gone, with {tmp_path / 'none'}"]["usable"].startswith("no: there is no Python")
+    assert not [name for name in found if name.startswith("near")]
+
+
 @pytest.mark.parametrize(("consumer", "code"), [({"type": "integer"}, 0), ({"type": "string"}, 1)])
 def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, code: int) -> None:
     (tmp_path / "a.json").write_text('{"type": "integer", "minimum": 0}')
@@ -156,6 +198,31 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--json")
     assert result.exit_code == code
     assert json.loads(result.output)["compatible"] is (code == 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"type": "integer", "type": "string"}', 'the key "type" is given twice'),
+        ('{"properties": {"a": {}, "a": false}}', 'the key "a" is given twice'),
+        ("[" * 100_000, "not JSON"),
+        ("{", "not JSON"),
+    ],
+)
+def test_schema_check_refuses_what_has_two_readings_or_none(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    for name in ("a.json", "b.json"):
+        (tmp_path / name).write_text(text)
+    result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
+    assert result.exit_code == 2
+    assert said in result.output
+
+
+def test_a_message_nested_too_deeply_is_a_bad_parameter(robot: str) -> None:
+    result = run("call", "greeting", "[" * 100_000, "-f", robot)
+    assert result.exit_code == 2
+    assert "not JSON" in result.output
 
 
 def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
@@ -184,4 +251,4 @@ def test_a_command_whose_extra_is_not_installed_says_which(
     monkeypatch.setitem(sys.modules, module, None)
     result = run(*command)
     assert result.exit_code == 4
-    assert f"pip install 'uoarm[{extra}]'" in result.stderr
+    assert install_command("uoarm", extra) in result.stderr

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
+if TYPE_CHECKING:
+    from vision_demo.footage import Footage
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "examples" / "vision"))
-
-from vision_demo.footage import Footage, prepare  # noqa: E402 - found once the path is set
 
 
 @pytest.fixture(scope="session")
@@ -26,4 +28,6 @@ def cache() -> Path:
 
 @pytest.fixture(scope="session")
 def footage(cache: Path) -> Footage:
+    from vision_demo.footage import prepare  # needs OpenCV
+
     return prepare(cache)

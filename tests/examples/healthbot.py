@@ -7,14 +7,13 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from uoarm.testing import patience, wait
+
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "examples" / "healthbot"
-START_SECONDS = 240.0
-STOP_SECONDS = 60.0
 NODE = ("node", "--experimental-websocket", "--no-warnings")
 
 
@@ -34,12 +33,14 @@ class Scene:
         command = [sys.executable, str(EXAMPLE / "scene.py"), "--free-ports", "--run", str(run)]
         with self._output.open("wb") as out:
             self._process = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
-        deadline = time.monotonic() + START_SECONDS
-        while "Everything is ready" not in self.told:
-            if self._process.poll() is not None or time.monotonic() > deadline:
-                self._process.kill()
-                raise AssertionError(f"the scene did not start:\n{self.told}")
-            time.sleep(0.1)
+        try:
+            wait(self._ready)
+        except AssertionError as error:
+            self.close()
+            raise AssertionError(f"the scene did not start:\n{self.told}") from error
+
+    def _ready(self) -> bool:
+        return "Everything is ready" in self.told or self._process.poll() is not None
 
     @property
     def told(self) -> str:
@@ -63,7 +64,7 @@ class Scene:
     def interrupt(self) -> int:
         """Press Ctrl-C; returns the exit code."""
         self._process.send_signal(signal.SIGINT)
-        return self._process.wait(STOP_SECONDS)
+        return self._process.wait(patience())
 
     def close(self) -> None:
         if self._process.poll() is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import signal
 import urllib.request
 from collections.abc import Iterator
@@ -15,15 +14,12 @@ from typing import Any
 import pytest
 from tests.examples.healthbot import EXAMPLE, Scene, lives, terminal_visit
 from tests.server.browser import Browser, find_chromium
-from tests.waiting import wait
 from vision_demo.footage import Footage
 from websockets.sync.client import connect
 
-for _module in ("rclpy", "omniORB", "uoarm_rocos", "starlette", "dlib", "espeakng_loader"):
-    pytest.importorskip(_module, reason=f"{_module} of the HealthBot's parts is not installed")
+from uoarm.testing import patience, wait
 
-# tests/conftest.py gives them all to one worker: one scene, which the last of them ends.
-pytestmark = pytest.mark.timeout(900)
+# The harness gives them all to one worker: one scene, which the last of them ends.
 CHROMIUM = find_chromium()
 PROMPT = "(document.getElementById('prompt')?.textContent ?? '')"
 
@@ -38,16 +34,16 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
 def asked(robot: str, op: str, name: str = "") -> Any:
     """The reply to one question to the robot."""
     with connect(robot, max_size=None) as socket:
-        socket.recv(timeout=60)
+        socket.recv(timeout=patience())
         socket.send(json.dumps({"op": op, "id": "1"} | ({"type": name} if name else {})))
-        answer = json.loads(socket.recv(timeout=60))
+        answer = json.loads(socket.recv(timeout=patience()))
     assert answer["op"] == "Reply", answer
     return answer["jsonMessage"]
 
 
 def shown(browser: Browser, beginning: str, picture: Path) -> None:
     """Wait for a prompt however slow the machine is, and keep a picture of it."""
-    browser.until(f"{PROMPT}.startsWith({json.dumps(beginning)})", seconds=120)
+    browser.until(f"{PROMPT}.startsWith({json.dumps(beginning)})")
     browser.picture(picture)
 
 
@@ -63,7 +59,7 @@ def chosen(browser: Browser, label: str) -> None:
 
 
 def records(url: str) -> list[str]:
-    with urllib.request.urlopen(f"{url}/Observation?patient=franck", timeout=30) as answer:
+    with urllib.request.urlopen(f"{url}/Observation?patient=franck", timeout=patience()) as answer:
         bundle = json.load(answer)
     return [json.dumps(entry["resource"]["code"]) for entry in bundle.get("entry", [])]
 
@@ -78,8 +74,7 @@ def test_three_frameworks_feed_one_function(scene: Scene) -> None:
     ]
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="the terminal application needs node")
-@pytest.mark.skipif(CHROMIUM is None, reason="the browser application needs chromium")
+@pytest.mark.needs("node", "chromium")
 def test_both_applications_work_at_once(scene: Scene, footage: Footage, tmp_path: Path) -> None:
     assert CHROMIUM is not None
     if "1-franck.mp4" not in footage.expected:
@@ -98,7 +93,7 @@ def test_both_applications_work_at_once(scene: Scene, footage: Footage, tmp_path
                 shown(browser, "Thank you", tmp_path / "4-results.png")
                 told = browser.js("document.getElementById('values').innerText")
                 assert not browser.complaints
-            said, _ = terminal.communicate(timeout=240)
+            said, _ = terminal.communicate()
         finally:
             terminal.kill()
     assert terminal.returncode == 0, said
@@ -116,25 +111,25 @@ def test_both_applications_work_at_once(scene: Scene, footage: Footage, tmp_path
 
 def test_a_spare_takes_over_in_mid_stream(scene: Scene) -> None:
     with connect(scene.robot, max_size=None) as socket:
-        socket.recv(timeout=60)
+        socket.recv(timeout=patience())
         socket.send(json.dumps({"op": "Request", "type": "faceDetection", "id": "1"}))
-        told = json.loads(socket.recv(timeout=120))
+        told = json.loads(socket.recv(timeout=patience()))
         assert told["jsonMessage"]["components"] == ["ros_camera", "rtm_detector"]
         for _ in range(3):
-            assert json.loads(socket.recv(timeout=60))["op"] == "Data"
+            assert json.loads(socket.recv(timeout=patience()))["op"] == "Data"
         os.kill(scene.pids["detector"], signal.SIGKILL)
 
         def taken_over() -> bool:
             connection = asked(scene.robot, "Status")["connections"][0]
             return bool(connection["components"][-1] == "plain_detector")
 
-        wait(taken_over, 60, "the spare never took over")
+        wait(taken_over, "the spare never took over")
         numbers: list[int] = []
         while len(numbers) < 3 or numbers[-1] < numbers[0] + 10:
-            told = json.loads(socket.recv(timeout=60))
+            told = json.loads(socket.recv(timeout=patience()))
             assert told["op"] == "Data", told
             numbers.append(told["x-number"])
-    wait(lambda: "detector ended" in scene.told, 20, "the scene does not tell of the death")
+    wait(lambda: "detector ended" in scene.told, "the scene does not tell of the death")
 
 
 def test_ctrl_c_leaves_nothing_behind(scene: Scene) -> None:

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 from tests.examples.healthbot import EXAMPLE
+from tests.harness._needs import HEALTHBOT
+
+from uoarm.testing import patience
 
 
 def scene(*arguments: str, flags: tuple[str, ...] = (), path: str = "") -> tuple[int, str]:
@@ -16,7 +19,7 @@ def scene(*arguments: str, flags: tuple[str, ...] = (), path: str = "") -> tuple
         env={"PATH": path},
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=patience(),
         check=False,
     )
     return done.returncode, done.stderr
@@ -30,16 +33,16 @@ def test_without_packages_it_says_which_and_where_to_read() -> None:
     )
 
 
+@pytest.mark.needs(*HEALTHBOT)
 def test_without_programs_it_says_what_to_install_and_what_does_not_run() -> None:
-    pytest.importorskip("rclpy", reason="without the scene's packages it says less")
     code, told = scene("--visit")
     assert code == 2
     assert "Node.js 20.10 or later is not here (Debian: apt install nodejs)" in told
     assert "Chromium is not here (Debian: apt install chromium)" in told
 
 
+@pytest.mark.needs(*HEALTHBOT)
 def test_an_old_node_counts_as_none(tmp_path: Path) -> None:
-    pytest.importorskip("rclpy", reason="without the scene's packages it says less")
     old = tmp_path / "node"
     old.write_text("#!/bin/sh\necho v18.20.4\n")
     old.chmod(0o755)

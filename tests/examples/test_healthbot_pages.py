@@ -12,6 +12,8 @@ from pathlib import Path
 
 from tests.examples.healthbot import EXAMPLE
 
+from uoarm.testing import patience
+
 sys.path.insert(0, str(EXAMPLE))
 
 from healthbot_scene.pages import PageHandler
@@ -29,7 +31,7 @@ def test_every_file_of_the_client_is_handed_out() -> None:
         try:
             for name in (*names, "main.js"):
                 url = f"http://127.0.0.1:{server.server_port}/{name}?robot=somewhere"
-                with urllib.request.urlopen(url, timeout=30) as answer:
+                with urllib.request.urlopen(url, timeout=patience()) as answer:
                     assert answer.read()
         finally:
             server.shutdown()

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("starlette", reason="the extra healthbot is not installed")
+from uoarm.testing import patience
+
 RECORDS = Path(__file__).parents[2] / "examples" / "healthbot" / "records"
 sys.path.insert(0, str(RECORDS))
 
@@ -22,10 +23,10 @@ import httpx  # noqa: E402
 from healthbot_records.component import PatientRecord  # noqa: E402
 from healthbot_records.observation import Measurement, identity, observation  # noqa: E402
 from healthbot_records.spool import Spool  # noqa: E402
-from tests.waiting import wait  # noqa: E402
 
 from uoarm.local import PythonBridge  # noqa: E402
 from uoarm.model import Endpoint, Role  # noqa: E402
+from uoarm.testing import wait  # noqa: E402
 
 PULSE: Measurement = {
     "patient": "p1", "kind": "pulse", "time": "2026-11-21T09:00:00Z", "value": 71
@@ -63,11 +64,13 @@ class Service:
     def stop(self, how: signal.Signals = signal.SIGTERM) -> None:
         if self._process is not None:
             self._process.send_signal(how)
-            self._process.communicate(timeout=20)
+            self._process.communicate(timeout=patience())
             self._process = None
 
     def stored(self) -> list[dict[str, Any]]:
-        bundle = httpx.get(f"{self.url}/Observation", params={"patient": "p1"}, timeout=10).json()
+        bundle = httpx.get(
+            f"{self.url}/Observation", params={"patient": "p1"}, timeout=patience()
+        ).json()
         return [entry["resource"] for entry in bundle["entry"]]
 
 
@@ -129,7 +132,7 @@ def test_nothing_is_lost_while_the_service_is_down(
     service.start()
     again = PatientRecord(service.url, str(tmp_path / "spool.db"))
     try:
-        wait(lambda: len(service.stored()) == 2, 60, "what waited never arrived")
+        wait(lambda: len(service.stored()) == 2, "what waited never arrived")
         assert {one["id"] for one in service.stored()} == {identity(PULSE), identity(PRESSURE)}
     finally:
         again.close()
@@ -151,7 +154,7 @@ def test_nothing_is_lost_while_the_service_is_down(
 def test_the_service_says_what_is_wrong_with_a_resource(
     service: Service, body: bytes, told: str
 ) -> None:
-    answer = httpx.put(f"{service.url}/Observation/x", content=body, timeout=10)
+    answer = httpx.put(f"{service.url}/Observation/x", content=body, timeout=patience())
     assert answer.status_code == 400
     outcome = answer.json()
     assert outcome["resourceType"] == "OperationOutcome"
@@ -226,11 +229,13 @@ def test_what_cannot_be_sent_holds_up_nothing(record: PatientRecord) -> None:
 def test_an_observation_can_be_read_and_searched(service: Service, record: PatientRecord) -> None:
     record(PULSE)
     record(PRESSURE)
-    found = httpx.get(f"{service.url}/Observation/{identity(PULSE)}", timeout=10).json()
+    found = httpx.get(f"{service.url}/Observation/{identity(PULSE)}", timeout=patience()).json()
     assert found == observation(PULSE)
-    bundle = httpx.get(f"{service.url}/Observation", params={"code": "85354-9"}, timeout=10).json()
+    bundle = httpx.get(
+        f"{service.url}/Observation", params={"code": "85354-9"}, timeout=patience()
+    ).json()
     assert bundle["total"] == 1
-    assert httpx.get(f"{service.url}/Observation/none", timeout=10).status_code == 404
+    assert httpx.get(f"{service.url}/Observation/none", timeout=patience()).status_code == 404
 
 
 def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Path) -> None:
@@ -241,9 +246,9 @@ def test_what_waits_is_sent_without_another_call(service: Service, tmp_path: Pat
     bridge = PythonBridge("records", {"path": [str(RECORDS)]})
     try:
         service.stop(signal.SIGKILL)
-        told = bridge.call(endpoint, dict(PULSE), timeout=30.0)
+        told = bridge.call(endpoint, dict(PULSE), timeout=patience())
         assert told == {"id": identity(PULSE), "stored": False, "waiting": 1}
         service.start()
-        wait(service.stored, 60, "the measurement never arrived")
+        wait(service.stored, "the measurement never arrived")
     finally:
         bridge.close()

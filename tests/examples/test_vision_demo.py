@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from attrs import evolve
 from rich.console import Console
-from tests.waiting import wait
 from uoarm_vision.messages import Box, Frame, People
 from vision_demo.footage import TALKING, Footage
 from vision_demo.packages import FootageError
@@ -27,6 +26,7 @@ from vision_demo.tally import Tally
 
 from uoarm import RobotManager, StatusMap
 from uoarm.model import Rejection, RouteStatus
+from uoarm.testing import patience, wait
 
 
 def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[int, Any, str]:
@@ -35,13 +35,11 @@ def run(vision: Path, output: Path, *options: str, **environment: str) -> tuple[
         capture_output=True,
         text=True,
         check=False,
-        timeout=250,
         env={**os.environ, **environment},
     )
     return done.returncode, json.loads(done.stdout) if done.stdout else None, done.stderr
 
 
-@pytest.mark.timeout(300)
 def test_everybody_is_recognised_for_who_they_are(
     vision: Path, footage: Footage, tmp_path: Path
 ) -> None:
@@ -59,7 +57,6 @@ def test_everybody_is_recognised_for_who_they_are(
     assert picture.shape[0] == 360
 
 
-@pytest.mark.timeout(300)
 def test_without_dlib_lighter_candidates_are_chosen_and_the_reason_told(
     vision: Path, footage: Footage, tmp_path: Path
 ) -> None:
@@ -88,7 +85,6 @@ def without_npm(footage: Footage, cache: Path, tmp_path: Path) -> dict[str, str]
     return {"PATH": str(tools), "UOARM_CACHE": str(tmp_path / "cache")}
 
 
-@pytest.mark.timeout(300)
 def test_without_npm_the_demo_goes_on_with_what_pip_gives(
     vision: Path, without_npm: dict[str, str], tmp_path: Path
 ) -> None:
@@ -100,7 +96,6 @@ def test_without_npm_the_demo_goes_on_with_what_pip_gives(
     assert result["mistakes"] == 0
 
 
-@pytest.mark.timeout(300)
 def test_without_npm_and_without_dlib_it_goes_on_too(
     vision: Path, without_npm: dict[str, str], tmp_path: Path
 ) -> None:
@@ -118,7 +113,6 @@ def test_no_footage_is_an_error_that_says_what_to_do(vision: Path, tmp_path: Pat
     assert "Without a network: fetch it on another machine" in text
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.usefixtures("footage")
 def test_an_interrupt_closes_everything(vision: Path, tmp_path: Path) -> None:
     process = subprocess.Popen(
@@ -133,7 +127,7 @@ def test_an_interrupt_closes_everything(vision: Path, tmp_path: Path) -> None:
                 break
         process.send_signal(signal.SIGINT)
         rest = lines.read()
-    assert process.wait(timeout=60) == 130
+    assert process.wait(timeout=patience()) == 130
     assert "interrupted; everything is closed" in rest
 
 

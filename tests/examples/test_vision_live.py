@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from itertools import islice
 from pathlib import Path
@@ -11,6 +12,7 @@ import live
 import numpy as np
 import pytest
 from live import RATE, endless
+from rich.console import Console
 from uoarm_vision.messages import Frame
 
 from uoarm import RobotManager
@@ -27,6 +29,17 @@ def test_an_interrupt_before_it_serves_ends_it_as_one_afterwards_does(
     monkeypatch.setattr(live, "serve", interrupted)
     monkeypatch.setattr(sys, "argv", ["live.py"])
     assert live.main() == 0
+
+
+def test_a_port_that_is_taken_is_told_before_anything_is_fetched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UOARM_CACHE", str(tmp_path / "cache"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"port {port} is in use.*PORT="):
+            live.serve(port, Console())
+    assert not (tmp_path / "cache").exists()
 
 
 def test_its_recordings_play_again_and_again(

@@ -23,7 +23,7 @@ from uoarm.model import (
     Robot,
     Role,
 )
-from uoarm.resolve import NoPlanError, Resolver, Structures, Unavailable, tell_plan
+from uoarm.resolve import NoPlanError, Resolver, Structures, Unavailable
 from uoarm.testing import ManualClock
 
 
@@ -169,7 +169,7 @@ def test_a_plan_is_ordered_whole_and_deterministic(robot: Robot, world: World) -
     place = {step.component.name: n for n, step in enumerate(plan.steps)}
     assert all(place[edge.producer] < place[edge.consumer] for edge in plan.edges)
     assert len(plan.edges) == sum(len(step.component.inputs) for step in plan.steps)
-    assert plan.function in tell_plan(plan)
+    assert plan.function in str(plan)
 
 
 def test_a_chain_of_ten_thousand_resolves() -> None:
@@ -207,7 +207,7 @@ def test_what_was_passed_over_is_said_with_its_reason() -> None:
     world = World(frozenset({"f0"}), frozenset())
     plan = Resolver(robot, world, world.check).resolve("f")
     assert plan.rejected[0].component == "f0"
-    assert "it is not there" in tell_plan(plan)
+    assert "it is not there" in str(plan)
 
 
 def test_a_plan_is_kept_until_it_is_invalidated() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import itertools
 import json
+import os
 import shutil
 import subprocess
 import time
@@ -17,7 +18,9 @@ from typing import Any
 from typing_extensions import Self
 from websockets.sync.client import ClientConnection, connect
 
-SECONDS = 20.0
+from uoarm.testing import patience, wait
+
+SECONDS = patience()
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 OPTIONS = (
     "--headless",
@@ -60,6 +63,7 @@ class Browser:
             [program, *OPTIONS, f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            env={**os.environ, "TMPDIR": profile},
         )
         self._stack.callback(self._stop)
         try:
@@ -93,14 +97,25 @@ class Browser:
         assert "exceptionDetails" not in told, (expression, told["exceptionDetails"])
         return told["result"].get("value")
 
-    def until(self, expression: str, seconds: float = SECONDS) -> Any:
+    def until(self, expression: str) -> Any:
         """Wait until an expression is true in the page and return it."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + SECONDS
         while (value := self.js(f"({expression}) || null")) is None:
             shown = self.js("document.body?.innerText.slice(0, 2000)")
+            self._come_back()
             assert time.monotonic() < deadline, f"never: {expression}\n{shown}\n{self.complaints}"
             time.sleep(0.02)
         return value
+
+    def _come_back(self) -> None:
+        """Load the page again when Chromium gave it up because an interface came or went.
+
+        Any interface of the machine will do, such as one that another test makes.
+        """
+        others = [one for one in self.complaints if "ERR_NETWORK_CHANGED" not in one]
+        if len(others) < len(self.complaints):
+            self.complaints[:] = others
+            self.tell("Page.reload")
 
     def go(self, url: str) -> None:
         self.tell("Page.navigate", url="about:blank")
@@ -149,11 +164,11 @@ class Browser:
         self._stack.close()
 
     def _connect(self, file: Path) -> ClientConnection:
-        deadline = time.monotonic() + SECONDS
-        while not (file.exists() and file.read_text().count("\n")):
+        def started() -> bool:
             assert self._process.poll() is None, "chromium ended at once"
-            assert time.monotonic() < deadline, "chromium does not start"
-            time.sleep(0.02)
+            return file.exists() and file.read_text().count("\n") > 0
+
+        wait(started, "chromium does not start")
         port, path = file.read_text().split("\n")[:2]
         url = f"ws://127.0.0.1:{port}{path}"
         return self._stack.enter_context(connect(url, max_size=None, compression=None))

@@ -11,6 +11,8 @@ from typing import Any
 
 from typing_extensions import Self
 
+from uoarm.testing import patience
+
 __all__ = ["Proxy"]
 
 _RESET = struct.pack("ii", 1, 0)
@@ -61,7 +63,7 @@ class Proxy:
         async def act() -> None:
             action(*arguments)
 
-        asyncio.run_coroutine_threadsafe(act(), self._loop).result(20)
+        asyncio.run_coroutine_threadsafe(act(), self._loop).result(patience())
 
     def _cut(self, admit: bool, server: bool) -> None:
         self._admits = admit
@@ -89,7 +91,7 @@ class Proxy:
 
     def __enter__(self) -> Self:
         self._thread.start()
-        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(20)
+        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result(patience())
         return self
 
     def __exit__(
@@ -102,7 +104,7 @@ class Proxy:
         assert self._server is not None
         self._do(self._server.close)
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(20)
+        self._thread.join(patience())
         self._loop.close()
 
 

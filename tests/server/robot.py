@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator
-from typing import Annotated, TypedDict
+from typing import Annotated, Any, TypedDict
 
 from uoarm.local import Emit, Range
+from uoarm.testing import patience
 
 CONFIGURATION = """
 version: 1
@@ -35,12 +36,24 @@ functions:
   add:
     components:
       - {name: adder, bridge: python, service: {endpoint: ["tests.server.robot:add"]}}
+  anything:
+    components:
+      - {name: anything, bridge: python, service: {endpoint: ["tests.server.robot:anything"]}}
+  parrot:
+    components:
+      - {name: parrot, bridge: python, service: {endpoint: ["tests.server.robot:parrot"]}}
   slow:
     components:
       - {name: slow, bridge: python, service: {endpoint: ["tests.server.robot:slow"]}}
   broken:
     components:
       - {name: broken, bridge: python, service: {endpoint: ["tests.server.robot:broken"]}}
+  hang:
+    components:
+      - name: hang
+        bridge: python
+        input: {endpoint: ["tests.server.robot:hang"]}
+        output: {endpoint: ["tests.server.robot:hang"]}
   navigate:
     components:
       - name: walker
@@ -78,6 +91,10 @@ class Pair(TypedDict):
     b: float
 
 
+class Text(TypedDict):
+    text: str
+
+
 class GoalId(TypedDict):
     goal_id: str
 
@@ -96,6 +113,7 @@ class Script:
         self._newest: dict[str, object] = {}
         self.started = Counter[str]()
         self.cancelled: list[str] = []
+        self.hanging: list[None] = []
 
     def reset(self) -> None:
         with self._changed:
@@ -104,6 +122,7 @@ class Script:
             self._newest.clear()
             self.started.clear()
             self.cancelled = []
+            self.hanging = []
             self._changed.notify_all()
 
     def put(self, *items: object) -> None:
@@ -165,7 +184,17 @@ def add(message: Pair) -> Number:
 
 
 def slow(message: Number) -> Number:
-    script.gate.wait(30)
+    script.gate.wait(patience())
+    return message
+
+
+def parrot(message: Text) -> Text:
+    return message
+
+
+def hang(message: Text) -> Text:
+    script.hanging.append(None)
+    script.gate.wait(patience())
     return message
 
 
@@ -211,3 +240,9 @@ class Walker:
             "result", {"goal_id": message["goal_id"], "status": "canceled", "result": result}
         )
         yield Emit("status", {"goal_id": message["goal_id"], "status": "canceled"})
+
+
+def anything(message: Any) -> Number:
+    """Take a value of any structure."""
+    del message
+    return {"value": 1}

@@ -10,6 +10,7 @@ from tests.server.talk import SECONDS
 from typing_extensions import Self
 from websockets.sync.client import ClientConnection, connect
 
+from uoarm.model import Budget, Spending
 from uoarm.server import Server
 from uoarm.wire import read_binary
 
@@ -34,7 +35,10 @@ class Ros:
 
     def receive(self) -> dict[str, Any]:
         frame = self.socket.recv(timeout=SECONDS)
-        told = read_binary(frame, depth=64) if isinstance(frame, bytes) else json.loads(frame)
+        if isinstance(frame, bytes):
+            told = read_binary(frame, Spending(Budget()))
+        else:
+            told = json.loads(frame)
         assert isinstance(told, dict)
         return told
 

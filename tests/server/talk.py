@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from tests.waiting import wait
 from typing_extensions import Self
 from websockets.exceptions import InvalidMessage
 from websockets.frames import Frame, Opcode
@@ -21,10 +20,11 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
-from uoarm.model import ConnectionState
+from uoarm.model import Budget, ConnectionState, Spending
+from uoarm.testing import patience, wait
 from uoarm.wire import protocol_schema, read_binary, write_binary
 
-SECONDS = 20.0
+SECONDS = patience()
 # The server's thread makes random ping payloads while hypothesis draws in this one.
 BESIDE = pytest.mark.filterwarnings("ignore:Do not use the .random. module")
 TOLD = {
@@ -132,7 +132,10 @@ class Talk:
     def _receive(self) -> None:
         frame = self.socket.recv(timeout=SECONDS)
         assert isinstance(frame, bytes) == self.binary
-        told = read_binary(frame, depth=64) if isinstance(frame, bytes) else json.loads(frame)
+        if isinstance(frame, bytes):
+            told = read_binary(frame, Spending(Budget()))
+        else:
+            told = json.loads(frame)
         TOLD[told["op"]].validate(told)
         if told["op"] in {"Reply", "Error"}:
             assert told.get("id") not in self._answers, "a second answer"
@@ -143,7 +146,7 @@ class Talk:
 
 def eventually(condition: Callable[[], object], what: str) -> None:
     """Wait until something is so; fail with its name when it does not come about."""
-    wait(condition, SECONDS, f"never: {what}")
+    wait(condition, f"never: {what}")
 
 
 def opened(robot: RobotManager, count: int) -> None:
@@ -156,11 +159,11 @@ def opened(robot: RobotManager, count: int) -> None:
     eventually(all_run, f"{count} are open")
 
 
-def open_socket(port: int) -> socket.socket:
+def open_socket(port: int, path: str = "/") -> socket.socket:
     """Return a socket after its handshake, without anything that would read from it."""
-    plain = socket.create_connection(("127.0.0.1", port), timeout=20)
+    plain = socket.create_connection(("127.0.0.1", port), timeout=patience())
     plain.sendall(
-        f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
         "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
         "Sec-WebSocket-Version: 13\r\n\r\n".encode()
     )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import ssl
 import subprocess
+import threading
 from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -14,14 +16,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
 from tests.server.ros import Ros
-from tests.server.talk import Talk, eventually
+from tests.server.talk import SECONDS, Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from uoarm.errors import ConfigurationError
 from uoarm.server import Server, hash_token, make_token
+from uoarm.server._access_file import BUDGET, read_access
 from uoarm.server._role import Operation, Role
-from uoarm.server._tokens import AccessBook, Grant, read_access
+from uoarm.server._tokens import AccessBook, Grant
+from uoarm.testing import patience
 
 Write = Callable[..., Path]
 JSON = Subprotocol("uoarm.v1.json")
@@ -152,6 +156,40 @@ def test_roles_hold_for_rosbridge_clients_too(guarded: Server) -> None:
         assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
 
 
+ROSAPI = (
+    "topics", "topics_and_raw_types", "services", "nodes", "topic_type", "topics_for_type",
+    "service_type", "services_for_type", "service_node", "service_providers", "publishers",
+    "subscribers", "node_details", "message_details", "service_request_details",
+    "service_response_details", "get_param", "get_param_names", "has_param", "action_servers",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("service", ROSAPI)
+def test_what_a_role_may_not_see_is_for_rosapi_as_if_it_were_not_there(
+    guarded: Server, service: str
+) -> None:
+    """A name that is hidden and one that nobody has get the same answer."""
+    with Ros(url(guarded, f"/rosbridge?token={TOKENS['operator']}")) as operator:
+        kind = operator.call("/rosapi/topic_type", {"topic": "/uoarm/numbers"})["type"]
+        assert "numbers" in json.dumps(operator.call("/rosapi/topics"))
+        with Ros(url(guarded, f"/rosbridge?token={TOKENS['driver']}")) as driver:
+            hidden, absent = (
+                _ask_rosapi(driver, service, function, kind) for function in ("numbers", "nothing")
+            )
+    assert hidden.replace("numbers", "nothing") == absent
+    assert "picture" not in hidden
+
+
+def _ask_rosapi(client: Ros, service: str, function: str, kind: str) -> str:
+    named = f"/uoarm/{function}"
+    arguments = {
+        "topic": named, "service": named, "node": f"/{function}", "name": named,
+        "type": kind.replace("numbers", function),
+    }  # fmt: skip
+    client.send(op="call_service", id="1", service=f"/rosapi/{service}", args=arguments)
+    return json.dumps(client.receive())
+
+
 def test_a_token_taken_back_ends_its_sessions_without_a_restart(
     guarded: Server, access: Path
 ) -> None:
@@ -257,7 +295,7 @@ def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path
         ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
          "-nodes", "-keyout", key, "-out", certificate, "-days", "1", "-subj", "/CN=localhost",
          "-addext", "subjectAltName=IP:127.0.0.1"],
-        check=True, capture_output=True, timeout=60,
+        check=True, capture_output=True, timeout=patience(),
     )  # fmt: skip
     server = serve(certificate=certificate, key=key)
     trust = ssl.create_default_context(cafile=certificate)
@@ -267,16 +305,32 @@ def test_tls_is_spoken_where_there_is_a_certificate(serve: Serve, tmp_path: Path
         serve(certificate=certificate, key=certificate)
 
 
+TOKEN = f"version: 1\nroles: {{a: {{}}}}\ntokens: [{{role: a, sha256: {'a' * 64}, "
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[]", "the file: expected names"),
+        ("[]", r"access.yaml:1:1: \$: expected names and values, got a list"),
         ("version: 1\nroles: {a: {fly: ['*']}}", "roles.a.fly: expected one of see"),
         ("version: 1\nroles: {a: {see: '*'}}", "expected a list"),
         ("version: 1\ntokens: [{role: x, sha256: ab}]", r"tokens\[0\].sha256: expected 64"),
         ("version: 1\ntokens: [{role: x}]", r"tokens\[0\].role: expected one of the roles"),
         ("version: 1\nrolls: {}", "rolls: unknown"),
-        ("{", "cannot be read"),
+        ("{", "this is not YAML"),
+        ("", "expected names and values, got nothing"),
+        ("version: true", r"\$.version: expected 1, got true"),
+        ("version: 1\nroles: {a: {see: ['*']}}\nroles: {a: {kill: ['*']}}", "3:1: .*given twice"),
+        ("version: 1\nroles:\n  a: {}\n  a: {}", r"4:3: \$.roles.a: the key \"a\" is given twice"),
+        ("version: 1\nroles: {a: {see: [], see: ['*']}}", r"2:22: .* \"see\" is given twice"),
+        (TOKEN + "expires: 2020-01-01T00:00:00Z, expires: 2999-01-01T00:00:00Z}]", "given twice"),
+        (TOKEN + "sha256: x}]", '"sha256" is given twice'),
+        (TOKEN + "expires: }]", "expires: expected a time such as"),
+        (TOKEN + "expires: 2027-01-31}]", "expires: expected a time such as"),
+        (TOKEN + "expires: 2027-13-31T00:00:00Z}]", "expires: expected a time such as"),
+        ("version: 1\nroles: {a: {}}\ncertificates: {c: {role: a, name: d}}", "name: unknown"),
+        ("version: 1\nroles: {a: {<<: {see: ['*']}}}", "merge keys"),
+        ("version: 1\nroles: !!python/object:os.system {}", "tag"),
     ],
 )
 def test_mistakes_of_the_access_file_are_told_with_their_place(
@@ -286,6 +340,58 @@ def test_mistakes_of_the_access_file_are_told_with_their_place(
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigurationError, match=said):
         read_access(path)
+
+
+def test_the_limits_of_the_access_file_are_on_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
+    assert f"{BUDGET.octets:,} bytes and {BUDGET.nodes:,} values" in page
+
+
+def test_aliases_that_unfold_without_end_are_refused_before_they_do(tmp_path: Path) -> None:
+    lines = ["version: 1", "roles:", "  a: {see: &a [x, x, x, x, x, x, x, x, x, x]}"]
+    for level in "bcdefghijklmnopqrst":
+        inner = ", ".join([f"*{chr(ord(level) - 1)}"] * 10)
+        lines.append(f"  {level}: {{see: &{level} [{inner}]}}")
+    path = tmp_path / "access.yaml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="more than 100,000 values, aliases counted"):
+        read_access(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "end"),
+    [
+        ("2027-01-31T10:00:00Z", datetime(2027, 1, 31, 10, tzinfo=timezone.utc)),
+        ("2027-01-31T10:00:00+02:00", datetime(2027, 1, 31, 8, tzinfo=timezone.utc)),
+        ("'2027-01-31 10:00:00.5'", datetime(2027, 1, 31, 10, 0, 0, 500_000, timezone.utc)),
+    ],
+)
+def test_a_time_of_the_access_file_is_one_of_utc_where_it_names_no_zone(
+    tmp_path: Path, text: str, end: datetime
+) -> None:
+    path = tmp_path / "access.yaml"
+    path.write_text(f"{TOKEN}expires: {text}}}]", encoding="utf-8")
+    assert [grant.expires for grant in read_access(path).tokens.values()] == [end]
+
+
+def test_the_access_file_is_read_beside_the_loop_that_serves(
+    guarded: Server, access: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reading, go_on = threading.Event(), threading.Event()
+
+    def slow(path: Path) -> AccessBook:
+        reading.set()
+        assert go_on.wait(SECONDS)
+        return read_access(path)
+
+    monkeypatch.setattr("uoarm.server._admission.read_access", slow)
+    _replace(access, access.read_text(encoding="utf-8") + "\n# another\n")
+    assert reading.wait(SECONDS)
+    try:
+        with enter(guarded, "viewer") as client:
+            assert client.ask("List")
+    finally:
+        go_on.set()
 
 
 @given(st.binary(max_size=80))

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import InvalidStatus
+from websockets.typing import Subprotocol
 
 from uoarm import (
     BridgeError,
@@ -22,6 +24,7 @@ from uoarm import (
 )
 from uoarm.client import Client, ServerError, connect
 from uoarm.server import Limits, Server, hash_token
+from uoarm.testing import patience
 
 Work = Callable[[Client], Awaitable[None]]
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -55,7 +58,7 @@ def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
         async with await client.request("echo") as echo:
             assert echo.inputs == ("default",)
             await asyncio.gather(*(echo.send({"value": value}) for value in range(50)))
-            assert [(await echo.get(5))["value"] for _ in range(50)] == list(range(50))
+            assert [(await echo.get(patience()))["value"] for _ in range(50)] == list(range(50))
             with pytest.raises(MessageError, match="value"):
                 await echo.send({"value": 300})
             with pytest.raises(UsageError):
@@ -70,7 +73,7 @@ def test_octets_stay_octets(server: Server) -> None:
     async def work(client: Client) -> None:
         stream = await client.request("picture")
         script.put({"width": 1, "data": bytes(10_000)})
-        assert (await stream.get(10))["data"] == bytes(10_000)
+        assert (await stream.get(patience()))["data"] == bytes(10_000)
 
     run(server, work)
 
@@ -167,3 +170,38 @@ def test_a_token_is_shown_and_a_denial_has_its_code(serve: Serve, tmp_path: Path
     run(server, work, token="secret")
     with pytest.raises(InvalidStatus):
         run(server, work)
+
+
+HELLO = '{"op":"Status","type":"hello","jsonMessage":{}}'
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "[" * 100_000,
+        f'{{"op":"Data","type":"c1","jsonMessage":[{"[]," * 1_500_000}[]]}}',
+        "{}",
+        '{"op":"Status","type":"change","jsonMessage":{"x":1}}',
+        '{"op":"Status","type":"connection","jsonMessage":[]}',
+        '{"op":"Error","id":"1","jsonMessage":null}',
+        '{"op":"Reply","id":"1","jsonMessage":{"connection":"c1"}}',
+        b"binary",
+    ],
+    ids=lambda one: str(one[:50]),
+)
+def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str | bytes) -> None:
+    async def rubbish(socket: ServerConnection) -> None:
+        await socket.send(HELLO)
+        async for asked in socket:
+            if b"Request" in (asked if isinstance(asked, bytes) else asked.encode()):
+                await socket.send(frame)
+
+    async def meet() -> None:
+        protocols = [Subprotocol("uoarm.v1.json")]
+        async with serve(rubbish, "127.0.0.1", 0, subprotocols=protocols) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            async with connect(f"ws://127.0.0.1:{port}", binary=False) as client:
+                with pytest.raises(ConnectionClosedError, match="sent what is no message"):
+                    await asyncio.wait_for(client.request("numbers"), 30)
+
+    asyncio.run(meet())

@@ -17,13 +17,13 @@ from uoarm.config import loads
 from uoarm.server import Server, Settings, hash_token, serve_in_thread
 
 Open = Callable[..., None]
+pytestmark = pytest.mark.needs("chromium")
 
 
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Browser]:
     program = find_chromium()
-    if program is None:
-        pytest.skip("no chromium here; Debian's package chromium has it")
+    assert program is not None
     with Browser(program) as browser:
         yield browser
 
@@ -154,7 +154,12 @@ def test_numbers_become_lines(browser: Browser, visit: Open) -> None:
     for shade in (10, 20, 30):
         front.take((shade, 0, 0))
     browser.until(says(".sparks", "10 … 30"))
-    browser.until("document.querySelectorAll('.spark canvas').length === 1")
+    browser.until("document.querySelectorAll('.spark path').length === 1")
+    line = "document.querySelector('.spark path')"
+    assert browser.js(f"{line}.getTotalLength()") > 100  # from corner to corner of its square
+    drawn = browser.js(f"(b => [b.width, b.height])({line}.getBoundingClientRect())")
+    assert drawn[0] > 200  # as wide as its place, whatever its square
+    assert 30 < drawn[1] <= 44
 
 
 def test_a_service_is_called_with_a_form_of_its_schema(browser: Browser, visit: Open) -> None:

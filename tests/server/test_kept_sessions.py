@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 
 from hypothesis import given
@@ -11,8 +12,9 @@ from tests.server.robot import script
 from tests.server.talk import Talk, eventually
 from tests.server.test_serving import figures
 
-from uoarm.server import Server, hash_token
+from uoarm.server import Limits, Server, hash_token
 from uoarm.server._answers import Answers
+from uoarm.server._memory import Memory
 
 
 def test_a_key_is_for_a_session_that_is_kept_and_comes_first(talk: Connect) -> None:
@@ -91,7 +93,7 @@ tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha2
 def test_kept_answers_are_bounded_and_the_newest(
     steps: list[tuple[str, int, bool]], most: int, most_bytes: int
 ) -> None:
-    answers = Answers(most, most_bytes)
+    answers = Answers(most, most_bytes, Memory(10**6, 10**6).open())
     newest: dict[str, bytes] = {}
     for identity, size, begins in steps:
         if begins:
@@ -107,3 +109,26 @@ def test_kept_answers_are_bounded_and_the_newest(
         assert list(kept) == list(newest)[len(newest) - len(kept) :]
         assert len(kept) <= most
         assert sum(len(one or b"") for one in kept.values()) <= most_bytes
+
+
+def test_sessions_that_wait_are_bounded_in_octets_and_those_that_hold_most_end_first(
+    serve: Serve, between: Between
+) -> None:
+    server = serve(Limits(kept_bytes=2_000_000))
+    proxy = between(server)
+    with ExitStack() as stack:
+        kept = [stack.enter_context(Talk(f"ws://127.0.0.1:{proxy.port}/")) for _ in range(4)]
+        keys = [one.ask("Resume")["key"] for one in kept]
+        text = "x" * 100_000
+        for number, one in enumerate(kept):  # answers of 0, 0.5, 1 and 1.5 MB are kept
+            for _ in range(5 * number):
+                assert one.ask("Call", "parrot", {"text": text}) == {"text": text}
+        proxy.cut()
+        waiting = "uoarm_serve_kept_sessions 3.0"
+        eventually(lambda: waiting in figures(server), "the one that holds most is ended")
+        assert server.held_octets <= 2_000_000
+    with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as late:
+        assert late.refused("Resume", message={"key": keys[3]})["code"] == "unknown"
+    for key in keys[:3]:
+        with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as again:
+            assert again.ask("Resume", message={"key": key})

@@ -19,6 +19,7 @@ from uoarm.cli import main
 from uoarm.server import Server, Settings, serve_in_thread
 from uoarm.server._role import Operation, Role
 from uoarm.server._view import visible_status
+from uoarm.testing import patience
 
 
 def url_of(server: Server) -> str:
@@ -33,7 +34,7 @@ def watching(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         yield process
     finally:
         process.kill()
-        process.communicate(timeout=20)
+        process.communicate(timeout=patience())
 
 
 def test_the_status_of_a_running_robot_is_shown(server: Server, robot: RobotManager) -> None:
@@ -57,7 +58,7 @@ def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotMana
                 event = json.loads(process.stdout.readline())["event"]
             assert event["subject"].startswith("connection")
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        assert process.wait(patience()) == 0
 
 
 def test_a_server_that_is_not_there_is_named() -> None:
@@ -72,8 +73,8 @@ def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path
     nobody = Role("nobody", {Operation.SEE: ("other",)})
     with RobotManager.from_file(file) as robot:
         status = robot.status()
-        assert not visible_status(robot.robot, status, nobody)["machines"]
-        (shown,) = visible_status(robot.robot, status, somebody)["machines"]
+        assert not visible_status(robot.config, status, nobody)["machines"]
+        (shown,) = visible_status(robot.config, status, somebody)["machines"]
         assert shown["cause"] == "waiting for machine 'arm': far"
         with serve_in_thread(robot, Settings(port=0)) as server:
             live = CliRunner().invoke(main, ["status", "--url", url_of(server)])

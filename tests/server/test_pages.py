@@ -12,13 +12,14 @@ from tests.server.talk import eventually
 
 import uoarm.server
 from uoarm.server import Server
+from uoarm.testing import patience
 
 STATIC = Path(uoarm.server.__file__).parent / "static"
 
 
 def test_pages_may_load_nothing_from_elsewhere(server: Server) -> None:
     url = f"http://127.0.0.1:{server.ports[0]}/vendor/dagre.js"
-    with urllib.request.urlopen(url, timeout=20) as answer:
+    with urllib.request.urlopen(url, timeout=patience()) as answer:
         policy = answer.headers["Content-Security-Policy"].split("; ")
         assert answer.headers["Content-Type"] == "text/javascript; charset=utf-8"
     assert "default-src 'self'" in policy

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm.client._stream import RemoteStream
+from uoarm.testing import patience
 
 
 async def _never(*_: object, **__: object) -> Any:
@@ -39,7 +40,7 @@ def test_what_is_there_needs_no_time() -> None:
 def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: int) -> None:
     async def play() -> None:
         stream = _stream()
-        reading = asyncio.ensure_future(stream.get(60))
+        reading = asyncio.ensure_future(stream.get(patience()))
         await asyncio.sleep(0)
         stream.take(1, 5)
         for _ in range(turns):
@@ -47,6 +48,6 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(turns: int) -
         asked = reading.cancel()
         await asyncio.wait({reading})
         assert reading.cancelled() is asked
-        assert (await stream.get(60) if asked else reading.result()) == 5
+        assert (await stream.get(patience()) if asked else reading.result()) == 5
 
     asyncio.run(play())

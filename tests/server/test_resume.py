@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 import subprocess
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -391,7 +390,7 @@ async def answer_of(client: Client) -> object:
         return error
 
 
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, from version 20.10 on")
+@pytest.mark.needs("node")
 @pytest.mark.parametrize("form", ["json", "cbor"])
 def test_the_javascript_client_goes_on(server: Server, between: Between, form: str) -> None:
     proxy = between(server)

@@ -17,6 +17,7 @@ from uoarm.server import Limits
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
+from uoarm.server._memory import Memory
 from uoarm.server.rosbridge._goal import Goal
 from uoarm.server.rosbridge._stream_runner import StreamRunner
 
@@ -42,6 +43,7 @@ class Feeds:
     feeds: dict[str, Feed]
     limits: Limits = field(factory=Limits)
     workers: Workers = field(factory=Workers)
+    memory: Memory = field(factory=lambda: Memory(10**6, 10**6))
 
     async def join(self, wanted: Wanted) -> Feed:
         return self.feeds[wanted.name.partition(".")[2]]

@@ -21,6 +21,7 @@ from uoarm.testing import (
     hanging,
     instances,
     lying,
+    patience,
     raising,
 )
 from uoarm.testing._native import PAIRS, ROWS, Dialect, codec
@@ -157,7 +158,7 @@ def test_a_stalled_taker_holds_up_its_sender_until_released() -> None:
     sink = bridge.open_sink(sink_of("screen"), MessageStructure(BYTE))
     with screen.stalled() as stall:
         sending = Background(lambda: sink.send({"value": 1}))
-        assert stall.entered.wait(10)
+        assert stall.entered.wait(patience())
         assert screen.taken.messages == []
     sending.result()
     assert screen.taken.messages == [{"value": 1}]
@@ -218,14 +219,14 @@ def test_a_census_names_the_threads_that_stay() -> None:
     with hanging(MemoryBridge(), "_close") as hang:
         Background(hang.wait)
         with pytest.raises(AssertionError, match="uoarm-test"):
-            census.check(patience=0.02)
+            census.check(timeout=0.02)
     census.check()
 
 
 def test_a_census_counts_the_descriptors_that_stay() -> None:
     census = Census()
     with open(__file__), pytest.raises(AssertionError, match="1 file descriptors"):  # noqa: PTH123
-        census.check(patience=0.0)
+        census.check(timeout=0.0)
     census.check()
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from uoarm.errors import ControlMessageError
+from uoarm.model import Budget, Spending
 from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
 from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form
 
@@ -51,6 +52,10 @@ def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str
         ({"op": "Request", "id": "1"}, "'type' is a required property"),
         ({"op": "Call", "type": "f"}, "'id' is a required property"),
         ({"op": "Request", "id": "1", "type": "f", "jsonMessage": {"every": -1}}, "every"),
+        ({"op": "Kill", "id": "1", "type": [1] * 200_000}, "too much beside a message"),
+        ({"op": "Data", "id": "1", "type": ["1"] * 200_000, "jsonMessage": 1}, "too much beside"),
+        ({"op": "List", "id": "1", **{f"x-{one}": 1 for one in range(100)}}, "64 fields"),
+        ({"op": "Resume", "id": "1", "jsonMessage": {"waiting": [1] * 5000}}, "waiting"),
     ],
 )
 def test_an_error_names_the_field(message: dict[str, Any], said: str) -> None:
@@ -67,35 +72,35 @@ def test_only_an_id_that_can_be_told_back_is_salvaged(identity: object) -> None:
 @pytest.mark.parametrize("frame", ["", "{", "42", "[]", "null", "{{{", "NaN", b"{}", '{"a":1}x'])
 def test_text_that_is_no_object_is_refused(frame: str | bytes) -> None:
     with pytest.raises(ControlMessageError):
-        TEXT_FORM.read(frame, 64)
+        TEXT_FORM.read(frame, Spending(Budget()))
 
 
 @pytest.mark.parametrize("frame", ["{}", b"", b"\x01", b"\x80", b"\xff"])
 def test_binary_that_is_no_map_is_refused(frame: str | bytes) -> None:
     with pytest.raises(ControlMessageError):
-        BINARY_FORM.read(frame, 64)
+        BINARY_FORM.read(frame, Spending(Budget()))
 
 
 @pytest.mark.parametrize("frame", ["{" * 5000, "[" * 1_000_000, '{"a":' * 100_000, '"' + "\\" * 99])
 def test_deep_nesting_costs_little_and_is_refused(frame: str) -> None:
     started = time.process_time()
     with pytest.raises(ControlMessageError):
-        TEXT_FORM.read(frame, 64)
+        TEXT_FORM.read(frame, Spending(Budget()))
     assert time.process_time() - started < 5  # rosbridge needs for ever
 
 
 def test_nesting_is_allowed_up_to_the_limit_and_brackets_in_text_are_none() -> None:
     nested = '{"a":' + "[" * 63 + "]" * 63 + ',"b":"' + "[{" * 100 + '\\""}'
-    assert "a" in TEXT_FORM.read(nested, 64)
+    assert "a" in TEXT_FORM.read(nested, Spending(Budget()))
     with pytest.raises(ControlMessageError, match="64 levels"):
-        TEXT_FORM.read(nested.replace("[]", "[[]]"), 64)
+        TEXT_FORM.read(nested.replace("[]", "[[]]"), Spending(Budget()))
 
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=lambda form: form.name)
 def test_data_is_an_ordinary_control_message(form: Form) -> None:
     message = {"a": [1, 2.5], "b": None, "c": "x"}
     written = form.write_data("c1", 7, message)
-    read = form.read(written.decode() if form.text else written, 64)
+    read = form.read(written.decode() if form.text else written, Spending(Budget()))
     assert read == {"op": "Data", "type": "c1", "x-number": 7, "jsonMessage": message}
     schema = {**protocol_schema(), "$ref": "#/$defs/tell.Data"}
     Draft202012Validator(schema).validate(read)

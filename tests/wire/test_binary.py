@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.errors import ControlMessageError, MessageError
+from uoarm.model import Budget, Spending
 from uoarm.wire._binary import read_binary, write_binary
+from uoarm.wire._cbor_scan import scan_cbor
 
 values = st.recursive(
     st.none()
@@ -29,36 +31,40 @@ values = st.recursive(
 )
 
 
+def read(data: bytes, depth: int = 64) -> Any:
+    return read_binary(data, Spending(Budget(depth=depth)))
+
+
 @given(values)
 def test_what_is_written_is_read_back(value: object) -> None:
-    assert read_binary(write_binary(value), depth=64) == value
+    assert read(write_binary(value)) == value
 
 
 @pytest.mark.parametrize("code", list("bBhHiIqQfd"))
 def test_numeric_arrays_stay_arrays(code: str) -> None:
     numbers = array(code, [1, 2, 100])
-    read = read_binary(write_binary({"x": numbers}), depth=64)["x"]
-    assert isinstance(read, array)
-    assert read == numbers
+    got = read(write_binary({"x": numbers}))["x"]
+    assert isinstance(got, array)
+    assert got == numbers
 
 
 @pytest.mark.parametrize("kind", ["<f4", ">f4", "<f8", ">i2", "<u4", "<i8", "<f2", ">f2"])
 def test_numpy_of_both_byte_orders_keeps_its_values(kind: str) -> None:
     numbers = np.array([1, 2, 100], dtype=kind)
-    assert list(read_binary(write_binary(numbers), depth=64)) == [1, 2, 100]
+    assert list(read(write_binary(numbers))) == [1, 2, 100]
 
 
 def test_known_bytes_of_a_typed_array() -> None:
     # d8 56: tag 86, float64 little-endian; 48: 8 octets; 1.0
     assert write_binary(array("d", [1.0])).hex() == "d85648000000000000f03f"
     # d8 52: tag 82, float64 big-endian
-    assert list(read_binary(bytes.fromhex("d852483ff0000000000000"), depth=8)) == [1.0]
+    assert list(read(bytes.fromhex("d852483ff0000000000000"), depth=8)) == [1.0]
 
 
 def test_rows_are_a_matrix() -> None:
     matrix = np.arange(6, dtype="f4").reshape(2, 3)
-    assert read_binary(write_binary(matrix), depth=8) == [[0, 1, 2], [3, 4, 5]]
-    assert read_binary(write_binary(np.uint8([[1, 2]])), depth=8) == [[1, 2]]  # type: ignore[arg-type] # numpy takes it
+    assert read(write_binary(matrix), depth=8) == [[0, 1, 2], [3, 4, 5]]
+    assert read(write_binary(np.uint8([[1, 2]])), depth=8) == [[1, 2]]  # type: ignore[arg-type] # numpy takes it
 
 
 @pytest.mark.parametrize("size", [0, 23, 24, 255, 256, 4096, 65535, 65536, 70000])
@@ -96,15 +102,99 @@ def test_large_octets_are_written_as_the_encoder_writes_them(size: int) -> None:
 )
 def test_what_no_message_has_is_refused(data: bytes) -> None:
     with pytest.raises(ControlMessageError):
-        read_binary(data, depth=64)
+        read(data)
 
 
 @given(st.binary(max_size=60))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     with contextlib.suppress(ControlMessageError):
-        read_binary(data, depth=16)
+        read(data, depth=16)
 
 
 def test_what_has_no_form_is_refused_by_name() -> None:
     with pytest.raises(MessageError, match="object"):
         write_binary({"x": object()})
+
+
+def rows(sizes: list[int], items: bytes = b"\x81\x01") -> bytes:
+    return b"\xd8\x28\x82" + cbor2.dumps(sizes) + items
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (rows([1] * 9), "9 dimensions; 1 to 8"),
+        (rows([1] * 60_000), "60,000 dimensions"),
+        (rows([2**63 - 1] * 8), "from 1 to the 1 items"),
+        (rows([2**40, 2**40], b"\xd8\x40\x42ab"), "from 1 to the 2 items"),
+        (rows([3, 3, 3], b"\xd8\x40\x44abcd"), "do not hold the 4 items"),
+        (rows([]), "0 dimensions"),
+        (rows([-1]), "whole numbers"),
+        (b"\xd8\x28\x82\x81\xfb" + bytes(8) + b"\x81\x01", "whole numbers"),
+        (b"\xd8\x28\x82\x81\xf5\x81\x01", "whole numbers"),
+        (b"\xd8\x28\x82\x01\x81\x01", "sizes and items"),
+        (b"\xd8\x28\x82\x81\x01\xa1\x61a\x01", "sizes and items"),
+    ],
+    ids=lambda one: one[:30] if isinstance(one, str) else "",
+)
+def test_dimensions_are_asked_about_before_rows_are_made(data: bytes, says: str) -> None:
+    with pytest.raises(ControlMessageError, match=says) as caught:
+        read(data)
+    assert len(str(caught.value)) < 200
+
+
+def test_what_dimensions_make_counts_as_depth() -> None:
+    deep = rows([1] * 8)
+    for _ in range(7):
+        deep = rows([1] * 8, b"\x81" + deep)
+    assert read(deep, depth=64)
+    with pytest.raises(ControlMessageError, match="63 levels"):
+        read(deep, depth=63)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        rows([1000, 1], b"\xd8\x40\x59\x03\xe8" + bytes(1000)),
+        b"\xd8\x54\x59\x07\xd0" + bytes(2000),
+        b"\x99\x03\xe8" + b"\x80" * 1000,
+        b"\xb9\x03\xe8" + b"".join(cbor2.dumps(f"{one}") + b"\x01" for one in range(1000)),
+        b"\x9f" + b"\x01" * 1000 + b"\xff",
+        b"\x99\x03\xe8" + b"\x62ab" * 1000,
+        b"\x99\x03\xe8" + b"\xd8\x40\x41a" * 1000,
+        b"\x99\x03\xe8" + b"\xfb\x00\x00\x00\x00\x00\x00\x00\x00" * 1000,
+    ],
+    ids=lambda data: data[:6].hex(),
+)
+def test_elements_are_counted(data: bytes) -> None:
+    with pytest.raises(ControlMessageError, match="more than 999 values"):
+        read_binary(data, Spending(Budget(elements=999)))
+    read_binary(data, Spending(Budget(elements=4000)))
+
+
+@given(values, st.integers(1, 40))
+def test_the_scan_counts_no_less_than_there_is(value: object, elements: int) -> None:
+    spending = Spending(Budget(elements=10_000))
+    read_binary(write_binary(value), spending)
+    scanned = Spending(Budget(elements=10_000))
+    scan_cbor(write_binary(value), scanned)
+    assert scanned.elements >= spending.elements
+    if scanned.elements > elements:
+        with pytest.raises(ControlMessageError, match="more than"):
+            scan_cbor(write_binary(value), Spending(Budget(elements=elements)))
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_have_a_scan(data: bytes) -> None:
+    with contextlib.suppress(ControlMessageError):
+        scan_cbor(data, Spending(Budget(elements=20)))
+
+
+def test_integers_are_bounded_before_they_are_made() -> None:
+    assert read(b"\xc2\x59\x01\x80" + b"\xff" * 384) == 2**3072 - 1
+    assert read(b"\xc3\x41\x01") == -2
+    for tag in (b"\xc2", b"\xc3"):
+        with pytest.raises(ControlMessageError, match="3,072 bits"):
+            read(tag + b"\x59\x01\x81" + b"\xff" * 385)
+    with pytest.raises(ControlMessageError):
+        read(b"\xc2\x01")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import tracemalloc
 from array import array
 from typing import Any
 
@@ -127,3 +128,24 @@ def test_a_recursive_structure_has_an_end() -> None:
     assert reader is not None
     data = base64.b64encode(b"x").decode()
     assert reader({"next": {"data": data}}) == {"next": {"data": b"x"}}
+
+
+def test_a_long_name_in_a_path_is_shown_in_short() -> None:
+    reader = make_reader({"additionalProperties": {"additionalProperties": {"type": "integer"}}})
+    assert reader is not None
+    with pytest.raises(MessageError, match="expected an integer") as caught:
+        reader({"x" * 1_000_000: {"y" * 1_000_000: "z" * 1_000_000}})
+    assert len(str(caught.value)) < 400
+
+
+def test_reading_makes_no_path_for_what_is_right() -> None:
+    """A path for each value under a long name cost as much as the name, each time."""
+    reader = make_reader({"additionalProperties": {"items": {"type": "integer"}}})
+    assert reader is not None
+    name = "x" * 5_000_000
+    tracemalloc.start()
+    try:
+        reader({name: [1] * 10})
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()

@@ -96,4 +96,4 @@ def _browse(program: str, page: str) -> Visit:
 def _shown(browser: Browser, beginning: str) -> str:
     """Wait for a prompt and return it."""
     so = f"{_PROMPT}.startsWith({json.dumps(beginning)}) && {_PROMPT}"
-    return str(browser.until(so, _SECONDS))
+    return str(browser.until(so))

@@ -137,7 +137,7 @@ def functional(robot: RobotManager, name: str, where: str, count: int) -> Iterat
     known = Known(plan)
 
     def search() -> None:
-        Resolver(robot.robot, known, check_edge).resolve(name)
+        Resolver(robot.config, known, check_edge).resolve(name)
 
     def took(title: str, seconds: list[float]) -> Figure:
         return figure(f"{_CHAINS[name]}: {title}", "step", where, seconds)

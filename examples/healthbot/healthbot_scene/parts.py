@@ -8,8 +8,9 @@ from pathlib import Path
 
 from attrs import frozen
 from uoarm_rtm.nameserver import nameserver_command
+from vision_demo.ports import listens
 
-from healthbot_scene.places import Places, listens
+from healthbot_scene.places import Places
 
 __all__ = ["Part", "parts_of"]
 

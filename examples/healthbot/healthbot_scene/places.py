@@ -14,10 +14,11 @@ from pathlib import Path
 from attrs import frozen
 from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
+from vision_demo.ports import listens
 
 from healthbot_scene.separate import HOSTS
 
-__all__ = ["EXAMPLE", "Places", "free_domain", "listens", "make_places"]
+__all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
 
 EXAMPLE = Path(__file__).resolve().parents[1]
 _RECOGNISERS = ("resnet", "lbph")
@@ -130,7 +131,8 @@ def make_places(
     for port in ports or ():
         if listens(port):
             raise OSError(
-                f"port {port} is in use, perhaps by another scene; --free-ports takes others"
+                f"port {port} is in use, perhaps by another scene; take others with "
+                "make healthbot ARGS=--free-ports, or scene.py --free-ports"
             )
     run.mkdir(parents=True, exist_ok=True)
     footage = prepare(cache)
@@ -175,9 +177,3 @@ def _free_ports() -> tuple[int, int, int, int]:
             each.bind(("127.0.0.1", 0))
         first, second, third, fourth = (each.getsockname()[1] for each in sockets)
     return first, second, third, fourth
-
-
-def listens(port: int) -> bool:
-    """Return whether somebody listens on a port of this machine."""
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0

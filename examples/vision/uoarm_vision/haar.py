@@ -13,7 +13,7 @@ from uoarm_vision.pixels import Picture, as_picture, boxed, resized
 __all__ = ["HaarDetector"]
 
 if not hasattr(cv2, "CascadeClassifier"):
-    raise ImportError("OpenCV 5 has no cascades: pip install 'opencv-contrib-python-headless<5'")
+    raise ImportError("OpenCV 5 has no cascades: pip install 'opencv-python-headless<5'")
 
 _CASCADE = Path(cv2.data.haarcascades) / "haarcascade_frontalface_default.xml"
 _STEP = 1.1

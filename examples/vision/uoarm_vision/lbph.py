@@ -21,7 +21,10 @@ from uoarm_vision.pixels import Picture, as_picture
 __all__ = ["LbphRecogniser", "enrol"]
 
 if not hasattr(cv2, "face"):
-    raise ImportError("OpenCV's face module is missing: pip install opencv-contrib-python-headless")
+    raise ImportError(
+        "OpenCV's face module is missing: put opencv-contrib-python-headless<5 in the place of "
+        "opencv-python-headless (the extra `vision-lbph` of uoarm instead of `vision`)"
+    )
 
 _FILE = "lbph.yml"
 _SIDE = 128

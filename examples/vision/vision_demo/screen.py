@@ -11,7 +11,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from uoarm import Plan, StatusMap
-from uoarm.resolve import tell_plan
 from vision_demo.tally import Tally
 
 __all__ = ["LiveStatus", "bar", "result_table", "show_plan"]
@@ -30,7 +29,7 @@ def bar(console: Console) -> Progress:
 
 def show_plan(console: Console, plan: Plan) -> None:
     """Print the plan and what was passed over, with reasons."""
-    console.print(tell_plan(plan), markup=False, highlight=False, soft_wrap=True)
+    console.print(str(plan), markup=False, highlight=False, soft_wrap=True)
     console.print()
 
 

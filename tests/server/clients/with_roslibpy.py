@@ -10,7 +10,9 @@ from typing import Any
 
 import roslibpy
 
-SECONDS = 20
+from uoarm.testing import patience
+
+SECONDS = patience()
 
 
 def main(url: str) -> None:

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { readAddress, writeAddress } from "../../../src/uoarm/server/static/app/address.js";
 import { pretty, rate, short, span } from "../../../src/uoarm/server/static/app/format.js";
-import { numbersOf, Series } from "../../../src/uoarm/server/static/app/numbers.js";
+import { numbersOf, Series, traced } from "../../../src/uoarm/server/static/app/numbers.js";
 import { findPicture, pixelsOf } from "../../../src/uoarm/server/static/app/picture.js";
 
 const base64 = (...octets) => Buffer.from(octets).toString("base64");
@@ -63,4 +63,11 @@ test("an address says what is shown, whatever the names", () => {
   assert.deepEqual(readAddress(writeAddress(place)), place);
   assert.deepEqual(readAddress("", "list"), { view: "list", kind: "", name: "", tab: "" });
   assert.deepEqual(readAddress("#/nonsense/%"), { view: "graph", kind: "", name: "", tab: "" });
+});
+
+test("a line goes from corner to corner, a level one through the middle, one point is none", () => {
+  assert.equal(traced({ times: [5, 6, 9], values: [-2, 2, 0] }), "M0.00 100.00L25.00 0.00L100.00 50.00");
+  assert.equal(traced({ times: [1, 2], values: [7, 7] }), "M0.00 50.00L100.00 50.00");
+  assert.equal(traced({ times: [1], values: [7] }), "");
+  assert.equal(traced({ times: [], values: [] }), "");
 });

@@ -1,0 +1,60 @@
+"""Components behind the server that `bench.attack` attacks."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, TypedDict
+
+CONFIGURATION = """
+version: 1
+bridges: {python: {}}
+functions:
+  add:
+    components:
+      - {name: add, bridge: python, service: {endpoint: ["bench._attack_components:add"]}}
+  anything:
+    components:
+      - {name: anything, bridge: python, service: {endpoint: ["bench._attack_components:anything"]}}
+  sleeper:
+    components:
+      - {name: sleeper, bridge: python, service: {endpoint: ["bench._attack_components:sleep"]}}
+  hang:
+    components:
+      - name: hang
+        bridge: python
+        input: {endpoint: ["bench._attack_components:hang"]}
+        output: {endpoint: ["bench._attack_components:hang"]}
+"""
+
+
+class Pair(TypedDict):
+    a: int
+    b: int
+
+
+class Sum(TypedDict):
+    sum: int
+
+
+class Numbers(TypedDict):
+    data: list[float]
+
+
+def add(pair: Pair) -> Sum:
+    return {"sum": pair["a"] + pair["b"]}
+
+
+def anything(message: Any) -> Sum:
+    """Take a value of any structure."""
+    del message
+    return {"sum": 1}
+
+
+def sleep(pair: Pair) -> Sum:
+    threading.Event().wait()
+    return {"sum": pair["a"]}
+
+
+def hang(numbers: Numbers) -> Numbers:
+    threading.Event().wait()
+    return numbers

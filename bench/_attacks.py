@@ -1,0 +1,251 @@
+"""What hostile clients do to a server, by name; each runs in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import Any
+from urllib.parse import urlsplit
+
+import cbor2
+from attrs import frozen
+from tests.server.hostile import HOSTILE, Hostile
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+__all__ = ["ATTACKS", "Attack"]
+
+SECONDS = 5.0
+
+
+@frozen
+class Attack:
+    """One attack.
+
+    Attributes:
+        row: of the list of what was found, for whoever compares.
+        sent: what is sent, in words.
+        run: does it; returns how the server answered. May raise ConnectionClosed and OSError.
+    """
+
+    row: str
+    sent: str
+    run: Callable[[str], str]
+
+
+@contextmanager
+def client(url: str, *, path: str = "/", binary: bool = False) -> Iterator[ClientConnection]:
+    form = Subprotocol("uoarm.v1.cbor" if binary else "uoarm.v1.json")
+    parts = urlsplit(url)
+    with connect(
+        f"ws://{parts.netloc}{path}", subprotocols=None if path != "/" else [form],
+        max_size=None, compression=None, ping_interval=None, close_timeout=1,
+    ) as made:  # fmt: skip
+        if path == "/":
+            made.recv()
+        yield made
+
+
+def told(frame: str | bytes) -> str:
+    """Return what one message of the server comes to, in a few words."""
+    message: Any = json.loads(frame) if isinstance(frame, str) else cbor2.loads(frame)
+    kind = message.get("op")
+    if kind == "Error":
+        return str(message["jsonMessage"]["code"])
+    if kind == "status":
+        return str(message["msg"]).partition(":")[0]
+    return str(kind) if message.get("result", True) is not False else "refused"
+
+
+def answers(made: ClientConnection, count: int, seconds: float = SECONDS) -> str:
+    """Return what came, counted."""
+    came: Counter[str] = Counter()
+    end = time.monotonic() + seconds
+    try:
+        while came.total() < count:
+            came[told(made.recv(timeout=max(0.0, end - time.monotonic())))] += 1
+    except TimeoutError:
+        came["no answer"] = count - came.total()
+    except ConnectionClosed as error:
+        came[f"closed {error.rcvd.code if error.rcvd else 'without a word'}"] += 1
+    return ", ".join(f"{count} x {what}" if count > 1 else what for what, count in came.items())
+
+
+def inputs(hostile: Hostile) -> Callable[[str], str]:
+    def run(url: str) -> str:
+        path = "/rosbridge" if hostile.form == "rosbridge" else "/"
+        with client(url, path=path, binary=hostile.form == "cbor") as made:
+            for frame in hostile.frames():
+                made.send(frame)
+            return answers(made, 1, 60)
+
+    return run
+
+
+def latch(url: str) -> str:
+    with client(url, path="/rosbridge") as made:
+        message = json.dumps({"data": ["1234567890"] * 300_000})
+        for number in range(30):
+            head = f'{{"op":"publish","topic":"/t{number}","latch":true,"id":"p","msg":'
+            made.send(f"{head}{message}}}")
+        return answers(made, 30)
+
+
+def numbers() -> str:
+    return json.dumps({"data": [number * 1.001 for number in range(100_000)]})
+
+
+def opened(made: ClientConnection) -> str:
+    made.send('{"op":"Request","type":"hang","id":"r"}')
+    answer = json.loads(made.recv(timeout=30))
+    return str(answer["jsonMessage"].get("connection", ""))
+
+
+def data(url: str) -> str:
+    message, came = numbers(), Counter[str]()
+    for _ in range(4):
+        with client(url) as made:
+            connection = opened(made)
+            for number in range(20) if connection else ():
+                head = f'{{"op":"Data","type":"{connection}","id":"d{number}","jsonMessage":'
+                made.send(f"{head}{message}}}")
+            came["sent, and left" if connection else "not opened"] += 1
+    return ", ".join(f"{count} x {what}" for what, count in came.items())
+
+
+def kills(url: str) -> str:
+    came: Counter[str] = Counter()
+    for _ in range(10):
+        with client(url) as made:
+            connection = opened(made)
+            if connection:
+                head = f'"type":"{connection}"'
+                made.send(f'{{"op":"Data",{head},"id":"d","jsonMessage":{{"data":[1.0]}}}}')
+                for number in range(100):
+                    made.send(f'{{"op":"Kill",{head},"id":"k{number}"}}')
+            came["killed" if connection else "not opened"] += 1
+    return ", ".join(f"{count} x {what}" for what, count in came.items())
+
+
+def hanging_calls(url: str) -> str:
+    call = '{"op":"Call","type":"sleeper","id":"c%d","x-timeout":0.01,"jsonMessage":{"a":1,"b":1}}'
+    with client(url) as made:
+        for number in range(400):
+            made.send(call % number)
+            if number % 20 == 19:
+                time.sleep(0.1)
+        return answers(made, 400)
+
+
+def wrong_type(url: str) -> str:
+    with client(url, path="/rosbridge") as one, client(url, path="/rosbridge") as other:
+        one.send('{"op":"subscribe","topic":"/chatter","type":"a/Wrong"}')
+        one.send('{"op":"call_service","service":"/rosapi/get_time"}')
+        answers(one, 1)
+        other.send('{"op":"advertise","topic":"/chatter","type":"a/Right","id":"a"}')
+        other.send('{"op":"call_service","service":"/rosapi/get_time"}')
+        first = answers(other, 1)
+        return "advertised" if first == "service_response" else f"publisher: {first}"
+
+
+def plain(url: str) -> socket.socket:
+    """Return a socket after a handshake, which nobody reads."""
+    parts = urlsplit(url)
+    made = socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=SECONDS)
+    made.sendall(
+        f"GET / HTTP/1.1\r\nHost: {parts.netloc}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    return made
+
+
+def flood(opcode: Opcode, content: bytes) -> Callable[[str], str]:
+    def run(url: str) -> str:
+        end = time.monotonic() + SECONDS
+        frames = Frame(opcode, content).serialize(mask=True) * 2000
+        sent = 0
+        with plain(url) as made:
+            made.settimeout(SECONDS)
+            try:
+                while time.monotonic() < end:
+                    made.sendall(frames)
+                    sent += 2000
+            except TimeoutError:
+                return f"{sent:,} sent, then read no more"
+            except OSError:
+                return f"{sent:,} sent, then cut off"
+        return f"{sent:,} sent"
+
+    return run
+
+
+def half_open(url: str) -> str:
+    parts = urlsplit(url)
+    made = []
+    with suppress(OSError):
+        for _ in range(500):
+            one = socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=2)
+            one.sendall(b"GET / HTTP/1.1\r\nHost: ")
+            made.append(one)
+    time.sleep(SECONDS)
+    return f"{len(made)} open"
+
+
+def two_hosts(url: str) -> str:
+    parts = urlsplit(url)
+    came: Counter[str] = Counter()
+    for line, more in (
+        ("/", f"Host: {parts.netloc}\r\nHost: x\r\n"),
+        ("//[x", "Host: localhost\r\n"),
+    ):
+        for _ in range(100):
+            with socket.create_connection((str(parts.hostname), int(parts.port or 0))) as one:
+                one.settimeout(SECONDS)
+                one.sendall(f"GET {line} HTTP/1.1\r\n{more}\r\n".encode())
+                came[one.recv(100).decode(errors="replace").partition("\r\n")[0][9:] or "cut"] += 1
+    return ", ".join(f"{count} x {what}" for what, count in came.items())
+
+
+def one_input(row: str, name: str) -> Attack:
+    return Attack(row, f"one frame: {name}", inputs(HOSTILE[name]))
+
+
+ATTACKS: Mapping[str, Attack] = {
+    "dimensions": one_input("1", "60,000 dimensions"),
+    "huge": one_input("2", "huge dimensions"),
+    "lists": one_input("3", "empty lists"),
+    "objects": one_input("3", "small objects to rosbridge"),
+    "cbor-lists": one_input("3", "empty lists in CBOR"),
+    "latch": Attack("4", "30 latched topics, 4 MB each", latch),
+    "data": Attack("5", "4 times 20 x 2 MB for a component that hangs, then gone", data),
+    "kills": Attack("6", "10 times 100 kills of what hangs", kills),
+    "calls": Attack("6", "400 calls that hang, given up after 10 ms", hanging_calls),
+    "type": Attack("8", "a subscriber with the wrong type, then the publisher", wrong_type),
+    "pings": Attack("9", "pings for five seconds, nothing read", flood(Opcode.PING, b"")),
+    "tiny": Attack(
+        "9", "List for five seconds, nothing read", flood(Opcode.TEXT, b'{"op":"List","id":"1"}')
+    ),
+    "half-open": Attack("10", "500 handshakes that do not go on", half_open),
+    "id": one_input("11", "dimensions as the id"),
+    "heads": Attack("12", "100 times Host twice, 100 times the path //[x", two_hosts),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Run the attack of a name on a server; prints how it answered."""
+    name, url = sys.argv[1:]
+    try:
+        print(ATTACKS[name].run(url))
+    except (ConnectionClosed, OSError) as error:
+        print(f"{type(error).__name__}: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,388 @@
+"""Every decoder of octets or text that come from elsewhere, with inputs to begin from.
+
+A decoder may refuse its input with the errors of its contract; whatever else it raises is a
+finding, and so is a message that its budget did not allow, or an error of more than 2,000
+characters.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from importlib.util import find_spec
+from typing import Any
+
+import msgpack
+import orjson
+from attrs import frozen
+from websockets.datastructures import Headers
+from websockets.exceptions import InvalidHeader
+from websockets.http11 import Request
+
+from uoarm.config import loads
+from uoarm.errors import ConfigurationError, ControlMessageError, MessageError
+from uoarm.flow import make_check
+from uoarm.host._codec import pack, unpack
+from uoarm.model import (
+    Budget,
+    MessageStructure,
+    Spending,
+    StatusMap,
+    ValidationMode,
+    from_json,
+    message_octets,
+    read_control,
+    scan_json,
+)
+from uoarm.server._request_head import RefusedError, read_head
+from uoarm.server.rosbridge._cdr import serialiser
+from uoarm.server.rosbridge._fragments import Fragments
+from uoarm.server.rosbridge._subscription import read_wish
+from uoarm.server.rosbridge._wire import check_fields, read_operation
+from uoarm.wire import BINARY_FORM, TEXT_FORM, Form, check_asked, write_binary
+
+BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
+_LONGEST_ERROR = 2000
+_STRUCTURE = MessageStructure(
+    {
+        "type": "object",
+        "properties": {
+            "data": {"type": "string", "x-octets": True},
+            "wide": {"type": "integer"},
+            "real": {"type": "number", "x-nonfinite": True},
+            "rows": {"type": "array", "items": {"type": "array", "items": {"type": "integer"}}},
+            "more": {"type": "object", "additionalProperties": {"$ref": "#"}},
+        },
+    }
+)
+_LAID_OUT = MessageStructure(
+    {
+        "type": "object",
+        "properties": {
+            "width": {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
+            "name": {"type": "string"},
+            "data": {
+                "type": "array",
+                "items": {"type": "number", "x-float": 64},
+            },
+        },
+        "required": ["width", "name", "data"],
+        "additionalProperties": False,
+    }
+)
+
+
+@frozen
+class Target:
+    """One decoder.
+
+    Attributes:
+        decode: takes any octets.
+        refuses: what it may raise.
+        seeds: inputs that it takes, or almost.
+    """
+
+    decode: Callable[[bytes], object]
+    refuses: tuple[type[Exception], ...]
+    seeds: tuple[bytes, ...]
+
+    def run(self, data: bytes) -> bool:
+        """Decode once; False when it was refused. Raises what is a finding."""
+        try:
+            self.decode(data)
+        except self.refuses as error:
+            assert len(str(error)) <= _LONGEST_ERROR, "an error that quotes its input"
+            return False
+        return True
+
+
+def within(value: object, budget: Budget) -> None:
+    """Fail when a value holds more than a budget allows; counted without the decoders."""
+    elements, depth, level = 0, 0, [value]
+    while level:
+        elements += len(level)
+        inner: list[object] = []
+        for one in level:
+            if isinstance(one, dict):
+                elements += len(one)
+                inner += one.values()
+            elif isinstance(one, list):
+                inner += one
+        depth += any(isinstance(one, dict | list) for one in level)
+        level = inner
+    assert elements <= budget.elements, f"{elements} values"
+    assert depth <= budget.depth, f"{depth} levels"
+    assert message_octets(value) > 0
+
+
+def text_of(data: bytes) -> str:
+    return data.decode("utf-8", "replace")
+
+
+def _form(form: Form) -> Callable[[bytes], object]:
+    def decode(data: bytes) -> None:
+        fields = form.read(text_of(data) if form.text else data, Spending(BUDGET))
+        within(fields, BUDGET)
+        asked = check_asked(fields)
+        written = form.write(dict(fields))
+        again = form.read(written.decode() if form.text else written, Spending(Budget()))
+        assert form.write(dict(again)) == written, asked
+
+    return decode
+
+
+def _scan(data: bytes) -> None:
+    """Whatever the parser of Python makes of a text, the scan has counted."""
+    text = text_of(data)
+    scan_json(text, Spending(BUDGET))
+    with suppress(ValueError):
+        within(json.loads(text), BUDGET)
+
+
+def _rosbridge(data: bytes) -> None:
+    fragments = Fragments(4096)
+    for line in text_of(data).split("\n"):
+        fields = read_operation(line, Spending(BUDGET))
+        within(fields, BUDGET)
+        check_fields(fields, ("op",))
+        read_wish(fields)
+        if fields["op"] == "fragment":
+            check_fields(fields, ("id", "data", "num", "total"))
+            whole = fragments.add(fields)
+            assert 0 <= fragments.octets <= 4096
+            if whole is not None:
+                read_operation(whole, Spending(BUDGET))
+
+
+def _logical(data: bytes) -> None:
+    message = orjson.loads(text_of(data))
+    reader = TEXT_FORM.reader(_STRUCTURE.schema)
+    assert reader is not None
+    check = make_check(_STRUCTURE, ValidationMode.ALWAYS, "here")
+    assert check is not None
+    check(reader(message))
+
+
+def _cdr(data: bytes) -> None:
+    serialiser(_LAID_OUT)(orjson.loads(text_of(data)))
+
+
+def _host_frame(data: bytes) -> None:
+    value = unpack(data)
+    with suppress(MessageError):  # it may hold what only a foreign writer makes
+        unpack(pack(value))
+
+
+def _status(data: bytes) -> None:
+    from_json(orjson.loads(text_of(data)), StatusMap)
+
+
+def _head(data: bytes) -> None:
+    path, *lines = text_of(data).split("\n")
+    headers = Headers()
+    for line in lines:
+        name, _, value = line.partition(":")
+        headers[name] = value
+    read_head(Request(path, headers))
+
+
+def _frame(tree: bytes, *buffers: bytes) -> bytes:
+    parts = (len(tree).to_bytes(4, "little") + tree, *buffers)
+    return b"".join(one + bytes(-len(one) % 8) for one in parts)
+
+
+def _asked(**fields: object) -> dict[str, object]:
+    return {"op": "Data", "type": "c1", "id": "1", "jsonMessage": fields}
+
+
+_JSON_SEEDS = (
+    b'{"op":"Request","type":"f.out","id":"1","jsonMessage":{"every":1,"queue":{"length":2}}}',
+    b'{"op":"Resume","id":"1","jsonMessage":{"key":"k","waiting":["1","2"]}}',
+    b'{"op":"Call","type":"f","id":"1","jsonMessage":[[],{},"[\\"{\\\\"],"x-timeout":1.5}',
+    b'{"op":"Data","type":"c1","id":"1","jsonMessage":{"a":[1,-2.5e3,true,null,"\\ud83d\\ude00"]}}',
+)
+_CBOR_SEEDS = (
+    write_binary(_asked(a=[1, 2.5, None, True, -7, 2**70], b=b"octets", c="text")),
+    write_binary(_asked()) + b"",
+    bytes.fromhex("a1626f70d828828202028401020304"),
+    bytes.fromhex("a1626f70d82882820102d84042abcd"),
+    bytes.fromhex("a1626f70d8544400000001"),
+    bytes.fromhex("a1626f70d85648000000000000f03f"),
+    bytes.fromhex("a1626f709f01ff"),
+    bytes.fromhex("bf626f707f6161ffff"),
+    bytes.fromhex("a1626f70c249010000000000000000"),
+)
+_CONFIGURATION = b"""\
+version: 1
+bridges: {python: {}}
+functions:
+  f:
+    components:
+      - {name: a, bridge: python, output: {endpoint: [m:f]}}
+"""
+_FRAGMENTS = b"""\
+{"op":"fragment","id":"a","num":1,"total":2,"data":"p\\":1}"}
+{"op":"fragment","id":"a","num":0,"total":2,"data":"{\\"o"}"""
+_CATALOGUE = b"""<catalogue profile="uoarm-rocos/1" device="d" heartbeat="1.0" seq="1" id="1">\
+<api name="a" kind="call"><text>t</text></api></catalogue>"""
+_CORE: Mapping[str, Target] = {
+    "JSON of the native protocol": Target(_form(TEXT_FORM), (ControlMessageError,), _JSON_SEEDS),
+    "CBOR of the native protocol": Target(_form(BINARY_FORM), (ControlMessageError,), _CBOR_SEEDS),
+    "scan of JSON against a parser": Target(_scan, (ControlMessageError,), _JSON_SEEDS),
+    "rosbridge with fragments": Target(
+        _rosbridge,
+        (ControlMessageError,),
+        (
+            b'{"op":"publish","topic":"/t","msg":{"a":[1]}}',
+            b'{"op":"subscribe","topic":"/t","throttle_rate":5,"queue_length":2,"compression":"cbor"}',
+            _FRAGMENTS,
+        ),
+    ),
+    "text to logical values": Target(
+        _logical,
+        (MessageError, orjson.JSONDecodeError),
+        (
+            b'{"data":"aGVsbG8=","wide":"-9223372036854775808","real":"NaN","rows":[[1,2],["3"]]}',
+            b'{"more":{"a":{"more":{"b":{"wide":1}}}}}',
+        ),
+    ),
+    "cbor-raw (CDR) from messages": Target(
+        _cdr,
+        (MessageError, orjson.JSONDecodeError),
+        (b'{"width":7,"name":"abc","data":[1,2.5]}',),
+    ),
+    "control messages of the model": Target(read_control, (ControlMessageError,), _JSON_SEEDS),
+    "frames of hosts": Target(
+        _host_frame,
+        (MessageError,),
+        (
+            pack({"a": [1, 2.5, None, "x", b"octets", 2**80], "b": {"c": [True]}}),
+            _frame(
+                msgpack.packb(msgpack.ExtType(1, msgpack.packb(("<f8", [2], 16)))),
+                struct.pack("<2d", 1, 2),
+            ),
+            _frame(msgpack.packb([msgpack.ExtType(1, msgpack.packb(("|u1", [2, 2], 4)))]), b"abcd"),
+        ),
+    ),
+    "status of hosts": Target(
+        _status,
+        (ValueError,),
+        (b'{"bridges":[],"components":[],"connections":[],"routes":[],"machines":[]}',),
+    ),
+    "heads of requests": Target(
+        _head,
+        (RefusedError, InvalidHeader),
+        (b"/uoarm?token=a&b=%41\nHost: localhost\nUpgrade: websocket\nAuthorization: Bearer t",),
+    ),
+    "configuration files": Target(
+        lambda data: loads(text_of(data)),
+        (ConfigurationError,),
+        (
+            _CONFIGURATION,
+            b"a: &b [1, *b]\n? {c: !!str 1}\n: >-\n  d\n",
+        ),
+    ),
+}
+
+
+def _devices() -> Mapping[str, Target]:
+    """Return the decoders of `uoarm-rocos`, where it is installed."""
+    if find_spec("uoarm_rocos") is None:
+        return {}
+    from uoarm_rocos._codec import XmlCodec
+    from uoarm_rocos._errors import WireError
+    from uoarm_rocos._framing import LengthFramer, StuffedFramer
+    from uoarm_rocos.devices._contec import ContecDecoder
+    from uoarm_rocos.devices._nonin import Nonin1Decoder, Nonin2Decoder
+    from uoarm_rocos.devices._ua767 import Ua767Decoder
+
+    codec = XmlCodec()
+
+    def xml(data: bytes) -> None:
+        codec.write(codec.read(data))
+
+    def in_two(make: Callable[[], Any]) -> Callable[[bytes], None]:
+        """A line arrives in pieces: where it is cut must make no difference."""
+
+        def feed(data: bytes) -> None:
+            whole, cut = make(), make()
+            middle = len(data) // 2
+            first = [*cut.feed(data[:middle]), *cut.feed(data[middle:])]
+            assert repr(whole.feed(data)) == repr(first)
+
+        return feed
+
+    return {
+        "XML of devices": Target(
+            xml,
+            (WireError,),
+            (
+                b'<call seq="1" id="2" api="a"><v name="x">1</v></call>',
+                b'<heartbeat seq="1"/>',
+                _CATALOGUE,
+            ),
+        ),
+        "frames on serial lines": Target(
+            in_two(StuffedFramer), (WireError,), (StuffedFramer().frame(b"abc}~"),)
+        ),
+        "frames over TCP": Target(
+            in_two(LengthFramer), (WireError,), (LengthFramer().frame(b"abc"),)
+        ),
+        "oximeters": Target(
+            lambda data: [
+                in_two(one)(data) for one in (ContecDecoder, Nonin1Decoder, Nonin2Decoder)
+            ],
+            (),
+            (bytes(range(128, 136)), b"\x01\x81\x3c\x62\x00\x10" * 5),
+        ),
+        "blood-pressure monitors": Target(in_two(Ua767Decoder), (), (b"8050494650\r\n\x02\x03",)),
+    }
+
+
+def _openrtm() -> Mapping[str, Target]:
+    """Return the decoder of `uoarm-rtm`, where it is installed."""
+    if find_spec("uoarm_rtm") is None:
+        return {}
+    from uoarm_rtm._codec import BIG, codec_of
+    from uoarm_rtm._shape import Choice, Enumeration, Field, Listing, Record, Scalar, Text, Variant
+
+    kind = Enumeration("Kind", ("A", "B"))
+    shape = Record(
+        "IDL:Fuzz:1.0",
+        (
+            Field("time", Scalar("unsigned long")),
+            Field("texts", Listing(Text())),
+            Field("wide", Text(wide=True)),
+            Field("numbers", Listing(Scalar("double"))),
+            Field("flags", Listing(Scalar("boolean"), 3)),
+            Field(
+                "choice",
+                Choice(
+                    "C",
+                    kind,
+                    (Variant("a", ("A",), Scalar("long")), Variant("b", ("B",), Text())),
+                ),
+            ),
+        ),
+    )
+    codec = codec_of(shape)
+    message = {
+        "time": 1, "texts": ["a", "b"], "wide": "w", "numbers": [1.0, 2.0],
+        "flags": [True, False],
+    }  # fmt: skip
+    seeds = tuple(
+        codec.encode({**message, "choice": choice})
+        for choice in ({"switch": "A", "a": 1}, {"switch": "B", "b": "x"})
+    )
+
+    def decode(data: bytes) -> None:
+        with suppress(MessageError):
+            codec.decode(data, BIG)
+        codec.encode(codec.decode(data))
+
+    return {"CDR of OpenRTM": Target(decode, (MessageError,), seeds)}
+
+
+TARGETS: Mapping[str, Target] = {**_CORE, **_devices(), **_openrtm()}

@@ -1,0 +1,167 @@
+"""The harness of the tests, a plugin of pytest: isolation, leaks, limits, needs, parallel runs."""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.harness import _leaks, _needs, _places
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
+
+from uoarm.testing import patience, slowness
+
+__all__ = ["Scheduler"]
+
+# Now, as other conftests read the environment when they are imported.
+_places.isolate()
+
+# One worker runs all tests of these, so that the scene is started once.
+TOGETHER = {"tests/examples/test_healthbot.py"}
+# The last resort against a test that hangs where nothing limits its wait.
+HANGING = 10
+# Processor time, which a busy machine does not lengthen, from which on a test is a long one.
+LONG_SECONDS = 120.0
+ORDER = "UOARM_TEST_ORDER"
+_HELD = pytest.StashKey[_leaks.Holdings]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line(
+        "markers", "needs(*what): programs, packages or data it cannot do without"
+    )
+    config.addinivalue_line(
+        "markers", "keeps(*what): what a library that is first used in it never gives back"
+    )
+    config.addinivalue_line("markers", "long: runs with `make test-long` only")
+    if config.option.timeout is None:
+        config.option.timeout = HANGING * patience()
+
+
+def pytest_report_header() -> str:
+    return f"slowness of this machine: {slowness():.1f}, so waits end after {patience():.0f} s"
+
+
+class Unavailable(pytest.Module):
+    """A module that cannot be imported, as something that it needs is not here."""
+
+    def collect(self) -> list[pytest.Item]:
+        if "not needs" in self.config.option.markexpr:
+            return []
+        found = _needs.refused(_needs.of_module(_path(self.config, self.path)))
+        assert found
+        reason, outcome = found
+        if outcome is pytest.fail:
+            raise self.CollectError(reason)
+        pytest.skip(reason, allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(
+    module_path: Path, parent: pytest.Collector
+) -> pytest.Module | None:
+    if _needs.refused(_needs.of_module(_path(parent.config, module_path))) is None:
+        return None
+    module: pytest.Module = Unavailable.from_parent(parent, path=module_path)
+    return module
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what modules need; with UOARM_TEST_ORDER=<number>, run in an order of that number."""
+    for item in items:
+        if kept := _needs.kept_by_module(_path(config, item.path)):
+            item.add_marker(pytest.mark.keeps(*kept))
+        if needs := _needs.of_module(_path(config, item.path)):
+            item.add_marker(pytest.mark.needs(*needs))
+    if seed := os.environ.get(ORDER):
+        random.Random(seed).shuffle(items)
+
+
+@pytest.hookimpl(specname="pytest_runtest_setup", tryfirst=True)
+def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
+    _needs.check(item)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
+    item.stash[_HELD] = _leaks.Holdings()
+    with _leaks.maker(item.nodeid):
+        yield
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    begin = time.process_time()
+    with _leaks.maker(item.nodeid):
+        yield
+    spent = time.process_time() - begin
+    if spent > LONG_SECONDS and not item.get_closest_marker("long"):
+        pytest.fail(
+            f"{spent:.0f} s of processor time: make it less, or mark it long", pytrace=False
+        )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(
+    fixturedef: pytest.FixtureDef[Any], request: pytest.FixtureRequest
+) -> Generator[None, object, object]:
+    """What a fixture of several tests holds is no leak of the test that is the first to use it."""
+    held = request.node.stash.get(_HELD, None) or request._pyfuncitem.stash.get(_HELD, None)
+    if fixturedef.scope == "function" or held is None:
+        return (yield)
+    before = _leaks.Holdings()
+    with _leaks.maker(f"fixture {fixturedef.argname}"):
+        made = yield
+    held.keep(before)
+    return made
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, None, None]:
+    with _leaks.maker(item.nodeid):
+        yield
+    held = item.stash.get(_HELD, None)
+    if held is None:
+        return
+    del item.stash[_HELD]
+    kept = tuple(str(what) for mark in item.iter_markers("keeps") for what in mark.args)
+    left = held.left(item.nodeid, kept)
+    if left:
+        _leaks.end_processes(item.nodeid)
+        pytest.fail(f"{item.nodeid} left behind:\n" + "\n".join(left), pytrace=False)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    left = _leaks.processes_of()
+    if left:
+        _leaks.end_processes()
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        print(f"\nprocesses left behind by this run: {left}")  # noqa: T201 - after the reports
+
+
+def _path(config: pytest.Config, path: Path) -> str:
+    return (
+        path.relative_to(config.rootpath).as_posix() if path.is_relative_to(config.rootpath) else ""
+    )
+
+
+class Scheduler(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
+    """Hands single tests to workers; those of a module that starts something big stay together.
+
+    (xdist has a mark for that, which pytest 9.2 leaves without effect.)
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        module = nodeid.partition("::")[0]
+        return module if module in TOGETHER else nodeid
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scheduler | None:
+    return Scheduler(config, log) if config.getvalue("dist") == "load" else None

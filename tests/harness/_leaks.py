@@ -1,0 +1,176 @@
+"""What a test leaves behind: threads, processes, descriptors, temporary folders, changed settings.
+
+Linux tells of all of it; elsewhere processes and descriptors go unseen.
+"""
+
+from __future__ import annotations
+
+import gc
+import locale
+import os
+import re
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+
+from uoarm.testing import patience
+
+__all__ = ["Holdings", "end_processes", "maker", "processes_of"]
+
+MARK = "UOARM_TEST_MADE_BY"
+_RUN = f"{os.getpid()}-{time.monotonic_ns()}"
+_PROCESSES = Path("/proc")
+_DESCRIPTORS = Path("/proc/self/fd")
+_GLANCE_SECONDS = 0.01
+# These come by themselves with a library's first use and stay for the next one.
+_OF_LIBRARIES = re.compile(r"anon_inode:|/dev/(u?random|null)$|/memfd:|.*\.(so|py|zip|db)$")
+_IDLE_THREADS = {"uoarm-step"}  # the core's own, which end by themselves
+
+_STARTING = {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.system"}
+_starts = 0  # looking for processes costs too much to be done after tests that started none
+
+
+def _notice(event: str, _arguments: object) -> None:
+    global _starts  # noqa: PLW0603 - an audit hook has no other place
+    _starts += event in _STARTING
+
+
+sys.addaudithook(_notice)
+
+
+class maker:  # noqa: N801 - used like a function
+    """Everything that processes started in this block, and by their children, is put to a name."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __enter__(self) -> None:
+        self._before = os.environ.get(MARK)
+        os.environ[MARK] = f"{_RUN} {self._name}"
+
+    def __exit__(self, *error: object) -> None:
+        if self._before is None:
+            os.environ.pop(MARK, None)
+        else:
+            os.environ[MARK] = self._before
+
+
+class Holdings:
+    """What this process holds at one moment, and how it is set."""
+
+    def __init__(self) -> None:
+        self._starts = _starts
+        self._threads = set(threading.enumerate())
+        self._descriptors = _descriptors()
+        self._folders = _folders()
+        self._settings = _settings()
+
+    def keep(self, before: Holdings) -> None:
+        """Count what has come since `before` as held: by a fixture that other tests use, too."""
+        self._threads |= set(threading.enumerate()) - before._threads
+        self._descriptors += _descriptors() - before._descriptors
+        self._folders |= _folders() - before._folders
+        settings = _settings()
+        self._settings |= {
+            name: value for name, value in settings.items() if value != before._settings.get(name)
+        }
+
+    def left(self, name: str, kept: tuple[str, ...] = ()) -> list[str]:
+        """Return what is there that was not, after the time that it may take to end by itself.
+
+        What begins with one of `kept` does not count.
+        """
+        found = self._found(name, kept)
+        if found:
+            deadline = time.monotonic() + patience() / 6
+            pause = threading.Event()
+            gc.collect()
+            while (found := self._found(name, kept)) and time.monotonic() < deadline:
+                pause.wait(_GLANCE_SECONDS)
+        settings = _settings()
+        return found + [
+            f"{what} changed from {self._settings.get(what)!r} to {settings.get(what)!r}"
+            for what in self._settings.keys() | settings.keys()
+            if self._settings.get(what) != settings.get(what)
+        ]
+
+    def _found(self, name: str, kept: tuple[str, ...]) -> list[str]:
+        found = [
+            f"thread {one.name!r}"
+            for one in threading.enumerate()
+            if one not in self._threads
+            and one.name not in _IDLE_THREADS
+            and not isinstance(one, threading._DummyThread)
+        ]
+        if _starts != self._starts:
+            found += [f"process {pid}: {text}" for pid, text in processes_of(name).items()]
+        extra = _descriptors() - self._descriptors
+        found += [f"descriptor of {one}" for one in extra.elements()]
+        found += [f"temporary {one}" for one in _folders() - self._folders]
+        return [one for one in found if not one.startswith(kept)]
+
+
+def processes_of(name: str = "") -> dict[int, str]:
+    """Return the processes made by this run under a name, or under any, with their commands."""
+    wanted = f"{MARK}={_RUN} {name}"
+    found = {}
+    for folder in _PROCESSES.iterdir() if _PROCESSES.is_dir() else ():
+        if not folder.name.isdigit() or int(folder.name) == os.getpid():
+            continue
+        with suppress(OSError):  # it ended meanwhile, or is another user's
+            entries = (folder / "environ").read_bytes().decode(errors="replace").split("\0")
+            made = [one for one in entries if one.startswith(MARK)]
+            if made and (made[0] == wanted if name else made[0].startswith(wanted)):
+                command = (folder / "cmdline").read_bytes().decode(errors="replace")
+                found[int(folder.name)] = command.replace("\0", " ")[:200]
+    return found
+
+
+def end_processes(name: str = "") -> None:
+    """Kill what a test left behind, so that it disturbs no other one."""
+    for pid in processes_of(name):
+        with suppress(OSError):
+            os.kill(pid, signal.SIGKILL)
+        with suppress(OSError):
+            os.waitpid(pid, 0)
+
+
+def _descriptors() -> Counter[str]:
+    found: Counter[str] = Counter()
+    try:
+        entries = list(os.scandir(_DESCRIPTORS))
+    except OSError:
+        return found
+    for entry in entries:
+        with suppress(OSError):
+            place = os.readlink(entry)  # noqa: PTH115 - done for each of thousands of tests
+            if not _OF_LIBRARIES.match(place) and not place.endswith("/fd"):
+                found[place] += 1
+    return found
+
+
+def _folders() -> set[str]:
+    return {entry.path for entry in os.scandir(tempfile.gettempdir())}
+
+
+def _settings() -> dict[str, object]:
+    """Return what one test can change under another's feet."""
+    found: dict[str, object] = {f"${name}": value for name, value in os.environ.items()}
+    # OpenCV changes the second one when it is imported.
+    for name in ("$PYTEST_CURRENT_TEST", "$LD_LIBRARY_PATH", f"${MARK}"):
+        found.pop(name, None)
+    found["the working directory"] = Path.cwd()
+    found["the locale"] = locale.setlocale(locale.LC_ALL)
+    found["sys.excepthook"] = sys.excepthook
+    found["threading.excepthook"] = threading.excepthook
+    found["the switch interval"] = sys.getswitchinterval()
+    found["the recursion limit"] = sys.getrecursionlimit()
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
+            found[f"the handler of {number.name}"] = signal.getsignal(number)
+    return found

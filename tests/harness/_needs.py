@@ -1,0 +1,131 @@
+"""What tests need beyond `.[dev]`: whether it is here, and how to get it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Callable, Iterator
+from fnmatch import fnmatch
+from functools import cache
+from importlib.util import find_spec
+
+import pytest
+from attrs import field, frozen
+
+__all__ = ["MODULES", "NEEDS", "Need", "check", "kept_by_module", "missing", "of_module"]
+
+
+@frozen
+class Need:
+    """Something that not every machine has.
+
+    Attributes:
+        programs: of which one must be on the PATH.
+        packages: Python modules that must all be importable.
+        get: how to get it.
+        systems: where it exists at all, as system and machine; everywhere when empty.
+    """
+
+    get: str
+    programs: tuple[str, ...] = ()
+    packages: tuple[str, ...] = ()
+    systems: frozenset[tuple[str, str]] = field(default=frozenset())
+
+    @property
+    def exists(self) -> bool:
+        """Whether it can be had for this kind of machine."""
+        return not self.systems or (platform.system(), platform.machine()) in self.systems
+
+    @property
+    def lacking(self) -> str:
+        """Return what of it is not here; empty when nothing is missing."""
+        gone = [name for name in self.packages if find_spec(name) is None]
+        if self.programs and not any(map(shutil.which, self.programs)):
+            gone.append(self.programs[0])
+        return ", ".join(gone)
+
+
+VISION = "pip install -e '.[vision-lbph,vision-dlib]'"
+ROS = frozenset({("Linux", "x86_64")})
+NEEDS = {
+    "vision": Need(VISION, packages=("cv2", "dlib", "face_recognition_models")),
+    "records": Need(
+        "pip install -e '.[healthbot]'", packages=("httpx", "sqlalchemy", "starlette", "uvicorn")
+    ),
+    "ros2": Need("pip install -e 'plugins/uoarm-ros2[dev]'", packages=("rclpy",), systems=ROS),
+    "rtm": Need("pip install -e 'plugins/uoarm-rtm[dev]'", packages=("uoarm_rtm", "omniORB")),
+    "rocos": Need(
+        "pip install -e 'plugins/uoarm-rocos[dev]'",
+        packages=("uoarm_rocos", "serial", "espeakng_loader"),
+    ),
+    "chromium": Need(
+        "apt install chromium, or Chrome on the PATH",
+        programs=("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"),
+    ),
+    "node": Need("Node.js 20.10 or later: apt install nodejs", programs=("node",)),
+    "npm": Need("apt install npm", programs=("npm",)),
+    "festival": Need("apt install festival festvox-kallpc16k", programs=("text2wave",)),
+}
+HEALTHBOT = ("ros2", "rtm", "rocos", "records", "vision")
+
+MODULES = {
+    "tests/examples/test_vision_*.py": ("vision",),
+    "tests/examples/test_records.py": ("records",),
+    "tests/examples/test_healthbot.py": HEALTHBOT,
+    "plugins/uoarm-ros2/tests/*": ("ros2",),
+    "plugins/uoarm-rtm/tests/*": ("rtm",),
+    "plugins/uoarm-rocos/tests/*": ("rocos",),
+}
+"""What a whole module needs, also for being imported."""
+
+
+KEEPS = {
+    # DDS keeps sockets, and the ORB connections and threads, for whoever comes next.
+    "plugins/uoarm-ros2/tests/*": ("descriptor",),
+    "plugins/uoarm-rtm/tests/*": ("descriptor", "thread 'omniORB", "thread 'uoarm-rtm-end"),
+}
+"""What libraries of a whole module give back late or never; see the marker."""
+
+
+def kept_by_module(path: str) -> tuple[str, ...]:
+    """Return what libraries of a module keep, by its path from the root of the repository."""
+    return next((kept for pattern, kept in KEEPS.items() if fnmatch(path, pattern)), ())
+
+
+def of_module(path: str) -> tuple[str, ...]:
+    """Return what a module needs, by its path from the root of the repository."""
+    return next((needs for pattern, needs in MODULES.items() if fnmatch(path, pattern)), ())
+
+
+@cache
+def missing(name: str) -> str:
+    """Return why a need is not met, and what to do; empty when it is."""
+    need = NEEDS[name]
+    gone = need.lacking
+    if not gone:
+        return ""
+    if not need.exists:
+        return f"{gone}: not there for {platform.system()} on {platform.machine()}"
+    return f"needs {gone}: {need.get}"
+
+
+def refused(names: Iterator[str] | tuple[str, ...]) -> tuple[str, Callable[..., object]] | None:
+    """Return the reason and whether to skip or to fail, or None where nothing is missing.
+
+    Automation is to install every package that exists for its machine: there it is a failure.
+    """
+    for name in names:
+        if reason := missing(name):
+            need = NEEDS[name]
+            fails = os.environ.get("CI") and need.exists and need.packages
+            return reason, (pytest.fail if fails else pytest.skip)
+    return None
+
+
+def check(item: pytest.Item) -> None:
+    """Skip a test that cannot be run here, with the reason; fail it where it must be."""
+    names = (str(name) for mark in item.iter_markers("needs") for name in mark.args)
+    if found := refused(names):
+        reason, outcome = found
+        outcome(reason)

@@ -1,0 +1,278 @@
+"""The harness catches what it is for: leaks, hangs, slow tests, order, what a shell hands down."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.harness._needs import MODULES, NEEDS
+from tests.tiers import TIERS
+
+ROOT = Path(__file__).parents[2]
+Run = Callable[..., "pytest.RunResult"]
+
+
+@pytest.fixture
+def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run a module of tests under the harness, in a process of its own."""
+
+    def begin(tests: str, *options: str, set_up: str = "", **environment: str) -> pytest.RunResult:
+        pytester.makepyfile(tests)
+        pytester.makeconftest(f"import tests.harness as harness\n{set_up}\n")
+        pytester.makeini("[pytest]\nfilterwarnings = error")
+        monkeypatch.delenv("CI", raising=False)
+        for name, value in {"PYTHONPATH": str(ROOT), **environment}.items():
+            monkeypatch.setenv(name, value)
+        given = ("-p", "tests.harness", "-p", "no:cacheprovider", *options)
+        return pytester.runpytest_subprocess(*given)
+
+    return begin
+
+
+LEAKS = {
+    "threading.Thread(target=threading.Event().wait, name='stray', daemon=True).start()": (
+        "thread 'stray'"
+    ),
+    "subprocess.Popen(['sleep', '1000']).returncode = 0": "process *: sleep 1000",
+    "subprocess.run('sleep 1000 & sleep 1000 & exit', shell=True)": "process *: sleep 1000",
+    "subprocess.run(['setsid', '-f', 'sleep', '1000'])": "process *: sleep 1000",
+    "kept.append(socket.socket())": "descriptor of socket:*",
+    "os.pipe()": "descriptor of pipe:*",
+    "tempfile.mkdtemp(prefix='stray')": "temporary *stray*",
+    "os.environ['STRAY'] = 'yes'": "$STRAY changed from None to 'yes'",
+    "os.chdir('/')": "the working directory changed*",
+    "signal.signal(signal.SIGTERM, signal.SIG_IGN)": "the handler of SIGTERM changed*",
+    "locale.setlocale(locale.LC_ALL, 'C')": "the locale changed*",
+}
+LEAKING = """
+    import locale, os, signal, socket, subprocess, tempfile, threading
+
+    kept = []
+
+    def test_before():
+        pass
+
+    def test_leaking():
+        {leak}
+
+    def test_after():
+        pass
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
+@pytest.mark.parametrize("leak", LEAKS)
+def test_a_leak_fails_the_test_that_made_it_by_name(run: Run, leak: str) -> None:
+    found = run(
+        LEAKING.format(leak=leak),
+        set_up="from tests.harness import _leaks\n_leaks.patience = lambda: 1.0",
+    )
+    found.assert_outcomes(passed=3, errors=1)
+    found.stdout.fnmatch_lines(["*test_leaking left behind:", f"*{LEAKS[leak]}*"])
+    assert "processes left behind" not in found.stdout.str()
+
+
+def test_what_a_fixture_of_several_tests_holds_is_no_leak(run: Run) -> None:
+    found = run("""
+        import subprocess, threading
+        import pytest
+
+        @pytest.fixture(scope="module")
+        def held():
+            go = threading.Event()
+            thread = threading.Thread(target=go.wait)
+            thread.start()
+            with subprocess.Popen(["sleep", "1000"]) as process:
+                yield
+                process.kill()
+            go.set()
+            thread.join()
+
+        def test_one(held):
+            pass
+
+        def test_two(held):
+            pass
+    """)
+    found.assert_outcomes(passed=2)
+    assert found.ret == 0
+
+
+def test_a_process_that_outlives_the_run_fails_the_run_and_is_ended(run: Run) -> None:
+    found = run("""
+        import subprocess
+        import pytest
+
+        @pytest.fixture(scope="session")
+        def held():
+            subprocess.Popen(["sleep", "1000"]).returncode = 0
+
+        def test_one(held):
+            pass
+    """)
+    found.assert_outcomes(passed=1)
+    assert found.ret == pytest.ExitCode.TESTS_FAILED
+    found.stdout.fnmatch_lines(["processes left behind by this run: *sleep 1000*"])
+
+
+def test_a_test_that_hangs_is_ended_and_says_where(run: Run) -> None:
+    found = run(
+        """
+        import threading
+
+        def test_hanging():
+            threading.Event().wait()
+
+        def test_after():
+            pass
+        """,
+        set_up="harness.HANGING = 0.01",
+        UOARM_TEST_SLOWNESS="1",
+    )
+    found.assert_outcomes(failed=1, passed=1)
+    found.stdout.fnmatch_lines(["*threading.Event().wait()", "*Timeout (>0.6s)*"])
+
+
+def test_a_test_that_works_too_long_fails_however_fast_the_machine(run: Run) -> None:
+    found = run(
+        """
+        import time
+        import pytest
+
+        def work():
+            end = time.process_time() + 0.5
+            while time.process_time() < end:
+                pass
+
+        def test_slow():
+            work()
+
+        @pytest.mark.long
+        def test_long():
+            work()
+
+        def test_that_waits():
+            time.sleep(0.6)
+        """,
+        set_up="harness.LONG_SECONDS = 0.3",
+    )
+    found.assert_outcomes(failed=1, passed=2)
+    found.stdout.fnmatch_lines(["*s of processor time: make it less, or mark it long"])
+
+
+ORDERED = """
+    made = []
+
+    def test_one():
+        made.append(1)
+
+    def test_two():
+        assert made == [1]
+"""
+
+
+def test_another_order_finds_a_test_that_depends_on_it(run: Run) -> None:
+    run(ORDERED).assert_outcomes(passed=2)
+    found = (run(ORDERED, UOARM_TEST_ORDER=str(seed)) for seed in range(4, 20))
+    assert any(one.parseoutcomes() == {"failed": 1, "passed": 1} for one in found)
+
+
+def test_nothing_of_the_shell_is_inherited(run: Run, tmp_path: Path) -> None:
+    found = run(
+        """
+        import os, tempfile
+        from pathlib import Path
+
+        def test_places():
+            assert not {"DISPLAY", "ROS_DOMAIN_ID", "UOARM_HOME", "LC_ALL"} & os.environ.keys()
+            assert not [name for name in os.environ if name.startswith("PYTHON")]
+            assert Path.home().name == "home"
+            assert Path.home().parent == Path(tempfile.gettempdir()).parent
+        """,
+        DISPLAY=":9",
+        ROS_DOMAIN_ID="7",
+        UOARM_HOME=str(tmp_path),
+        PYTHONSTARTUP="nothing.py",
+        LC_ALL="C",
+    )
+    found.assert_outcomes(passed=1)
+
+
+IGNORING = """
+import signal, sys
+for name in sys.argv[1].split(","):
+    signal.signal(getattr(signal, name), signal.SIG_IGN)
+import pytest
+sys.exit(pytest.main(sys.argv[2:]))
+"""
+
+
+def test_ignored_signals_are_not_handed_down(pytester: pytest.Pytester, run: Run) -> None:
+    """As under `nohup make test &`."""
+    file = pytester.makepyfile(
+        test_children="""
+        import os, signal, subprocess, sys
+        import pytest
+
+        @pytest.mark.parametrize("name", ["SIGINT", "SIGHUP", "SIGTERM", "SIGQUIT"])
+        def test_a_child_ends_by_a_signal(name):
+            number = getattr(signal, name)
+            with subprocess.Popen(["sleep", "1000"]) as process:
+                process.send_signal(number)
+                assert process.wait() == -number
+            os.kill(os.getpid(), number) if name != "SIGTERM" else None
+        """
+    )
+    command = [sys.executable, "-c", IGNORING, "SIGINT,SIGHUP,SIGQUIT", "-p", "tests.harness"]
+    done = subprocess.run(
+        [*command, str(file)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+    )
+    assert "4 passed" in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("automatic", [False, True], ids=["by hand", "in automation"])
+def test_what_is_missing_is_a_skip_by_hand_and_a_failure_in_automation(
+    run: Run, automatic: bool
+) -> None:
+    found = run(
+        """
+        import pytest
+
+        @pytest.mark.needs("dream")
+        def test_package():
+            raise AssertionError
+
+        @pytest.mark.needs("engine")
+        def test_program():
+            raise AssertionError
+
+        @pytest.mark.needs("elsewhere")
+        def test_another_machine():
+            raise AssertionError
+        """,
+        "-ra",
+        set_up="""
+from tests.harness._needs import NEEDS, Need
+NEEDS["dream"] = Need("pip install dream", packages=("no_such_package",))
+NEEDS["engine"] = Need("apt install engine", programs=("no-such-program",))
+far = frozenset({("Multics", "GE-645")})
+NEEDS["elsewhere"] = Need("pip install it", packages=("no_such_package",), systems=far)
+""",
+        **({"CI": "true"} if automatic else {}),
+    )
+    found.assert_outcomes(skipped=2 if automatic else 3, errors=1 if automatic else 0)
+    found.stdout.fnmatch_lines(["*needs no_such_package: pip install dream*"])
+    found.stdout.fnmatch_lines(["*needs no-such-program: apt install engine*"])
+    found.stdout.fnmatch_lines(["*no_such_package: not there for *"])
+
+
+def test_whatever_a_tier_or_a_module_needs_is_known() -> None:
+    needed = [*(tier.needs for tier in TIERS), *MODULES.values()]
+    assert {name for names in needed for name in names} <= NEEDS.keys()

@@ -1,0 +1,165 @@
+"""What is handed out: source archives that hold their own only, wheels that build alike twice."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from email.message import Message
+from email.parser import Parser
+from hashlib import sha256
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("hatchling", reason="hatchling builds the distributions: pip install .[dev]")
+
+ROOT = Path(__file__).parents[2]
+PROJECTS = {
+    "uoarm": ROOT,
+    **{folder.name: folder for folder in sorted((ROOT / "plugins").glob("uoarm-*"))},
+}
+PARTS = ("pyproject.toml", ".gitignore", "README.md", "CHANGELOG.md", "LICENSE", "regenerate.py")
+FOLDERS = ("src", "tests", "docs", "plugins", "examples")
+Built = dict[str, tuple[Path, Path]]
+
+
+def copied(project: Path, target: Path) -> Path:
+    """Copy what belongs to a project, so that files have other times and other rights."""
+    target.mkdir()
+    for name in PARTS:
+        if (project / name).exists():
+            shutil.copyfile(project / name, target / name)
+    ignored = shutil.ignore_patterns("__pycache__", ".*_cache", ".hypothesis", ".venv")
+    for name in FOLDERS:
+        if (project / name).exists():
+            shutil.copytree(
+                project / name, target / name, ignore=ignored, copy_function=shutil.copyfile
+            )
+    return target
+
+
+def build(project: Path, into: Path, umask: int) -> tuple[Path, Path]:
+    """Build the source archive and the wheel of a project."""
+    command = [sys.executable, "-m", "hatchling", "build", "-d", str(into)]
+    variables = {**os.environ, "SOURCE_DATE_EPOCH": "1700000000", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command,
+        cwd=project,
+        env=variables,
+        umask=umask,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    [source], [wheel] = into.glob("*.tar.gz"), into.glob("*.whl")
+    return source, wheel
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, Path]]:
+    """Return the distributions of a project, built once."""
+    ready: Built = {}
+
+    def of(name: str) -> tuple[Path, Path]:
+        if name not in ready:
+            ready[name] = build(PROJECTS[name], tmp_path_factory.mktemp(name), 0o022)
+        return ready[name]
+
+    return of
+
+
+def metadata(wheel: Path) -> Message:
+    with zipfile.ZipFile(wheel) as archive:
+        [name] = [one for one in archive.namelist() if one.endswith(".dist-info/METADATA")]
+        return Parser().parsestr(archive.read(name).decode())
+
+
+def entries(source: Path) -> Iterator[str]:
+    """Yield the files of a source archive, below its one folder."""
+    with tarfile.open(source) as archive:
+        for name in archive.getnames():
+            yield name.partition("/")[2]
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_a_source_archive_holds_its_own_project_only(
+    name: str, built: Callable[[str], tuple[Path, Path]]
+) -> None:
+    allowed = {"src", "tests", "docs", "PKG-INFO", *PARTS}
+    package = name.replace("-", "_")
+    for entry in entries(built(name)[0]):
+        first, _, rest = entry.partition("/")
+        assert first in allowed, entry
+        assert first != "src" or rest.startswith(f"{package}/"), entry
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_a_source_archive_holds_what_its_wheel_is_built_from(
+    name: str, built: Callable[[str], tuple[Path, Path]]
+) -> None:
+    source, wheel = built(name)
+    there = set(entries(source))
+    with zipfile.ZipFile(wheel) as archive:
+        modules = [one for one in archive.namelist() if ".dist-info/" not in one]
+    assert {f"src/{one}" for one in modules} <= there
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_the_same_files_build_into_the_same_octets(
+    name: str, built: Callable[[str], tuple[Path, Path]], tmp_path: Path
+) -> None:
+    shutil.copyfile(ROOT / ".gitignore", tmp_path / ".gitignore")  # it is in source archives, too
+    project = copied(PROJECTS[name], tmp_path / "elsewhere")
+    (tmp_path / "out").mkdir()
+    again = build(project, tmp_path / "out", 0o077)
+    digests = [
+        [sha256(one.read_bytes()).hexdigest() for one in pair] for pair in (built(name), again)
+    ]
+    assert digests[0] == digests[1]
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_the_metadata_say_whose_it_is_and_where_it_runs(
+    name: str, built: Callable[[str], tuple[Path, Path]]
+) -> None:
+    told = metadata(built(name)[1])
+    assert told["Author"] == "the uoarm developers"
+    assert told["License-Expression"] == "Apache-2.0"
+    classifiers = told.get_all("Classifier") or []
+    assert "Operating System :: POSIX :: Linux" in classifiers
+    assert "Programming Language :: Python :: 3.13" in classifiers
+
+
+@pytest.mark.parametrize("name", PROJECTS)
+def test_the_page_of_an_index_links_to_nothing_that_lies_in_the_repository(
+    name: str, built: Callable[[str], tuple[Path, Path]]
+) -> None:
+    page = metadata(built(name)[1]).get_payload()
+    assert isinstance(page, str)
+    assert page.startswith(f"# {name}")
+    links = re.findall(r"\]\(([^)]*)\)", page)
+    assert not [one for one in links if not one.startswith("https://")]
+
+
+@pytest.mark.parametrize("name", [one for one in PROJECTS if one != "uoarm"])
+def test_a_plugin_bounds_the_core_below_and_above(
+    name: str, built: Callable[[str], tuple[Path, Path]]
+) -> None:
+    needs = metadata(built(name)[1]).get_all("Requires-Dist") or []
+    [core] = [one for one in needs if re.match(r"uoarm[<>=]", one)]
+    assert set(core.removeprefix("uoarm").split(",")) == {">=0.1", "<0.2"}
+
+
+def test_the_extras_do_not_bring_two_builds_of_one_opencv(
+    built: Callable[[str], tuple[Path, Path]],
+) -> None:
+    needs = metadata(built("uoarm")[1]).get_all("Requires-Dist") or []
+    vision = [one for one in needs if one.startswith("opencv") and one.endswith("== 'vision'")]
+    assert [one.partition("<")[0] for one in vision] == ["opencv-python-headless"]

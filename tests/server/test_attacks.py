@@ -1,0 +1,128 @@
+"""Beside hostile clients a well-behaved one is served, in bounded memory; a fast `bench.attack`.
+
+What a call may cost is counted in CPU time of the server's loop while it waits: that does not
+depend on what else the machine does.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+
+import pytest
+from tests.server.conftest import Serve
+from tests.server.hostile import HOSTILE, Hostile
+from tests.server.robot import script
+from tests.server.ros import Ros
+from tests.server.ros import url as ros_url
+from tests.server.talk import Talk, eventually, frame, open_socket
+from tests.server.test_bounds import resident
+from websockets.frames import Opcode
+
+from uoarm.server import Limits, Server
+
+MEMORY = 50_000_000
+CPU_SECONDS = 0.2
+"""Of the loop, during one call: a hundred times what a call costs, a tenth of what these took."""
+
+
+def url(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+def one(hostile: Hostile) -> Callable[[Server], None]:
+    def attack(server: Server) -> None:
+        if hostile.form == "rosbridge":
+            with Ros(ros_url(server)) as client:
+                for sent in hostile.frames():
+                    client.socket.send(sent)
+                client.receive()
+        else:
+            with Talk(url(server), binary=hostile.form == "cbor") as client:
+                for sent in hostile.frames():
+                    client.raw(sent)
+                client.ask("List")
+
+    return attack
+
+
+def latch(server: Server) -> None:
+    with Ros(ros_url(server)) as client:
+        text = "x" * 4_000_000
+        for number in range(30):
+            client.send(op="publish", topic=f"/t{number}", latch=True, msg={"data": text})
+        while client.receive()["op"] != "status":
+            """Until the first is refused."""
+
+
+def data(server: Server) -> None:
+    for _ in range(3):
+        with Talk(url(server)) as client:
+            connection = client.open("hang")
+            sent = [client.send("Data", connection, {"text": "x" * 2_000_000}) for _ in range(20)]
+            for identity in sent:
+                client.answer(identity)
+        eventually(lambda: server.held_octets < MEMORY // 10, "it was let go")
+
+
+def kills(server: Server) -> None:
+    with Talk(url(server)) as client:
+        connection = client.open("hang")
+        client.ask("Data", connection, {"text": "x"})
+        for _ in range(500):
+            client.send("Kill", connection)
+        client.ask("List")
+
+
+def pings(server: Server) -> None:
+    with open_socket(server.ports[0]) as plain, suppress(OSError):
+        plain.settimeout(1)
+        for _ in range(50):
+            plain.sendall(frame(b"", Opcode.PING) * 10_000)
+
+
+ATTACKS: Mapping[str, Callable[[Server], None]] = {
+    "60,000 dimensions": one(HOSTILE["60,000 dimensions"]),
+    "huge dimensions": one(HOSTILE["huge dimensions"]),
+    "empty lists": one(HOSTILE["empty lists"]),
+    "small objects": one(HOSTILE["small objects to rosbridge"]),
+    "latched topics": latch,
+    "data for what hangs": data,
+    "kills of what hangs": kills,
+    "pings": pings,
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS.keys())
+def test_a_well_behaved_client_is_served_beside_it(
+    serve: Serve, attack: Callable[[Server], None]
+) -> None:
+    server = serve(Limits(memory_bytes=MEMORY))
+    [loop] = [thread for thread in threading.enumerate() if thread.name == "uoarm-serve"]
+    clock = time.pthread_getcpuclockid(loop.ident or 0)
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            attack(server)
+        except BaseException as error:  # noqa: BLE001 - shown by the test
+            failures.append(error)
+
+    with Talk(url(server)) as caller:
+        caller.ask("Call", "add", {"a": 1, "b": 2})
+        before, held, costs = resident(), 0, []
+        attacking = threading.Thread(target=run, daemon=True)
+        attacking.start()
+        while attacking.is_alive():
+            start = time.clock_gettime(clock)
+            assert caller.ask("Call", "add", {"a": 1, "b": 2}) == {"value": 3}
+            costs.append(time.clock_gettime(clock) - start)
+            held = max(held, server.held_octets)
+    assert not failures
+    assert max(costs) < CPU_SECONDS
+    assert held <= MEMORY
+    script.gate.set()
+    eventually(lambda: server.held_octets == 0, "everything was let go")
+    eventually(lambda: resident() < before + 4 * MEMORY, "memory is given back")

@@ -1,0 +1,329 @@
+"""What the server holds for its clients is counted in octets, bounded, and let go with them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.server.conftest import Connect, Enter, Serve
+from tests.server.robot import script
+from tests.server.ros import Ros
+from tests.server.ros import url as ros_url
+from tests.server.talk import Talk, eventually, frame, open_socket
+from tests.server.test_serving import figures
+
+from uoarm import RobotManager
+from uoarm.manager import Connection
+from uoarm.model import MessageStructure
+from uoarm.server import Limits, Server
+from uoarm.server._failures import LimitError
+from uoarm.server._hop import Hop
+from uoarm.server._memory import Account, Charge, Held, Memory
+from uoarm.server._sending import Sending
+from uoarm.server._workers import BusyError, Workers
+from uoarm.testing import patience
+from uoarm.wire import TEXT_FORM
+
+MANY = 10**9
+
+
+def url(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+steps = st.lists(
+    st.tuples(
+        st.sampled_from(["charge", "hold", "resize", "release", "leave"]),
+        st.integers(0, 3),
+        st.integers(0, 60),
+    ),
+    max_size=60,
+)
+
+
+@given(steps)
+def test_whatever_is_charged_is_released_with_the_client(plan: list[tuple[str, int, int]]) -> None:
+    memory = Memory(most=100, most_each=50)
+    accounts: dict[int, Account] = {}
+    made: dict[int, list[Charge]] = {}
+    gone: list[Charge] = []
+    for step, who, octets in plan:
+        account = accounts.get(who) or accounts.setdefault(who, memory.open())
+        charges = made.setdefault(who, [])
+        if step == "charge":
+            before, room = account.held, account.has_room(octets)
+            try:
+                charges.append(account.charge(Held.ASKED, octets))
+                assert room
+            except (LimitError, BusyError):
+                assert not room
+                assert account.held == before
+        elif step == "hold":
+            charges.append(account.hold(Held.DATA))
+        elif step == "resize" and charges:
+            one = charges[octets % len(charges)]
+            one.resize(min(octets, one.octets))
+        elif step == "release" and charges:
+            charges[octets % len(charges)].release()
+        elif step == "leave":
+            account.close()
+            gone += made.pop(who)
+            del accounts[who]
+        for late in gone:  # what still runs for a client that has gone
+            late.resize(octets)
+        assert memory.held == sum(account.held for account in accounts.values())
+        assert memory.held == sum(memory.kinds.values())
+        assert all(
+            account.held == sum(one.octets for one in made.get(who, ()))
+            for who, account in accounts.items()
+        )
+        assert all(account.held <= 50 for account in accounts.values())
+        assert memory.held <= 200
+    for account in accounts.values():
+        account.close()
+    assert memory.held == 0
+
+
+def test_a_client_below_its_share_is_not_refused_because_of_others() -> None:
+    memory = Memory(most=100, most_each=80)
+    one, other = memory.open(), memory.open()
+    one.charge(Held.SENDING, 80)
+    with pytest.raises(LimitError, match="one client may have"):
+        one.charge(Held.SENDING, 1)
+    other.charge(Held.SENDING, 50)
+    with pytest.raises(BusyError, match="ask again later"):
+        other.charge(Held.SENDING, 1)
+
+
+def test_what_is_latched_is_bounded_in_octets_and_goes_with_its_publisher(serve: Serve) -> None:
+    server = serve(Limits(memory_bytes=2_000_000))
+    text = "x" * 400_000
+    with Ros(ros_url(server)) as other:
+        with Ros(ros_url(server)) as hoarder:
+            for number in range(30):
+                topic = {"op": "publish", "topic": f"/t{number}", "latch": True}
+                hoarder.send(**topic, msg={"data": text})
+            refused = [hoarder.receive()["msg"] for _ in range(26)]
+            assert all(one.startswith("limit: ") for one in refused)
+            assert 1_600_000 < server.held_octets < 2_000_000
+            [line] = [one for one in figures(server).splitlines() if '{kind="latched"}' in one]
+            assert 1_600_000 < float(line.split()[1]) < 2_000_000
+            other.send(op="subscribe", topic="/t1")
+            assert other.messages(1) == [{"data": text}]
+            assert server.held_octets < 2_000_000 + 500_000  # and what the other one reads
+        eventually(lambda: server.held_octets == 0, "everything was let go")
+
+
+def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
+    serve: Serve, robot: RobotManager
+) -> None:
+    server = serve(Limits(memory_bytes=2_000_000))
+    with Talk(url(server)) as client:
+        connection = client.open("hang")
+        sent = [client.send("Data", connection, {"text": "x" * 300_000}) for _ in range(30)]
+        answers = [client.answer(one) for one in sent]
+        refused = [one["jsonMessage"]["code"] for one in answers if one["op"] == "Error"]
+        assert set(refused) <= {"limit"}
+    eventually(lambda: server.held_octets == 0, "everything was let go")
+    eventually(lambda: not robot.status().connections, "it is closed")
+
+
+def sending(connection: Any, workers: Workers, account: Account) -> Sending:
+    structure = MessageStructure(schema={"type": "object"})
+    component = SimpleNamespace(
+        name="it", function="it", inputs=[SimpleNamespace(name="in", source=None)]
+    )
+    connection.id, connection.cause = "c1", ""
+    connection.plan = SimpleNamespace(
+        provider=SimpleNamespace(component=component, structures={"input.in": structure})
+    )
+    return Sending(cast("Connection", connection), TEXT_FORM, workers, account, limit=100)
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Let the loop turn until something is so; `run` bounds it."""
+    while not condition():  # noqa: ASYNC110 - a condition of another's making, not an event
+        await asyncio.sleep(0.001)
+
+
+def run(work: Any) -> None:
+    asyncio.run(asyncio.wait_for(work, 30))
+
+
+@pytest.mark.parametrize(("size", "left"), [(2_000_000, 2), (2_000, 0)], ids=["large", "small"])
+def test_what_waits_is_told_and_let_go_with_the_client_though_the_component_hangs(
+    size: int, left: int
+) -> None:
+    """Large messages are handed over one by one, so that one that hangs keeps none behind it."""
+    gates = [threading.Event(), threading.Event()]
+    taken: list[object] = []
+
+    def take(message: object, port: str | None) -> None:
+        del port
+        taken.append(message)
+        gates[len(taken) - 1].wait(patience())
+
+    async def work() -> None:
+        workers = Workers(4, Hop(asyncio.get_running_loop()))
+        account = Memory(MANY, MANY).open()
+        one = sending(SimpleNamespace(send=take), workers, account)
+        told: list[BaseException | None] = []
+        for _ in range(4):
+            one.send({"data": "x" * size}, None, told.append, size)
+        assert account.held == 4 * size
+        gates[0].set()
+        await until(lambda: len(taken) == 2)
+        assert told == [None]
+        one.close()
+        assert len(told) == 1 + left
+        assert account.held == (3 - left) * size
+        gates[1].set()
+        await until(lambda: len(told) == 4)
+        assert len(taken) == 2
+        assert sum("has ended" in str(outcome) for outcome in told) == 2
+        assert account.held == 0
+        workers.close()
+
+    run(work())
+
+
+def test_many_wait_for_one_flush() -> None:
+    gate = threading.Event()
+    flushes: list[float] = []
+
+    def flush(timeout: float) -> bool:
+        flushes.append(timeout)
+        gate.wait(patience())
+        return True
+
+    async def work() -> None:
+        workers = Workers(4, Hop(asyncio.get_running_loop()))
+        one = sending(SimpleNamespace(flush=flush), workers, Memory(MANY, MANY).open())
+        done: list[int] = []
+        for number in range(100):
+            one.after(lambda number=number: done.append(number))  # type: ignore[misc]
+        gate.set()
+        await until(lambda: len(done) == 100)
+        assert done == list(range(100))
+        assert len(flushes) == 1
+        workers.close()
+
+    run(work())
+
+
+def test_killing_again_what_hangs_takes_no_more_threads(talk: Connect) -> None:
+    client, operator = talk(), talk()
+    connection = client.open("hang")
+    client.ask("Data", connection, {"text": "x"})
+    eventually(lambda: script.hanging, "it hangs")
+    before = threading.active_count()
+    kills = [client.send("Kill", connection) for _ in range(200)]
+    client.ask("List")  # all kills were begun
+    assert threading.active_count() <= before + 2
+    told = [client.answer(one) for one in kills]
+    assert [one["op"] for one in told[:32]] == ["Reply"] * 32
+    assert all(one["jsonMessage"]["code"] in {"limit", "unknown"} for one in told[32:])
+    assert operator.ask("List")
+
+
+def test_opening_what_hangs_again_and_again_is_refused_and_takes_bounded_threads(
+    server: Server, robot: RobotManager
+) -> None:
+    message = '{"op":"Data","id":"d","type":"%s","jsonMessage":{"text":"x"}}'
+    before, codes = threading.active_count(), []
+    for _ in range(12):
+        with Talk(url(server)) as client:
+            told = client.answer(client.send("Request", "hang"))["jsonMessage"]
+            if "code" in told:
+                codes.append(told["code"])
+            else:
+                client.raw(message % told["connection"])
+                client.answer("d")
+        eventually(lambda: not robot.status().connections, "it is closed")
+    assert len(codes) > 3  # the opening of a component with four threads that hang in it
+    assert set(codes) == {"bridge"}
+    assert threading.active_count() <= before + 4 + 16 + 4  # hung, for freeing, for asking
+    script.gate.set()
+
+    def opens() -> bool:
+        with Talk(url(server)) as client:
+            return bool(client.answer(client.send("Request", "hang"))["op"] == "Reply")
+
+    eventually(opens, "it can be had again")
+
+
+def test_a_listener_s_type_binds_no_publisher(enter: Enter) -> None:
+    listener, publisher, late = enter(), enter(), enter()
+    listener.send(op="subscribe", topic="/chatter", type="std_msgs/Wrong")
+    assert listener.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/Wrong"}
+    publisher.send(op="advertise", topic="/chatter", type="std_msgs/String")
+    publisher.send(op="publish", topic="/chatter", msg={"data": "x"})
+    assert listener.messages(1) == [{"data": "x"}]
+    assert late.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/String"}
+    wrong = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/Wrong"}
+    assert "has the type 'std_msgs/String'" in late.refused(**wrong)
+    publisher.send(op="unadvertise", topic="/chatter")
+    publisher.call("/rosapi/get_time", {})
+    late.send(**wrong)
+    assert late.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/Wrong"}
+
+
+def test_a_latched_message_goes_with_the_client_that_published_it(enter: Enter) -> None:
+    one, other, late = enter(), enter(), enter()
+    for publisher in (one, other):
+        publisher.send(op="advertise", topic="/map", type="a/Map", latch=True)
+        publisher.call("/rosapi/get_time", {})
+    one.send(op="publish", topic="/map", msg={"data": 1})
+    one.send(op="unadvertise", topic="/map")
+    one.call("/rosapi/get_time", {})
+    late.send(op="subscribe", topic="/map")
+    late.call("/rosapi/get_time", {})
+    other.send(op="publish", topic="/map", msg={"data": 2})
+    assert late.messages(1) == [{"data": 2}]
+
+
+def test_messages_held_back_for_a_slow_rate_are_bounded_in_octets(serve: Serve) -> None:
+    server = serve(Limits(queue_bytes=500_000))
+    with Ros(ros_url(server)) as listener, Ros(ros_url(server)) as publisher:
+        wish = {"op": "subscribe", "topic": "/t", "throttle_rate": 60_000, "queue_length": 50_000}
+        listener.send(**wish)
+        listener.call("/rosapi/get_time", {})
+        for _ in range(30):
+            publisher.send(op="publish", topic="/t", msg={"data": "x" * 100_000})
+        publisher.call("/rosapi/get_time", {})
+        assert 300_000 < server.held_octets < 700_000
+    eventually(lambda: server.held_octets == 0, "everything was let go")
+
+
+def test_a_provider_that_does_not_read_is_not_cut_off_by_those_who_ask_it(serve: Serve) -> None:
+    server = serve(Limits(queue_bytes=3_000_000, stall_seconds=60, ping_seconds=60))
+    with (
+        open_socket(server.ports[0], "/rosbridge") as provider,
+        Ros(ros_url(server)) as asker,
+        Ros(ros_url(server)) as other,
+    ):
+        offer = {"op": "advertise_service", "service": "/s", "type": "a/S"}
+        provider.sendall(frame(json.dumps(offer).encode()))
+        eventually(lambda: "/s" in asker.call("/rosapi/services", {})["services"], "it is offered")
+        call = {"op": "call_service", "service": "/s", "args": {"data": "x" * 1_000_000}}
+        for number in range(40):
+            asker.send(**call, id=f"s{number}")
+        refused = [asker.receive()["values"] for _ in range(20)]
+        assert any("leaves too much unread" in one for one in refused), refused
+        assert "/s" in other.call("/rosapi/services", {})["services"]
+
+
+def test_a_client_that_goes_leaves_nothing_that_was_asked(serve: Serve) -> None:
+    server = serve(Limits(memory_bytes=2000))
+    with Talk(url(server)) as client:
+        calls = [client.send("Call", "slow", {"value": 1}) for _ in range(10)]
+        assert client.answer(calls[-1])["jsonMessage"]["code"] == "limit"
+        assert server.held_octets > 1000
+    eventually(lambda: server.held_octets == 0, "everything was let go")

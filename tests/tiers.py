@@ -1,0 +1,173 @@
+"""Runs every tier of tests that this machine can run, and tells in a table what it ran.
+
+    python -m tests.tiers [TIER ...]     run these tiers, or all but `long`
+    python -m tests.tiers --install      install what the tiers need, as far as it can be had
+
+The exit status is 0 when no test failed and nothing is missing that automation (CI) must have.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from attrs import frozen
+from tests.harness._needs import NEEDS, missing
+
+ROOT = Path(__file__).parents[1]
+REPORTS = ROOT / "build" / "tests"
+NO_TESTS = 5
+PLUGINS = ("ros2", "rtm", "rocos")
+
+
+@frozen
+class Tier:
+    """Tests that need the same.
+
+    Attributes:
+        name: under which it is asked for.
+        what: what it is about, for the table.
+        arguments: of pytest.
+        needs: without which none of it can be run.
+        variables: of the environment.
+    """
+
+    name: str
+    what: str
+    arguments: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    variables: tuple[tuple[str, str], ...] = ()
+
+
+SHORT, LONG = "not needs and not long", "not needs"
+TIERS = (
+    Tier("core", "nothing but .[dev]", ("tests", "-m", SHORT)),
+    *(
+        Tier(name, f"plugins/uoarm-{name}", (f"plugins/uoarm-{name}/tests",), (name,))
+        for name in PLUGINS
+    ),
+    Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", "needs")),
+    Tier(
+        "long",
+        "the core in another order, its properties at length",
+        ("tests", "-m", LONG),
+        variables=(("HYPOTHESIS_PROFILE", "long"), ("UOARM_TEST_ORDER", str(time.time_ns()))),
+    ),
+)
+BY_DEFAULT = tuple(tier.name for tier in TIERS if tier.name != "long")
+GROUPS = (
+    "-e .[vision-lbph,vision-dlib]",
+    "-e .[healthbot]",
+    *(f"-e plugins/uoarm-{name}[dev]" for name in PLUGINS),
+)
+
+
+@frozen
+class Outcome:
+    """What became of a tier."""
+
+    tier: Tier
+    counts: Counter[str]
+    seconds: float
+    failed: bool
+    reasons: Counter[str]
+
+
+def run(tier: Tier) -> Outcome:
+    """Run a tier with its output on ours, or say why it cannot be run."""
+    print(f"\n== {tier.name}: {tier.what}", flush=True)
+    reasons = Counter(reason for name in tier.needs if (reason := missing(name)))
+    if reasons:
+        print(*reasons, sep="\n", flush=True)
+        must = os.environ.get("CI") and all(NEEDS[name].exists for name in tier.needs)
+        return Outcome(tier, Counter(), 0.0, bool(must), reasons)
+    report = REPORTS / f"{tier.name}.xml"
+    report.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "pytest", "-c", "pyproject.toml", "--rootdir=.", "-n", "auto"]
+    begin = time.monotonic()
+    done = subprocess.run(
+        [*command, f"--junitxml={report}", *tier.arguments],
+        cwd=ROOT,
+        env={**os.environ, **dict(tier.variables)},
+        check=False,
+    )
+    counts, reasons = read(report)
+    failed = done.returncode not in {0, NO_TESTS}
+    return Outcome(tier, counts, time.monotonic() - begin, failed, reasons)
+
+
+def read(report: Path) -> tuple[Counter[str], Counter[str]]:
+    """Return how many tests ended how, and why some were skipped."""
+    counts: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+    if report.exists():
+        for case in ET.parse(report).getroot().iter("testcase"):
+            skipped = case.find("skipped")
+            ended = {one.tag for one in case} & {"failure", "error"}
+            if skipped is not None:
+                # Of a whole module, the text alone has the reason: (file, line, 'Skipped: ...').
+                whole = skipped.get("message") == "collection skipped"
+                said = (skipped.text or "" if whole else skipped.get("message", "")).strip("()'\"")
+                reasons[said.rpartition("Skipped: ")[2]] += 1
+            counts["failed" if ended else "passed" if skipped is None else "skipped"] += 1
+    return counts, reasons
+
+
+def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """The lines of the closing table."""
+    yield f"{'tier':<10}{'':<10}{'passed':>8}{'failed':>8}{'skipped':>8}{'seconds':>9}"
+    for one in outcomes:
+        ran = sum(one.counts.values())
+        said = "FAILED" if one.failed else "ok" if ran else "not run"
+        numbers = "".join(f"{one.counts[name]:>8}" for name in ("passed", "failed", "skipped"))
+        yield f"{one.tier.name:<10}{said:<10}{numbers}{one.seconds:>9.0f}  {one.tier.what}"
+    for one in outcomes:
+        for reason, count in sorted(one.reasons.items()):
+            times = f" ({count} tests)" if one.counts else ""
+            yield f"  not run of {one.tier.name}{times}: {reason}"
+
+
+def install() -> int:
+    """Install what all tiers need; what cannot be had is left out, and said."""
+    wanted = [group for group in GROUPS if _exists(group)]
+    if not _pip(*wanted):
+        for group in wanted:
+            if not _pip(group):
+                print(f"left out, as it could not be installed: {group}", flush=True)
+    for group in set(GROUPS) - set(wanted):
+        print(f"left out, as it is not there for this machine: {group}", flush=True)
+    return 0
+
+
+def _exists(group: str) -> bool:
+    return all(need.exists for need in NEEDS.values() if group[3:] in need.get)
+
+
+def _pip(*groups: str) -> bool:
+    words = [word for group in groups for word in group.split(" ")]
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "-e", ".[dev]", *words]
+    return subprocess.run(command, cwd=ROOT, check=False).returncode == 0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command; returns the exit status."""
+    if list(arguments) == ["--install"]:
+        return install()
+    known = {tier.name for tier in TIERS}
+    names = [*arguments] or BY_DEFAULT
+    if unknown := set(names) - known:
+        print(f"no tiers {sorted(unknown)}; there are {sorted(known)}", file=sys.stderr)
+        return 2
+    outcomes = [run(tier) for tier in TIERS if tier.name in names]
+    print("\n== what was run\n", *table(outcomes), sep="\n", flush=True)
+    return int(any(one.failed for one in outcomes))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
