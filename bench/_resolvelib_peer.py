@@ -8,8 +8,8 @@ from typing import Any
 from attrs import frozen
 from resolvelib import AbstractProvider, BaseReporter, ResolutionImpossible, Resolver
 
+from uoarm._resolve import Catalogue, EdgeCheck, Structures
 from uoarm.model import Component, Input, PortRef, Robot
-from uoarm.resolve import Catalogue, EdgeCheck, Structures
 
 __all__ = ["resolve_with_resolvelib"]
 

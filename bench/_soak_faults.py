@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from uoarm import RobotManager
-from uoarm.host import RemoteBridge
+from uoarm._host import RemoteBridge
 
 __all__ = ["FAULTS", "Faults"]
 

@@ -6,7 +6,7 @@ import threading
 import time
 
 from bench.tables import microseconds, print_table, row
-from uoarm.flow import Outlet, Route
+from uoarm._dataplane import Outlet, Route
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
 
 

@@ -19,10 +19,10 @@ from typing import Any
 
 from bench.tables import at, print_table
 from uoarm import RobotManager
+from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeError
-from uoarm.host import RemoteBridge
 from uoarm.local import PythonBridge
 from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
 
@@ -118,7 +118,7 @@ def _pipe_echo(pipe: Connection) -> None:
 def _zenoh() -> Iterator[Trip]:
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
-    from uoarm.host._link_settings import configuration  # noqa: PLC0415 - the same settings
+    from uoarm._host._link_settings import configuration  # noqa: PLC0415 - the same settings
 
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"

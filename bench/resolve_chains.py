@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from bench._resolvelib_peer import resolve_with_resolvelib
 from bench.tables import at, print_table
-from uoarm.adapt import check_edge
+from uoarm._adapt import check_edge
+from uoarm._resolve import Resolver, Structures
 from uoarm.model import (
     Component,
     Endpoint,
@@ -19,7 +20,6 @@ from uoarm.model import (
     Robot,
     Role,
 )
-from uoarm.resolve import Resolver, Structures
 
 FUNCTIONS = 10_000
 LENGTHS = (3, 10, 100, 1_000)

@@ -199,7 +199,7 @@ def _latency() -> None:
     """From the octets' way into the line to the application, and the line alone."""
     from uoarm_rocos.devices._contec import contec_frame  # noqa: PLC0415
 
-    from uoarm.manager import RobotManager  # noqa: PLC0415
+    from uoarm._control import RobotManager  # noqa: PLC0415
 
     device, line = os.openpty()
     tty.setraw(line)

@@ -111,8 +111,8 @@ def _round_trips() -> list[float]:
 
 def manage(address: str) -> None:
     """Be the manager until standard input ends."""
+    from uoarm._control import RobotManager  # noqa: PLC0415
     from uoarm.config import loads  # noqa: PLC0415
-    from uoarm.manager import RobotManager  # noqa: PLC0415
 
     with (
         RobotManager(loads(CONFIGURATION.format(address=address))) as robot,

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from tests.disk import full_after
 
 from uoarm import RobotManager
+from uoarm._certificates import Authority
 from uoarm._whole_file import write_whole
-from uoarm.certificates import Authority
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UoarmError, UsageError

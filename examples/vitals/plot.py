@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from uoarm._control import Connection, RobotManager
 from uoarm.errors import UoarmError
-from uoarm.manager import Connection, RobotManager
 
 ROWS, COLUMNS = 8, 72
 EIGHTHS = " \u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"

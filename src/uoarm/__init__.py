@@ -2,16 +2,19 @@
 
 The layers, from the top; imports go down only:
 
-    uoarm            this façade          uoarm.cli       the command line
-    uoarm.manager    requests, connections, status, health
-    uoarm.resolve    robot + structures -> plan           uoarm.config    file -> robot
-    uoarm.flow       routes, queues, counters             uoarm.local     plain Python components
-    uoarm.bridge     the contract of framework plugins
-    uoarm.adapt      declared, typed, compiled adapters
-    uoarm.model      frozen values                        uoarm.schema    containment, on its own
+    uoarm               this façade            uoarm.cli       the command line
+    uoarm._control      requests, connections, status, health
+    uoarm._resolve      robot + structures -> plan
+    uoarm.config        file -> robot
+    uoarm._dataplane    routes, queues, counters
+    uoarm.local         plain Python components
+    uoarm.bridge        the contract of framework plugins
+    uoarm._adapt        declared, typed, compiled adapters
+    uoarm.model         frozen values          uoarm.schema    containment, on its own
 """
 
 from uoarm import errors
+from uoarm._control import AsyncConnection, AsyncRobotManager, Connection, RobotManager
 from uoarm._version import __version__
 from uoarm.errors import (
     BridgeError,
@@ -25,7 +28,6 @@ from uoarm.errors import (
     UoarmError,
     UsageError,
 )
-from uoarm.manager import AsyncConnection, AsyncRobotManager, Connection, RobotManager
 from uoarm.model import OverflowPolicy, Plan, QueuePolicy, StatusEvent, StatusMap, ValidationMode
 
 __all__ = [

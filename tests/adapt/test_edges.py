@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from uoarm.adapt import MappingError, adapt, check_edge, parse
+from uoarm._adapt import MappingError, adapt, check_edge, parse
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 

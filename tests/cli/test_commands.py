@@ -173,7 +173,7 @@ def test_the_doctor_says_that_a_plugin_without_its_middleware_is_not_usable(
 
 
 def test_the_doctor_asks_the_environments_of_a_configuration(tmp_path: Path) -> None:
-    pytest.importorskip("uoarm.host")
+    pytest.importorskip("uoarm._host")
     there = tmp_path / "bin" / "python"
     there.parent.mkdir()
     told = {"uoarm": {"version": "9.9"}, "python": {"usable": "yes", "library": "old 1.2"}}
@@ -239,9 +239,9 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
 @pytest.mark.parametrize(
     ("module", "extra", "command"),
     [
-        ("uoarm.certificates", "certificates", ["certificates", "--machine", "arm"]),
+        ("uoarm._certificates", "certificates", ["certificates", "--machine", "arm"]),
         ("uoarm.client", "server", ["status", "--url", "ws://127.0.0.1:1/"]),
-        ("uoarm.host", "hosts", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
+        ("uoarm._host", "hosts", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
         ("uoarm.server", "server", ["token", "pad", "--role", "driver"]),
     ],
 )

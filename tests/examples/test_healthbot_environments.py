@@ -12,11 +12,11 @@ import pytest
 import yaml
 from tests.examples.healthbot import EXAMPLE
 
-from uoarm import environments
-
 sys.path.insert(0, str(EXAMPLE))
 
 from healthbot_scene import separate
+
+from uoarm import environments
 
 Made = list[tuple[str, tuple[str, ...]]]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from uoarm._dataplane import Inbox, QueueClosed
 from uoarm.errors import UsageError
-from uoarm.flow import Inbox, QueueClosed
 from uoarm.model import Message, QueuePolicy
 
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._dataplane import BoundedQueue, QueueClosed
 from uoarm.errors import ConfigurationError
-from uoarm.flow import BoundedQueue, QueueClosed
 from uoarm.model import OverflowPolicy, QueuePolicy
 
 

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
+from uoarm._dataplane import Outlet, Route
 from uoarm.errors import MessageError
-from uoarm.flow import Outlet, Route
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
 from uoarm.testing import patience
 

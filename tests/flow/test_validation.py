@@ -11,8 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from uoarm._dataplane import make_check
 from uoarm.errors import MessageError
-from uoarm.flow import make_check
 from uoarm.model import Message, MessageStructure, ValidationMode
 
 OCTETS = {"type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}}

@@ -21,10 +21,11 @@ from websockets.datastructures import Headers
 from websockets.exceptions import InvalidHeader
 from websockets.http11 import Request
 
+from uoarm._dataplane import make_check
+from uoarm._host._codec import pack, unpack
+from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, check_asked, write_binary
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, ControlMessageError, MessageError
-from uoarm.flow import make_check
-from uoarm.host._codec import pack, unpack
 from uoarm.model import (
     Budget,
     MessageStructure,
@@ -41,7 +42,6 @@ from uoarm.server.rosbridge._cdr import serialiser
 from uoarm.server.rosbridge._fragments import Fragments
 from uoarm.server.rosbridge._subscription import read_wish
 from uoarm.server.rosbridge._wire import check_fields, read_operation
-from uoarm.wire import BINARY_FORM, TEXT_FORM, Form, check_asked, write_binary
 
 BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
 _LONGEST_ERROR = 2000

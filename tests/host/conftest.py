@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from tests.host import hosted
 
-from uoarm.host._link import Link
+from uoarm._host._link import Link
 from uoarm.testing import Census
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from uoarm._host._remote import RemoteBridge
 from uoarm.bridge import HealthEvent
-from uoarm.host._remote import RemoteBridge
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience
 

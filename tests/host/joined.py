@@ -14,7 +14,7 @@ from types import TracebackType
 from tests.host import hosted
 from typing_extensions import Self
 
-from uoarm.certificates import Authority
+from uoarm._certificates import Authority
 from uoarm.testing import patience, slowness, wait
 
 ROBOT = """

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from tests.host.joined import Joined, free_port
 
-from uoarm.certificates import Authority
+from uoarm._certificates import Authority
+from uoarm._host import Identity, JoinedHost, MachineDesk, _keys
+from uoarm._host._codec import pack
+from uoarm._host._link import Link
 from uoarm.errors import BridgeError, FailureReason, UoarmError
-from uoarm.host import Identity, JoinedHost, MachineDesk, _keys
-from uoarm.host._codec import pack
-from uoarm.host._link import Link
 from uoarm.model import Listening
 from uoarm.testing import patience, wait
 
@@ -140,7 +140,7 @@ def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr("uoarm.host._join._UNASKED_SECONDS", 0.2)
+    monkeypatch.setattr("uoarm._host._join._UNASKED_SECONDS", 0.2)
     host = JoinedHost(place, "arm", identity=Identity.find(folder, "leg"))
     running = threading.Thread(target=host.run)
     running.start()

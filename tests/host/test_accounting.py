@@ -16,8 +16,8 @@ import pytest
 from attrs import evolve
 
 from uoarm import RobotManager
+from uoarm._host import RemoteBridge
 from uoarm.config import load
-from uoarm.host import RemoteBridge
 from uoarm.model import FailoverPolicy
 from uoarm.testing import losses, patience, wait
 

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._host._codec import pack, unpack
 from uoarm.errors import MessageError
-from uoarm.host._codec import pack, unpack
 
 _leaves = (
     st.none()

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from uoarm.host._daemons import DaemonThreads
+from uoarm._host._daemons import DaemonThreads
 from uoarm.testing import Census, patience, wait
 
 
@@ -73,7 +73,7 @@ def test_what_has_not_begun_when_it_closes_never_does() -> None:
 
 ENDS = """
 import threading
-from uoarm.host._daemons import DaemonThreads
+from uoarm._host._daemons import DaemonThreads
 begun = threading.Event()
 threads = DaemonThreads("test", 1)
 threads.submit(lambda: (begun.set(), threading.Event().wait()))

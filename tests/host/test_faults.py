@@ -16,8 +16,8 @@ import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
 
+from uoarm._host import RemoteBridge
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.host import RemoteBridge
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
 

@@ -9,9 +9,9 @@ from typing import Any
 import msgpack
 import pytest
 
+from uoarm._host._flow import Ending, Incoming, Outgoing
+from uoarm._host._link import Link
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.host._flow import Ending, Incoming, Outgoing
-from uoarm.host._link import Link
 from uoarm.testing import patience, wait
 
 Ends = tuple[Link, Link]

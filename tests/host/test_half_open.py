@@ -13,8 +13,8 @@ import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
 
+from uoarm._host._process import HostProcess
 from uoarm.errors import BridgeError
-from uoarm.host._process import HostProcess
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge
-from uoarm.host import RemoteBridge
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 

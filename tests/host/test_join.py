@@ -6,9 +6,9 @@ import threading
 
 from tests.host.joined import free_port
 
+from uoarm._host import HostSettings, JoinedHost, MachineDesk
+from uoarm._host._machine import MachineConnection
 from uoarm.bridge import BridgeType, Registry
-from uoarm.host import HostSettings, JoinedHost, MachineDesk
-from uoarm.host._machine import MachineConnection
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import MemoryBridge, patience
 

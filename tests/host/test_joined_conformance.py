@@ -9,8 +9,8 @@ import pytest
 from tests.host.joined import Joined, free_port
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
 
+from uoarm._host import MachineDesk, RemoteBridge
 from uoarm.bridge import Bridge
-from uoarm.host import MachineDesk, RemoteBridge
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import wait
 from uoarm.testing.conformance import BridgeConformance, World

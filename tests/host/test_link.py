@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from tests.host.joined import free_port
 
+from uoarm._host._link import Link, Reply
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -17,7 +18,6 @@ from uoarm.errors import (
     PluginError,
     UoarmError,
 )
-from uoarm.host._link import Link, Reply
 from uoarm.testing import patience
 
 Ends = tuple[Link, Link]

@@ -15,9 +15,9 @@ from click.testing import CliRunner
 from tests.host.joined import Joined, free_port, robot
 
 from uoarm import BridgeError, ResolutionError, RobotManager
+from uoarm._host import MachineDesk
 from uoarm.cli import main
 from uoarm.config import loads
-from uoarm.host import MachineDesk
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
 from uoarm.testing import Census, patience, slowness, wait
 

@@ -12,7 +12,7 @@ from tests.host import hosted
 from tests.host.hosted import lives
 
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
-from uoarm.host import RemoteBridge
+from uoarm._host import RemoteBridge
 from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import Census, patience, wait
 

@@ -15,8 +15,8 @@ import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 
+from uoarm._host._remote import RemoteBridge
 from uoarm.errors import BridgeError, FailureReason, PluginError
-from uoarm.host._remote import RemoteBridge
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import Census, patience, wait
 

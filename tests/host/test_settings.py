@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from uoarm._host._folders import link_folder
+from uoarm._host._settings import HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm.host._folders import link_folder
-from uoarm.host._settings import HostSettings
 from uoarm.testing import patience
 
 

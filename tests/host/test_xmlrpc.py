@@ -16,8 +16,8 @@ from xmlrpc.client import Fault, ServerProxy
 
 import pytest
 
+from uoarm._host import XmlRpcFace, _xmlrpc
 from uoarm.errors import BridgeError
-from uoarm.host import XmlRpcFace, _xmlrpc
 from uoarm.model import Endpoint, Role
 from uoarm.testing import Census, MemoryBridge, patience
 

@@ -8,7 +8,7 @@ import pytest
 from tests.manager import stage
 
 from uoarm import ResolutionError, RobotManager
-from uoarm.resolve import NoPlanError
+from uoarm._resolve import NoPlanError
 from uoarm.testing import patience
 
 Make = Callable[[str], RobotManager]

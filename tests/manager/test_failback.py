@@ -9,8 +9,8 @@ import pytest
 from attrs import evolve
 
 from uoarm import Connection, RobotManager
+from uoarm._control._failback import Failback
 from uoarm.config import loads
-from uoarm.manager._failback import Failback
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
 from uoarm.testing import Census, ManualClock, MemoryBridge, patience, wait
 

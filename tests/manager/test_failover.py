@@ -10,9 +10,9 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager
+from uoarm._control import _failover
 from uoarm.bridge import Channel
 from uoarm.config import loads
-from uoarm.manager import _failover
 from uoarm.model import ConnectionState, Endpoint, FailoverPolicy, Health, Robot, StatusEvent
 from uoarm.testing import (
     Census,

@@ -20,7 +20,7 @@ from uoarm import (
     StatusEvent,
     UsageError,
 )
-from uoarm.manager._live import LiveComponent
+from uoarm._control._live import LiveComponent
 from uoarm.model import ConnectionState, StatusMap, Step
 from uoarm.testing import patience
 

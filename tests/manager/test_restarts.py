@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from uoarm._control._restarts import Restarts
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.manager._restarts import Restarts
 from uoarm.testing import ManualClock
 
 

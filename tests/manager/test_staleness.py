@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from uoarm import RobotManager
+from uoarm._control._staleness import StalenessWatch
 from uoarm.bridge import HealthEvent
 from uoarm.config import loads
-from uoarm.manager._staleness import StalenessWatch
 from uoarm.model import ConnectionState, Expectation, Health
 from uoarm.testing import Collector, Emitter, ManualClock, MemoryBridge, patience, wait
 

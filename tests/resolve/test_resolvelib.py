@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.resolve.test_search import World, component
 
+from uoarm._resolve import NoPlanError, Resolver
 from uoarm.model import Function, Robot
-from uoarm.resolve import NoPlanError, Resolver
 
 NAMES = ["a", "b", "c", "d", "e", "f"]
 

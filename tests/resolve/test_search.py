@@ -10,6 +10,7 @@ from attrs import frozen
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._resolve import NoPlanError, Resolver, Structures, Unavailable
 from uoarm.errors import ResolutionError
 from uoarm.model import (
     Component,
@@ -23,7 +24,6 @@ from uoarm.model import (
     Robot,
     Role,
 )
-from uoarm.resolve import NoPlanError, Resolver, Structures, Unavailable
 from uoarm.testing import ManualClock
 
 

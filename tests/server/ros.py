@@ -10,9 +10,9 @@ from tests.server.talk import SECONDS
 from typing_extensions import Self
 from websockets.sync.client import ClientConnection, connect
 
+from uoarm._wire import read_binary
 from uoarm.model import Budget, Spending
 from uoarm.server import Server
-from uoarm.wire import read_binary
 
 __all__ = ["Ros", "url"]
 

@@ -20,9 +20,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
+from uoarm._wire import protocol_schema, read_binary, write_binary
 from uoarm.model import Budget, ConnectionState, Spending
 from uoarm.testing import patience, wait
-from uoarm.wire import protocol_schema, read_binary, write_binary
 
 SECONDS = patience()
 # The server's thread makes random ping payloads while hypothesis draws in this one.

@@ -18,9 +18,9 @@ from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from uoarm import RobotManager
+from uoarm._wire import ASKED
 from uoarm.server import Limits, Server
 from uoarm.testing import patience
-from uoarm.wire import ASKED
 
 
 def url(server: Server, path: str = "/") -> str:
@@ -237,7 +237,7 @@ wild = st.fixed_dictionaries(
 def test_every_wild_message_has_one_answer(server: Server, message: object, binary: bool) -> None:
     import json
 
-    from uoarm.wire import write_binary
+    from uoarm._wire import write_binary
 
     with Talk(url(server), binary=binary) as client:
         client.raw(write_binary(message) if binary else json.dumps(message))

@@ -12,11 +12,11 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosedError
 
+from uoarm._wire import TEXT_FORM
 from uoarm.client import Client
 from uoarm.client._link import Link, Take
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
-from uoarm.wire import TEXT_FORM
 
 HELLO = {"op": "Status", "type": "hello"}
 KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}

@@ -20,7 +20,8 @@ from tests.server.talk import Talk, eventually, frame, open_socket
 from tests.server.test_serving import figures
 
 from uoarm import RobotManager
-from uoarm.manager import Connection
+from uoarm._control import Connection
+from uoarm._wire import TEXT_FORM
 from uoarm.model import MessageStructure
 from uoarm.server import Limits, Server
 from uoarm.server._failures import LimitError
@@ -29,7 +30,6 @@ from uoarm.server._memory import Account, Charge, Held, Memory
 from uoarm.server._sending import Sending
 from uoarm.server._workers import BusyError, Workers
 from uoarm.testing import patience
-from uoarm.wire import TEXT_FORM
 
 MANY = 10**9
 

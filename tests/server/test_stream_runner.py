@@ -10,8 +10,8 @@ from typing import TypeVar, cast
 from attrs import define, field
 from tests.server.robot import CONFIGURATION
 
+from uoarm._control import Connection
 from uoarm.config import loads
-from uoarm.manager import Connection
 from uoarm.model import MessageStructure
 from uoarm.server import Limits
 from uoarm.server._desk import Desk, Wanted

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from uoarm._wire._asked import ASKED, check_asked, protocol_schema, salvage_id
+from uoarm._wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form
 from uoarm.errors import ControlMessageError
 from uoarm.model import Budget, Spending
-from uoarm.wire._asked import ASKED, check_asked, protocol_schema, salvage_id
-from uoarm.wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form
 
 
 def test_the_protocol_schema_is_a_schema_and_has_every_operation() -> None:

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._wire._binary import read_binary, write_binary
+from uoarm._wire._cbor_scan import scan_cbor
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, Spending
-from uoarm.wire._binary import read_binary, write_binary
-from uoarm.wire._cbor_scan import scan_cbor
 
 values = st.recursive(
     st.none()

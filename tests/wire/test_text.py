@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from uoarm._wire._text import write_text
+from uoarm._wire._text_structure import make_reader, text_schema
 from uoarm.errors import MessageError
 from uoarm.local import Range
-from uoarm.wire._text import write_text
-from uoarm.wire._text_structure import make_reader, text_schema
 
 OCTETS = {
     "type": "array",

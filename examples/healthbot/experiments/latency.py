@@ -24,10 +24,10 @@ from stage import free_domain, load, machine, record, table
 from uoarm_rtm.nameserver import NameServer
 
 from uoarm import RobotManager
-from uoarm.adapt import check_edge, transfer
+from uoarm._adapt import check_edge, transfer
+from uoarm._resolve import Resolver, Structures
 from uoarm.config import loads
 from uoarm.model import Component, Plan
-from uoarm.resolve import Resolver, Structures
 
 _LOOPS = Path(__file__).with_name("loops.py")
 _LIMIT = 30.0

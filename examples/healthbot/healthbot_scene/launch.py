@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from uoarm.host import die_with_parent
+from uoarm._host import die_with_parent
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ from uoarm_rocos._device import Device
 from uoarm_rocos._errors import LineError
 from uoarm_rocos.simulate import Faults, Robot
 
+from uoarm._control import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.manager import RobotManager
 from uoarm.model import Health, MessageStructure
 
 ANY = MessageStructure(True)

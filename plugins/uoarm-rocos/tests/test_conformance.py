@@ -24,8 +24,8 @@ from uoarm_rocos._fields import (
 )
 from uoarm_rocos.simulate import Job
 
+from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge, Registry
-from uoarm.host import RemoteBridge
 from uoarm.model import BridgeSpec, Endpoint, Message
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 

@@ -20,8 +20,8 @@ from uoarm_rocos.speech._engine import Engine, Sound
 from uoarm_rocos.speech._espeak import EspeakEngine
 from uoarm_rocos.speech._festival import FestivalEngine
 
+from uoarm._control import RobotManager
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.manager import RobotManager
 
 SAY = endpoint("voice", "speechGeneration", "service")
 TEXT = "Your pulse is seventy two, and your blood pressure is normal."

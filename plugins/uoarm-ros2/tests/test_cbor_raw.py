@@ -22,12 +22,12 @@ from uoarm_ros2._write import writer
 from websockets.sync.client import connect
 
 from uoarm import RobotManager
+from uoarm._wire import read_binary
 from uoarm.config import loads
 from uoarm.model import Budget, Spending
 from uoarm.server import Settings, serve_in_thread
 from uoarm.server.rosbridge._cdr import serialiser
 from uoarm.testing import patience
-from uoarm.wire import read_binary
 
 SIZE = 921_600
 CONFIGURATION = f"""

@@ -44,6 +44,6 @@ class TestHostedRos2Bridge(BridgeConformance):
 
     @pytest.fixture
     def world(self, lasting: Peer, peer: Callable[..., Peer]) -> World:
-        from uoarm.host import RemoteBridge
+        from uoarm._host import RemoteBridge
 
         return RosWorld(lasting, peer, RemoteBridge)

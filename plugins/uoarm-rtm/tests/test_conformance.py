@@ -35,7 +35,7 @@ class TestHostedRtmBridge(BridgeConformance):
 
     @pytest.fixture
     def world(self, loop: Peer, nameserver: str, peer: Callable[..., Peer]) -> World:
-        from uoarm.host import RemoteBridge
+        from uoarm._host import RemoteBridge
 
         return RtmWorld(nameserver, peer, RemoteBridge)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from uoarm._control import RobotManager
 from uoarm.errors import ResolutionError
-from uoarm.manager import RobotManager
 from uoarm.testing import patience
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

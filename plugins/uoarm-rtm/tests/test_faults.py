@@ -282,7 +282,8 @@ inbox = Inbox()
 source(bridge, endpoint(Role.OUTPUT, "Mortal.rtc", "out"), inbox)
 into = sink(bridge, endpoint(Role.INPUT, "Mortal.rtc", "in"))
 def flood():
-    with contextlib.suppress(BridgeError):  # a traceback written while the interpreter ends aborts it
+    # a traceback written while the interpreter ends aborts it
+    with contextlib.suppress(BridgeError):
         while True:
             into.send(stamped(1))
 threading.Thread(target=flood, daemon=True).start()
@@ -320,7 +321,8 @@ from uoarm.model import BridgeSpec, Role
 bridge = Registry().create(BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}}}))
 sent = threading.Semaphore(0)
 def flood(into):
-    with contextlib.suppress(BridgeError):  # a traceback written while the interpreter ends aborts it
+    # a traceback written while the interpreter ends aborts it
+    with contextlib.suppress(BridgeError):
         while True:
             into.send(stamped(1))
             sent.release()

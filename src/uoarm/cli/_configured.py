@@ -55,7 +55,7 @@ def environment_facts(file: str | None, registry: Registry) -> Iterator[tuple[st
         if not place:
             continue
         with reporting(), needing("hosts"):
-            from uoarm.host import HostSettings  # noqa: PLC0415 - needs an extra
+            from uoarm._host import HostSettings  # noqa: PLC0415 - needs an extra
         settings = HostSettings.read(bridge.host or {})
         name = f"{bridge.name}, with {place.partition(' ')[2]}"
         try:

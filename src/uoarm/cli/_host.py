@@ -82,7 +82,7 @@ def _join(
     silence: float,
 ) -> None:
     with needing("hosts"):
-        from uoarm.host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
+        from uoarm._host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
     problem = place_problem(place)
     if problem:
         raise UsageError(f"--join {place}: {problem}")
@@ -122,7 +122,7 @@ def _begin_end(close: Callable[[], None]) -> None:
 
 def _answer(bridge: str, port: int, file: str) -> None:
     with needing("hosts"):
-        from uoarm.host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
+        from uoarm._host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
     registry = Registry()
     robot = load(file, registry.types)
     spec = robot.bridges.get(bridge)

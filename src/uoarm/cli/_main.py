@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 import uoarm
+from uoarm._resolve import NoPlanError
 from uoarm.bridge import Registry
 from uoarm.cli._certificates import certificates
 from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
@@ -30,7 +31,6 @@ from uoarm.cli._shared import (
 from uoarm.cli._status import status
 from uoarm.config import inspect, load
 from uoarm.errors import PluginError
-from uoarm.resolve import NoPlanError
 from uoarm.schema._command import schema
 
 __all__ = ["main"]

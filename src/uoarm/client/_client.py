@@ -14,10 +14,10 @@ from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
 
 from uoarm import errors
+from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
 from uoarm.model import Message, QueuePolicy, StatusEvent, ValidationMode
-from uoarm.wire import BINARY_FORM, TEXT_FORM, Form
 
 __all__ = ["Client", "ServerError", "connect"]
 

@@ -12,9 +12,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
+from uoarm._wire import Form
 from uoarm.errors import ConnectionClosedError, ControlMessageError
 from uoarm.model import Budget, Spending
-from uoarm.wire import Form
 
 __all__ = ["LARGEST", "Link", "Open", "Take"]
 

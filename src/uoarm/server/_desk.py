@@ -12,8 +12,8 @@ from typing import TypeAlias
 
 from attrs import frozen
 
+from uoarm._control import Connection, RobotManager
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
-from uoarm.manager import Connection, RobotManager
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop

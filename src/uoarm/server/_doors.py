@@ -17,6 +17,7 @@ from websockets.exceptions import NegotiationError
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from uoarm._wire import FORMS
 from uoarm.server._address import address_of, host_of
 from uoarm.server._admission import Admission, Pass
 from uoarm.server._audit import Audit
@@ -24,7 +25,6 @@ from uoarm.server._limits import Limits
 from uoarm.server._metrics import Totals
 from uoarm.server._request_head import RefusedError, RequestHead, read_head
 from uoarm.server._role import Operation
-from uoarm.wire import FORMS
 
 __all__ = ["NATIVE_PATHS", "ROSBRIDGE_PATH", "Doors", "Entry"]
 

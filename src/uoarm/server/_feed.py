@@ -10,8 +10,8 @@ from typing import Protocol
 
 from attrs import define, field
 
+from uoarm._control import Connection
 from uoarm.errors import MessageError
-from uoarm.manager import Connection
 from uoarm.model import Message, message_octets
 from uoarm.server._hop import Hop
 

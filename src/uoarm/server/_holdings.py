@@ -7,8 +7,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from uoarm._control import Connection
+from uoarm._wire import Form
 from uoarm.errors import MessageError, UsageError
-from uoarm.manager import Connection
 from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._failures import LimitError, UnknownError
@@ -18,7 +19,6 @@ from uoarm.server._memory import Account
 from uoarm.server._outbox import Lane, Outbox
 from uoarm.server._sending import Done, Sending
 from uoarm.server._stream import Stream
-from uoarm.wire import Form
 
 __all__ = ["Holdings", "wanted_by"]
 

@@ -9,9 +9,11 @@ from collections.abc import Callable, Coroutine, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from uoarm._control import Connection
+from uoarm._resolve import NoPlanError
 from uoarm._version import __version__
+from uoarm._wire import Form, check_asked, salvage_id, write_or_tell
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
-from uoarm.manager import Connection
 from uoarm.model import (
     ControlMessage,
     Message,
@@ -21,7 +23,6 @@ from uoarm.model import (
     message_octets,
     to_json,
 )
-from uoarm.resolve import NoPlanError
 from uoarm.server._answers import Answers
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client
@@ -33,7 +34,6 @@ from uoarm.server._memory import Charge, Held
 from uoarm.server._role import Operation
 from uoarm.server._sending import read_message
 from uoarm.server._view import list_functions, show_plan, visible_status
-from uoarm.wire import Form, check_asked, salvage_id, write_or_tell
 
 __all__ = ["NativeSession"]
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from uoarm.manager import RobotManager
+from uoarm._control import RobotManager
 from uoarm.server._listener import NoRoomError
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings

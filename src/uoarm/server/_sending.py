@@ -9,13 +9,13 @@ from typing import TypeAlias
 
 from attrs import define
 
+from uoarm._control import Connection
+from uoarm._dataplane import make_check
+from uoarm._wire import Form
 from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.flow import make_check
-from uoarm.manager import Connection
 from uoarm.model import Message, MessageStructure, ValidationMode
 from uoarm.server._memory import Account, Charge, Held
 from uoarm.server._workers import BusyError, Workers
-from uoarm.wire import Form
 
 __all__ = ["Sending", "read_message"]
 

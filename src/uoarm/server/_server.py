@@ -16,7 +16,8 @@ from websockets.asyncio.server import Server as Listening
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import CloseCode
 
-from uoarm.manager import RobotManager
+from uoarm._control import RobotManager
+from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.server._address import host_of
 from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
@@ -31,7 +32,6 @@ from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
 from uoarm.server.rosbridge import Hub, RosbridgeSession
-from uoarm.wire import FORMS, TEXT_FORM
 
 __all__ = ["Server"]
 

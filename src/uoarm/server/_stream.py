@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 
+from uoarm._dataplane import Clock
+from uoarm._wire import Form
 from uoarm.errors import MessageError
-from uoarm.flow import Clock
 from uoarm.model import QueuePolicy
 from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Feed, Parcel
 from uoarm.server._outbox import Lane, Outbox
-from uoarm.wire import Form
 
 __all__ = ["Stream"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from uoarm._wire import Form
 from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
 from uoarm.server._role import Operation, Role
-from uoarm.wire import Form
 
 __all__ = ["list_functions", "show_plan", "visible_status"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from uoarm._wire import TEXT_FORM
 from uoarm.errors import UsageError
 from uoarm.model import Message, MessageStructure
 from uoarm.server._sending import read_message
-from uoarm.wire import TEXT_FORM
 
 __all__ = ["name_arguments", "read_arguments"]
 

@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
+from uoarm._wire import TEXT_FORM
 from uoarm.errors import UoarmError
 from uoarm.model import Message
 from uoarm.server._desk import Desk, Wanted
@@ -14,7 +15,6 @@ from uoarm.server._memory import Account, Charge, Held
 from uoarm.server._sending import Done, Sending
 from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._names import Place
-from uoarm.wire import TEXT_FORM
 
 __all__ = ["Publication"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from uoarm._wire import write_binary
 from uoarm.model import Message, MessageStructure
 from uoarm.server.rosbridge._cdr import serialiser
 from uoarm.server.rosbridge._wire import clock_now
-from uoarm.wire import write_binary
 
 __all__ = ["RawWriter"]
 

@@ -11,8 +11,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 
+from uoarm._control import Connection
+from uoarm._wire import TEXT_FORM
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError, UsageError
-from uoarm.manager import Connection
 from uoarm.model import Component, Message
 from uoarm.server._desk import Desk, Wanted
 from uoarm.server._feed import Feed, Parcel
@@ -21,7 +22,6 @@ from uoarm.server._sending import Done, Sending
 from uoarm.server._workers import BusyError
 from uoarm.server.rosbridge._arguments import name_arguments
 from uoarm.server.rosbridge._goal import Goal, GoalStatus
-from uoarm.wire import TEXT_FORM
 
 __all__ = ["StreamRunner", "is_action"]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from attrs import frozen
 
+from uoarm._dataplane import Clock
 from uoarm.errors import ControlMessageError, MessageError
-from uoarm.flow import Clock
 from uoarm.model import MessageStructure, QueuePolicy
 from uoarm.server._complaints import Complaints
 from uoarm.server._feed import Parcel

@@ -12,9 +12,9 @@ from typing import Any
 
 import orjson
 
+from uoarm._wire import dump_parts, read_text, write_binary
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Message, Spending, show_value
-from uoarm.wire import dump_parts, read_text, write_binary
 
 __all__ = [
     "check_fields",

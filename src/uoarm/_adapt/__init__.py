@@ -1,0 +1,18 @@
+"""Adapters: declared in the configuration, checked against both sides, compiled once."""
+
+from uoarm._adapt._adaptation import Adaptation, adapt
+from uoarm._adapt._edge import EdgeVerdict, check_edge, transfer
+from uoarm._adapt._mapping import Entry, MappingError, parse
+from uoarm._adapt._walk import UnfitError
+
+__all__ = [
+    "Adaptation",
+    "EdgeVerdict",
+    "Entry",
+    "MappingError",
+    "UnfitError",
+    "adapt",
+    "check_edge",
+    "parse",
+    "transfer",
+]

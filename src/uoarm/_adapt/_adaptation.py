@@ -1,0 +1,220 @@
+"""Adaptations: the schema of what an adapter emits, and the function that makes it, in one walk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm._adapt._compile import Maker, build_object, constant, each_item, mapped, reader
+from uoarm._adapt._mapping import Clamp, Each, Entry, Mapped, Path, Scale, write_path
+from uoarm._adapt._walk import Field, Structure, UnfitError
+
+__all__ = ["Adaptation", "adapt"]
+
+_MAX_LOSSES = 200
+
+
+@frozen
+class Adaptation:
+    """An adapter applied to a producer's structure.
+
+    Attributes:
+        schema: of every message that the adapter emits.
+        losses: paths of the producer's fields that are not carried over.
+        make: the compiled function.
+    """
+
+    schema: Any
+    losses: tuple[str, ...]
+    make: Callable[[Any], Any]
+
+
+def adapt(entries: tuple[Entry, ...], producer: Any, consumer: Any) -> Adaptation:
+    """Apply an adapter to a structure; fields of one name fill what it does not mention.
+
+    Raises:
+        UnfitError: an entry does not fit the producer's structure.
+    """
+    source = Structure(producer)
+    whole = entries + _of_the_same_name(entries, source, Structure(consumer))
+    schema, make = _object(whole, source)
+    if source.definitions:
+        schema = {**schema, "$defs": source.definitions}
+    return Adaptation(schema, tuple(_losses(whole, source)), make)
+
+
+def _of_the_same_name(
+    entries: tuple[Entry, ...], source: Structure, target: Structure
+) -> tuple[Entry, ...]:
+    filled = {entry.target[0] for entry in entries if entry.target}
+    if any(not entry.target for entry in entries):
+        return ()
+    return tuple(
+        Entry((name,), Mapped(source=(name,)))
+        for name in target.fields()
+        if name not in filled and name in source.fields()
+    )
+
+
+def _object(entries: tuple[Entry, ...], source: Structure) -> tuple[Any, Maker]:
+    """Return schema and maker of the object, or single value, that entries describe."""
+    if len(entries) == 1 and not entries[0].target:
+        field, make = _value(entries[0].value, source)
+        return field.schema, make
+    properties: dict[str, Any] = {}
+    required: list[str] = []
+    makers: list[tuple[str, Maker, bool]] = []
+    groups: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if not entry.target:
+            raise UnfitError(".", "a map that fills the whole message can hold nothing else")
+        groups.setdefault(entry.target[0], []).append(entry)
+    for name, group in groups.items():
+        if len(group) == 1 and len(group[0].target) == 1:
+            field, make = _value(group[0].value, source)
+        else:
+            inner = tuple(Entry(entry.target[1:], entry.value) for entry in group)
+            schema, make = _object(inner, source)
+            field = Field(schema, always=True)
+        properties[name] = field.schema
+        makers.append((name, make, field.always))
+        if field.always:
+            required.append(name)
+    schema = {
+        "type": "object",
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
+    return schema, build_object(makers)
+
+
+def _value(value: Mapped | Each, source: Structure) -> tuple[Field, Maker]:
+    if isinstance(value, Each):
+        return _each(value, source)
+    if value.source is None:
+        return Field({"const": value.const}, always=True), constant(value.const)
+    field = source.at(value.source)
+    schema, table = field.schema, None
+    where = write_path(value.source)
+    if value.enum is not None:
+        schema, table = _enumerated(value.enum, source.plain(schema, where), where)
+    if value.scale is not None:
+        schema = _scaled(value.scale, source, schema, where)
+    clamp = value.clamp
+    if clamp is not None:
+        schema, clamp = _clamped(clamp, source, schema, where)
+    always = field.always
+    if value.has_default and not always:
+        schema, always = {"anyOf": [schema, {"const": value.default}]}, True
+    return Field(schema, always), mapped(value, table, clamp)
+
+
+def _each(value: Each, source: Structure) -> tuple[Field, Maker]:
+    field = source.at(value.source)
+    where = write_path(value.source)
+    array = source.plain(field.schema, where)
+    if array.get("type") != "array" or "prefixItems" in array or "items" not in array:
+        raise UnfitError(where, "each needs an array whose items are all of one structure")
+    inner, make = _object(value.entries, Structure(array["items"], source.definitions))
+    bounds = {key: array[key] for key in ("minItems", "maxItems") if key in array}
+    schema = {"type": "array", "items": inner, **bounds}
+    return Field(schema, field.always), each_item(reader(value.source), make)
+
+
+def _enumerated(
+    pairs: tuple[tuple[str, Any], ...], schema: Mapping[str, Any], where: str
+) -> tuple[Any, Mapping[Any, Any]]:
+    """Return the schema of mapped values and the table from each source value."""
+    known = dict(pairs)
+    if "const" in schema:
+        values = [schema["const"]]
+    elif schema.get("type") == "boolean":
+        values = [False, True]
+    elif "enum" in schema:
+        values = list(schema["enum"])
+    else:
+        raise UnfitError(where, "an enum map needs a field that has a known set of values")
+    table: dict[Any, Any] = {}
+    for one in values:
+        text = (
+            one if isinstance(one, str) else str(one).lower() if isinstance(one, bool) else str(one)
+        )
+        if text not in known:
+            raise UnfitError(where, f"the enum map says nothing of the value {one!r}")
+        table[one] = known[text]
+    return {"enum": list({repr(v): v for v in table.values()}.values())}, table
+
+
+def _scaled(scale: Scale, source: Structure, schema: Any, where: str) -> Any:
+    plain = source.plain(schema, where)
+    if plain.get("type") == "array" and "items" in plain and "prefixItems" not in plain:
+        return {**plain, "items": _scaled(scale, source, plain["items"], where)}
+    kind = plain.get("type")
+    if kind not in {"integer", "number"}:
+        raise UnfitError(where, "scale and offset need a number or an array of numbers")
+    stays_whole = kind == "integer" and all(
+        isinstance(one, int) for one in (scale.factor, scale.offset)
+    )
+    low, high = _bound(plain, "inimum", scale), _bound(plain, "aximum", scale)
+    if scale.factor < 0:
+        low, high = high, low
+    bounds = {key: one for key, one in (("minimum", low), ("maximum", high)) if one is not None}
+    return {"type": "integer" if stays_whole else "number", **bounds}
+
+
+def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[Any, Clamp]:
+    """Return the schema of what a clamp lets through, and the clamp within the known bounds.
+
+    Those keep its ends within what an array of the producer's own number type can hold.
+    """
+    plain = source.plain(schema, where)
+    if plain.get("type") == "array" and "items" in plain and "prefixItems" not in plain:
+        items, within = _clamped(clamp, source, plain["items"], where)
+        return {**plain, "items": items}, within
+    kind = plain.get("type")
+    if kind not in {"integer", "number"}:
+        raise UnfitError(where, "clamp needs a number or an array of numbers")
+    if kind == "integer" and not all(isinstance(one, int) for one in (clamp.low, clamp.high)):
+        raise UnfitError(where, "clamp needs integers here, since the field is an integer")
+    least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
+    low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
+    high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
+    kept = {key: plain[key] for key in ("x-nonfinite",) if key in plain}
+    return {"type": kind, "minimum": low, "maximum": high, **kept}, Clamp(low, high)
+
+
+def _bound(schema: Mapping[str, Any], ending: str, scale: Scale) -> float | int | None:
+    """Scale a bound by the very arithmetic that messages meet: it is monotone, so it holds."""
+    prefix = "m" if f"m{ending}" in schema else "exclusiveM"
+    bound = schema.get(f"{prefix}{ending}")
+    return None if bound is None else bound * scale.factor + scale.offset
+
+
+def _losses(entries: tuple[Entry, ...], source: Structure, prefix: str = "") -> list[str]:
+    """Return the producer's fields that no entry carries over, the outermost of each."""
+    carried = {
+        entry.value.source for entry in entries if getattr(entry.value, "source", None) is not None
+    }
+    found: list[str] = []
+    waiting: list[tuple[Path, Any]] = [((), source.schema)]
+    for path, schema in waiting:
+        if path in carried:
+            continue
+        if path and not any(one is not None and one[: len(path)] == path for one in carried):
+            found.append(prefix + write_path(path))
+            continue
+        try:
+            fields = source.plain(schema, write_path(path)).get("properties", {})
+        except UnfitError:
+            continue
+        waiting.extend(((*path, name), child) for name, child in fields.items())
+    for entry in entries:
+        if isinstance(entry.value, Each):
+            array = source.plain(source.at(entry.value.source).schema, "")
+            inner = Structure(array["items"], source.definitions)
+            where = f"{prefix}{write_path(entry.value.source)}[]."
+            found.extend(_losses(entry.value.entries, inner, where))
+    return found[:_MAX_LOSSES]

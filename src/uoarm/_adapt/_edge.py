@@ -1,0 +1,117 @@
+"""The verdict on one edge: mapping applied, containment proven, losses allowed by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import evolve, frozen
+
+from uoarm._adapt._adaptation import Adaptation, adapt
+from uoarm._adapt._mapping import MappingError, parse
+from uoarm._adapt._suggest import suggest
+from uoarm._adapt._walk import UnfitError
+from uoarm.model import Edge, Message, MessageStructure, Reason
+from uoarm.schema import SchemaError, Verdict, check
+
+__all__ = ["EdgeVerdict", "check_edge", "transfer"]
+
+
+@frozen
+class EdgeVerdict:
+    """Whether every message of a producer is accepted by a consumer, and at what cost.
+
+    Attributes:
+        compatible: proven, and every loss is allowed.
+        reasons: why not; the first carries configuration lines that would mend it, if any.
+        losses: producer's fields that are dropped, all allowed by name.
+        warnings: what a careful reader should know.
+    """
+
+    compatible: bool
+    reasons: tuple[Reason, ...] = ()
+    losses: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def check_edge(
+    producer: MessageStructure,
+    consumer: MessageStructure,
+    mapping: Mapping[str, object] | None = None,
+    allow_loss: tuple[str, ...] = (),
+) -> EdgeVerdict:
+    """Judge one edge. Pure: equal arguments give equal verdicts; raises nothing.
+
+    Args:
+        producer: structure of what is emitted.
+        consumer: structure of what is taken.
+        mapping: the adapter, None to pass messages unchanged.
+        allow_loss: fields that may be dropped.
+    """
+    verdict = _judge(producer, consumer, mapping, allow_loss)
+    if verdict.compatible or not verdict.reasons or verdict.reasons[0].suggestion:
+        return verdict
+    lines = suggest(
+        producer, consumer, lambda *trial: _judge(producer, consumer, *trial).compatible
+    )
+    if not lines:
+        return verdict
+    first, *rest = verdict.reasons
+    return evolve(verdict, reasons=(evolve(first, suggestion=lines), *rest))
+
+
+def transfer(edge: Edge) -> Callable[[Message], Message] | None:
+    """Return the compiled adapter of a checked edge, None when messages pass unchanged."""
+    if edge.mapping is None:
+        return None
+    entries = parse(edge.mapping)
+    return adapt(entries, edge.producer_structure.schema, edge.consumer_structure.schema).make
+
+
+def _judge(
+    producer: MessageStructure,
+    consumer: MessageStructure,
+    mapping: Mapping[str, Any] | None,
+    allow_loss: tuple[str, ...],
+) -> EdgeVerdict:
+    try:
+        if mapping is None:
+            return _verdict(check(producer.schema, consumer.schema), (), allow_loss)
+        adapted = adapt(parse(mapping), producer.schema, consumer.schema)
+        return _with_losses(adapted, consumer, allow_loss)
+    except MappingError as error:
+        return EdgeVerdict(False, (Reason(f"the map cannot be understood: {error}"),))
+    except UnfitError as error:
+        return EdgeVerdict(False, (Reason(str(error), path=error.path),))
+    except SchemaError as error:
+        return EdgeVerdict(False, (Reason(f"a structure is no JSON Schema: {error}"),))
+
+
+def _with_losses(
+    adapted: Adaptation, consumer: MessageStructure, allow_loss: tuple[str, ...]
+) -> EdgeVerdict:
+    refused = [loss for loss in adapted.losses if loss not in allow_loss]
+    verdict = _verdict(check(adapted.schema, consumer.schema), adapted.losses, allow_loss)
+    if not verdict.compatible or not refused:
+        return verdict
+    lines = f"allow_loss: [{', '.join((*allow_loss, *refused))}]"
+    reasons = [Reason(f"the map drops the field {refused[0]!r}, which is not allowed",
+                      path=refused[0], suggestion=lines)]  # fmt: skip
+    reasons += [Reason(f"the map drops the field {loss!r} too", path=loss) for loss in refused[1:]]
+    return EdgeVerdict(False, tuple(reasons))
+
+
+def _verdict(verdict: Verdict, losses: tuple[str, ...], allow_loss: tuple[str, ...]) -> EdgeVerdict:
+    if verdict.undecided is not None:
+        sentence = f"it cannot be decided whether every message fits: {verdict.undecided}"
+        return EdgeVerdict(False, (Reason(sentence),))
+    if not verdict.compatible:
+        reasons = tuple(
+            Reason(one.sentence, one.path, one.producer, one.consumer, verdict.excerpt)
+            for one in verdict.reasons
+        )
+        return EdgeVerdict(False, reasons or (Reason("a message would be refused"),))
+    warnings = [f"{one.path}: {one.sentence}" for one in verdict.losses]
+    idle = [one for one in allow_loss if one not in losses]
+    warnings += [f"allow_loss names {one!r}, which is not lost" for one in idle]
+    return EdgeVerdict(True, losses=losses, warnings=tuple(warnings))

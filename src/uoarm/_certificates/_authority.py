@@ -1,0 +1,143 @@
+"""The authority of a robot, in a folder."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from attrs import frozen
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from uoarm._certificates._parts import begun, common_name, key_usage, leaf, new_key, secret_pem
+from uoarm._whole_file import write_whole
+from uoarm.errors import UsageError
+
+__all__ = ["MANAGER", "Authority"]
+
+MANAGER = "manager"
+"""The name of the manager's certificate."""
+
+_AUTHORITY = "ca"
+_SUBJECT = "uoarm robot"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")  # 64: the longest common name of X.509
+_AUTHORITY_DAYS = 3650
+_CLOCKS_DIFFER = dt.timedelta(hours=1)
+
+
+@frozen
+class Authority:
+    """Who signs the certificates of one robot.
+
+    Attributes:
+        folder: where all its files are.
+        certificate: its own.
+        key: signs; whoever has it can make machines and managers.
+    """
+
+    folder: Path
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+    @classmethod
+    def of(cls, folder: Path) -> Authority:
+        """Return the authority of a folder; make both where there is none.
+
+        Raises:
+            UsageError: the folder cannot be used, or its authority not be read.
+        """
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if (folder / f"{_AUTHORITY}.pem").exists():
+                return cls._read(folder)
+            return cls._make(folder)
+        except (OSError, ValueError, TypeError) as error:
+            raise UsageError(f"{folder} cannot hold certificates: {error}") from error
+
+    def certify_manager(self, addresses: Sequence[str], days: int) -> Path:
+        """Make the manager's certificate, for the addresses under which machines reach it.
+
+        Raises:
+            UsageError: there is one already, an address is none, or it cannot be written.
+        """
+        for address in addresses:
+            if not address or not address.isascii():
+                text = "expected an IP address, or a name in ASCII (xn--... for any other)"
+                raise UsageError(f"the manager cannot be reached at {address!r}: {text}")
+        return self._certify(MANAGER, addresses, ExtendedKeyUsageOID.SERVER_AUTH, days)
+
+    def certify_machine(self, name: str, days: int) -> Path:
+        """Make the certificate of a machine.
+
+        Raises:
+            UsageError: there is one already, no machine can have this name, or it cannot be
+                written.
+        """
+        if not _NAME.fullmatch(name) or name in {_AUTHORITY, MANAGER}:
+            raise UsageError(
+                f"a machine cannot be called {name!r}: letters, digits, _ and -, a letter or _ "
+                f"first, 64 at most, and neither {_AUTHORITY!r} nor {MANAGER!r}"
+            )
+        return self._certify(name, [name], ExtendedKeyUsageOID.CLIENT_AUTH, days)
+
+    def _certify(
+        self, name: str, names: Sequence[str], usage: x509.ObjectIdentifier, days: int
+    ) -> Path:
+        place = self.folder / f"{name}.pem"
+        for file in (place, place.with_suffix(".key")):
+            if file.exists():
+                text = "remove the certificate and its key to make new ones"
+                raise UsageError(f"{file} is there already: {text}")
+        key = new_key()
+        try:
+            certificate = begun(name, self.certificate.subject, key.public_key(), *_span(days))
+            issued = leaf(certificate, names, usage, self.key.public_key())
+            _write(self.folder, name, issued.sign(self.key, hashes.SHA256()), key)
+        except (OSError, ValueError, OverflowError) as error:
+            raise UsageError(f"{place} cannot be made: {error}") from error
+        return place
+
+    @classmethod
+    def _read(cls, folder: Path) -> Authority:
+        certificate = (folder / f"{_AUTHORITY}.pem").read_bytes()
+        key = (folder / f"{_AUTHORITY}.key").read_bytes()
+        signs = serialization.load_pem_private_key(key, None)
+        if not isinstance(signs, ec.EllipticCurvePrivateKey):
+            raise UsageError(f"{folder / _AUTHORITY}.key is no key of an elliptic curve")
+        return cls(folder, x509.load_pem_x509_certificate(certificate), signs)
+
+    @classmethod
+    def _make(cls, folder: Path) -> Authority:
+        key = new_key()
+        public = key.public_key()
+        certificate = (
+            begun(_SUBJECT, common_name(_SUBJECT), public, *_span(_AUTHORITY_DAYS))
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(key_usage(signs_certificates=True), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
+            .sign(key, hashes.SHA256())
+        )
+        _write(folder, _AUTHORITY, certificate, key)
+        return cls(folder, certificate, key)
+
+
+def _span(days: int) -> tuple[dt.datetime, dt.datetime]:
+    now = dt.datetime.now(dt.timezone.utc)
+    return now - _CLOCKS_DIFFER, now + dt.timedelta(days=days)
+
+
+def _write(
+    folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
+) -> None:
+    """Write a pair, both or none; the key first, and never readable for others."""
+    key_file = folder / f"{name}.key"
+    write_whole(key_file, secret_pem(key), private=True)
+    try:
+        write_whole(folder / f"{name}.pem", certificate.public_bytes(serialization.Encoding.PEM))
+    except BaseException:
+        key_file.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,204 @@
+"""The bridge instances of one manager, each made when it is first needed."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from uoarm import _bounded
+from uoarm._control._hosted import start_hosted
+from uoarm._control._machines import Machines
+from uoarm._control._restarts import Restarts
+from uoarm._dataplane import Clock
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
+
+__all__ = ["BridgeSet"]
+
+_log = logging.getLogger("uoarm")
+_START_SECONDS = 30.0
+_RETIRE_SECONDS = 10.0
+_FINE = Health.OK, ""
+
+
+class BridgeSet:
+    """Makes, keeps and closes bridges by name.
+
+    Args:
+        specs: the bridges of the configuration.
+        registry: the plugins that make them.
+        listener: told of every health event.
+        ready: instances to use instead of making them; closed with the others.
+        clock: seconds, for the waits between restarts.
+        listening: where hosts on other machines join.
+        origin: the configuration file, for those who look at the processes of hosts.
+    """
+
+    def __init__(
+        self,
+        specs: Mapping[str, BridgeSpec],
+        registry: Registry,
+        listener: Callable[[HealthEvent], None],
+        ready: Mapping[str, Bridge],
+        clock: Clock,
+        listening: Listening | None = None,
+        origin: str = "",
+    ) -> None:
+        self._origin = origin
+        self._specs = specs
+        self._registry = registry
+        self._listener = listener
+        self._bridges: dict[str, Bridge] = {}
+        self._restarts = Restarts(clock)
+        self._turns: dict[str, threading.Lock] = {}
+        self._dead: dict[str, list[Bridge]] = {}
+        self._retiring: set[threading.Thread] = set()
+        self._health: dict[str, tuple[Health, str]] = {}
+        self._lock = threading.Lock()
+        self._closed = False
+        self.machines = Machines(specs, listening, self._heard, self._state)
+        for name, bridge in ready.items():
+            self._bridges[name] = bridge
+            bridge.watch(self._heard)
+
+    def get(self, name: str) -> Bridge:
+        """Return the bridge of this name, starting it when it is the first time.
+
+        Raises:
+            PluginError: its plugin is missing, broken or lacks its middleware.
+            BridgeError: it failed to start, or there is no such bridge.
+            ConnectionClosedError: the manager is closed.
+        """
+        bridge = self._bridges.get(name)
+        if bridge is not None:
+            return bridge
+        with self._lock:
+            self._require_open()
+            turn = self._turns.setdefault(name, threading.Lock())
+        with turn:  # one that is slow to start holds up nobody else
+            bridge = self._bridges.get(name)
+            if bridge is not None:
+                return bridge
+            bridge = self._start(name)
+            with self._lock:
+                keep = not self._closed
+                if keep:
+                    self._bridges[name] = bridge
+                    was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
+                    bridge.watch(self._heard)
+        if not keep:
+            bridge.close()
+            raise ConnectionClosedError("the robot manager is closed")
+        if was_lost:
+            self._listener(HealthEvent(name, Health.OK, "it was started again"))
+        return bridge
+
+    def is_in_use(self, bridge: Bridge) -> bool:
+        """Say whether a bridge is the one that bears its name now."""
+        return self._bridges.get(bridge.name) is bridge
+
+    def retire(self, name: str) -> None:
+        """Close a bridge that was lost, in a thread of its own: it may hang as it dies.
+
+        Failures while closing are logged.
+        """
+
+        def close() -> None:
+            for bridge in dead:
+                try:
+                    bridge.close()
+                except BridgeError as error:
+                    _log.warning("%s", error)
+            with self._lock:
+                self._retiring.discard(thread)
+
+        thread = threading.Thread(target=close, name=f"uoarm-retire-{name}", daemon=True)
+        with self._lock:
+            dead = self._dead.pop(name, [])
+            if dead:
+                self._retiring.add(thread)
+                thread.start()
+
+    def statuses(self) -> tuple[BridgeStatus, ...]:
+        """Return what the status map shows: bridges that were started, those that died included."""
+        with self._lock:
+            known = {**dict.fromkeys(self._health), **self._bridges}
+            health = dict(self._health)
+        return tuple(
+            BridgeStatus(
+                name=name,
+                plugin=self._specs[name].plugin if name in self._specs else name,
+                health=health.get(name, _FINE)[0],
+                open_channels=0 if bridge is None else bridge.open_channels,
+                cause=health.get(name, _FINE)[1],
+                assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
+                process=None if bridge is None else bridge.process_id,
+            )
+            for name, bridge in known.items()
+        )
+
+    def close(self) -> list[BridgeError]:
+        """Close every bridge, and the link to other machines; return what failed.
+
+        Waits ten seconds at most for bridges that were lost.
+        """
+        with self._lock:
+            self._closed = True
+            bridges = [*self._bridges.values()]
+            self._bridges.clear()
+            dead = tuple(self._dead)
+        for name in dead:
+            self.retire(name)
+        failures: list[BridgeError] = []
+        for close in (*(bridge.close for bridge in bridges), self.machines.close):
+            try:
+                close()
+            except BridgeError as error:
+                failures.append(error)
+        deadline = time.monotonic() + _RETIRE_SECONDS
+        for thread in tuple(self._retiring):
+            thread.join(max(0.0, deadline - time.monotonic()))
+        return failures
+
+    def _state(self, name: str) -> Health | None:
+        """Return how a bridge is that runs or was lost, None of any other."""
+        with self._lock:
+            health = self._health.get(name, _FINE)[0]
+            return health if name in self._bridges or health is Health.LOST else None
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise ConnectionClosedError("the robot manager is closed")
+
+    def _heard(self, event: HealthEvent) -> None:
+        """Note what happens to a whole bridge, then tell the listener.
+
+        One that is lost is there for nobody from this moment on: `get` makes a new one, which
+        bears the same name, so that nothing more is heard of the lost one.
+        """
+        if event.channel is None and event.component is None:
+            with self._lock:
+                self._health[event.bridge] = event.health, event.cause
+                if event.health is Health.LOST and event.bridge in self._bridges:
+                    lost = self._bridges.pop(event.bridge)
+                    lost.watch(None)
+                    self._dead.setdefault(event.bridge, []).append(lost)
+            if event.health is Health.LOST:
+                self._restarts.died(event.bridge, event.cause)
+        self._listener(event)
+
+    def _start(self, name: str) -> Bridge:
+        spec = self._specs.get(name)
+        if spec is None:
+            raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
+        if spec.host is not None:
+            return start_hosted(spec, spec.host, self._restarts, self.machines, self._origin)
+        return _bounded.run(
+            f"starting bridge {name!r}",
+            _START_SECONDS,
+            lambda: self._registry.create(spec),
+            on_late=lambda late: late.close(),
+        )

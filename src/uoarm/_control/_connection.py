@@ -1,0 +1,164 @@
+"""Connections: the handle that an application holds on a running plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import final
+
+from uoarm._control._course import Course
+from uoarm._control._life import GOING_ON
+from uoarm._dataplane import QueueClosed
+from uoarm.errors import ConnectionClosedError, UsageError
+from uoarm.model import ConnectionState, ConnectionStatus, Deliver, Gap, Message, Plan
+
+__all__ = ["Connection"]
+
+
+@final
+class Connection:
+    """A running plan. Iterate over it, `send` to it, and `kill` it; also a context manager.
+
+    Made by `RobotManager.request`. All methods may be called from any thread.
+    """
+
+    def __init__(self, course: Course) -> None:
+        self.id = course.id
+        self.course = course
+        """What the manager does with it."""
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that runs."""
+        return self.course.plan
+
+    @property
+    def state(self) -> ConnectionState:
+        """Where in its life the connection is."""
+        return self.course.life.state
+
+    @property
+    def cause(self) -> str:
+        """Why the connection ended, or for what it waits; empty while it runs and after `kill`."""
+        return self.course.life.cause
+
+    @property
+    def output(self) -> str | None:
+        """The output that the application receives, None where it receives none."""
+        return self.course.output
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """The changes of plan so far, oldest first, the newest thousand of them."""
+        return self.course.history.gaps
+
+    @property
+    def ended(self) -> bool:
+        """Whether the connection is closed, for whatever reason."""
+        return self.course.life.is_over
+
+    def get(self, timeout: float | None = None) -> Message:
+        """Return the next message, waiting `timeout` seconds at most (None: until it ends).
+
+        Raises:
+            TimeoutError: nothing came in time.
+            ConnectionClosedError: the connection has ended and every message was read.
+            UsageError: the function has no output, or callbacks receive its messages.
+        """
+        if not self.course.reception.is_wanted:
+            raise UsageError(f"function {self.plan.function!r} has no output to read")
+        try:
+            return self.course.reception.inbox.get(timeout)
+        except QueueClosed:
+            text = f"connection {self.id} to {self.plan.function!r} has ended"
+            raise ConnectionClosedError(f"{text}: {self.cause}" if self.cause else text) from None
+
+    def __iter__(self) -> Iterator[Message]:
+        """Yield messages until the connection is killed or its source finishes.
+
+        Raises:
+            ConnectionClosedError: a component died; the text says which and why.
+        """
+        while True:
+            try:
+                message = self.get()
+            except ConnectionClosedError:
+                if self.state is ConnectionState.FAILED:
+                    raise
+                return
+            yield message
+
+    def send(self, message: Message, port: str | None = None) -> None:
+        """Hand one message to an input that the application feeds.
+
+        It is taken over at once; a component that is slower has a queue before it, whose losses
+        are counted in the status.
+
+        Args:
+            message: checked against the input's structure unless the connection was requested
+                with validation off.
+            port: name of the input; None where there is one only.
+
+        Raises:
+            MessageError: the message does not match the input's structure.
+            UsageError: there is no such input for the application.
+            ConnectionClosedError: the connection has ended.
+        """
+        if self.state not in GOING_ON:
+            raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
+        self.course.opened.ends.sender(port).send(message)
+
+    def flush(self, timeout: float) -> bool:
+        """Wait until the component has taken what was sent; False when time ran out.
+
+        `kill` discards what a slower component has not taken yet; call this before it.
+        """
+        return self.course.opened.flush(timeout)
+
+    def subscribe(self, callback: Deliver) -> Callable[[], None]:
+        """Give messages to a callback from now on, first those that wait; returns what ends it.
+
+        The callback runs in the thread in which a message arrives. It may call `kill`.
+        """
+        if not self.course.reception.is_wanted:
+            raise UsageError(f"function {self.plan.function!r} has no output to read")
+        return self.course.reception.inbox.subscribe(callback)
+
+    def kill(self) -> None:
+        """End the connection and close what only it used. Once is enough; bounded in time."""
+        self.course.end(ConnectionState.CLOSED, "")
+
+    def close(self) -> None:
+        """End the connection: another name for `kill`, the word of the paper."""
+        self.kill()
+
+    def on_wake(self, wake: Callable[[], None] | None) -> None:
+        """Have `wake` called when a message or the end can be read; for event loops."""
+        self.course.reception.inbox.on_wake(wake)
+
+    def status(self) -> ConnectionStatus:
+        """Return what the status map shows."""
+        return ConnectionStatus(
+            id=self.id,
+            function=self.plan.function,
+            state=self.state,
+            components=self.course.components(),
+            cause=self.cause,
+            lost=self.course.history.lost,
+            ended=self.course.history.ended,
+        )
+
+    def __repr__(self) -> str:
+        components = " -> ".join(step.component.name for step in self.plan.steps)
+        return f"<Connection {self.id} to {self.plan.function!r}: {self.state.value}, {components}>"
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()

@@ -1,0 +1,206 @@
+"""Live components: the open channels of one component, opened once and closed once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from uoarm._control._condition import Condition
+from uoarm._dataplane import Outlet
+from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.errors import BridgeError, ConnectionClosedError
+from uoarm.model import ChannelStatus, Component, ComponentStatus, Message, Step
+
+__all__ = ["LiveComponent", "connection_of", "facts_of"]
+
+_log = logging.getLogger("uoarm")
+_BUSY_SECONDS = 60.0
+_OPEN_SECONDS = 60.0
+_CLOSE_SECONDS = 2.0
+_TURN_SECONDS = 0.1
+_LOSSES = frozenset({"under_way", "lost_on_link"})
+
+
+class LiveComponent:
+    """One component that at least one connection uses.
+
+    Channels are opened when they are first needed and closed together. `close` never waits
+    for a thread that is opening: that thread closes everything when it comes out.
+
+    Attributes:
+        condition: how it is doing.
+        lost: messages that its channels knew to have taken and not delivered when they closed.
+    """
+
+    def __init__(self, step: Step, bridge: Bridge) -> None:
+        self.component: Component = step.component
+        self.bridge = bridge
+        self.users: list[str] = []
+        self.condition = Condition()
+        self.outlets = {output.name: Outlet() for output in self.component.outputs}
+        self.structures = step.structures
+        self._sources: dict[str, Channel] = {}
+        self._sinks: dict[str, Sink] = {}
+        self._turns: dict[str, threading.Lock] = {}
+        self._closed: list[Channel] = []
+        self._busy = threading.Lock()
+        self._doomed = False
+        self.lost = 0
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was closed, after its last user or its death."""
+        return self._doomed
+
+    @property
+    def is_hanging(self) -> bool:
+        """Whether a thread is still inside its code, in a message or in closing a channel."""
+        return any(turn.locked() for turn in tuple(self._turns.values())) or any(
+            channel.is_closing for channel in tuple(self._closed)
+        )
+
+    @property
+    def unheard(self) -> int:
+        """How many messages it emitted while nobody took them, as it was being let go."""
+        return sum(outlet.unheard for outlet in self.outlets.values())
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels open now."""
+        return (*self._sources.values(), *self._sinks.values())
+
+    def open_output(self, name: str) -> None:
+        """Have the output's messages delivered to its outlet.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        with self._alone():
+            if name not in self._sources:
+                output = self.component.output(name)
+                assert output is not None, "the resolver checked every output"
+                self._sources[name] = self.bridge.open_source(
+                    output.endpoint,
+                    self.structures[f"output.{name}"],
+                    self.outlets[name].deliver,
+                    timeout=_OPEN_SECONDS,
+                )
+
+    def open_input(self, name: str) -> Sink:
+        """Return the open sink of an input.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        with self._alone():
+            if name not in self._sinks:
+                endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
+                self._sinks[name] = self.bridge.open_sink(
+                    endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
+                )
+            return self._sinks[name]
+
+    def sender(self, name: str, is_over: Callable[[], bool]) -> Callable[[Message], None]:
+        """Return a send for an input that several connections share: one call at a time.
+
+        A call that waits for its turn ends with a ConnectionClosedError once `is_over`: where the
+        component hangs, only one thread stays in it.
+        """
+        sink = self.open_input(name)
+        with self._alone():
+            turn = self._turns.setdefault(name, threading.Lock())
+
+        def send(message: Message) -> None:
+            while not turn.acquire(timeout=_TURN_SECONDS):
+                if is_over():
+                    raise ConnectionClosedError("the connection has ended")
+            try:
+                sink.send(message)
+            finally:
+                turn.release()
+
+        return send
+
+    def drain(self, timeout: float) -> None:
+        """Wait until what is under way in its channels has arrived; inputs first.
+
+        Waits `timeout` seconds for each channel at most.
+        """
+        for channel in (*self._sinks.values(), *self._sources.values()):
+            channel.drain(timeout)
+
+    def close(self) -> None:
+        """Close every channel, sources first; failures are logged. Bounded in time."""
+        self._doomed = True
+        self._sweep()
+
+    def status(self) -> ComponentStatus:
+        """Return what the status map shows."""
+        return ComponentStatus(
+            name=self.component.name,
+            function=self.component.function,
+            bridge=self.component.bridge,
+            health=self.condition.health,
+            users=tuple(dict.fromkeys(map(connection_of, self.users))),
+            cause=self.condition.cause,
+            channels=(
+                *_channel_statuses("output", self._sources),
+                *_channel_statuses("input", self._sinks),
+            ),
+        )
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        if not self._busy.acquire(timeout=_BUSY_SECONDS):
+            raise BridgeError(f"component {self.component.name!r} is still being opened")
+        try:
+            if self._doomed:
+                raise ConnectionClosedError(f"component {self.component.name!r} was closed")
+            yield
+        finally:
+            self._busy.release()
+            self._sweep()
+
+    def _sweep(self) -> None:
+        while self._doomed and self.channels and self._busy.acquire(blocking=False):
+            try:
+                self._close_all()
+            finally:
+                self._busy.release()
+
+    def _close_all(self) -> None:
+        for channels in (self._sources, self._sinks):
+            while channels:
+                _, channel = channels.popitem()
+                try:
+                    channel.close(timeout=_CLOSE_SECONDS)
+                except BridgeError as error:
+                    _log.warning("%s", error)
+                self._closed.append(channel)
+                self.lost += _lost(channel)
+
+
+def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
+    """Return a channel's facts; one that cannot tell them says why, and harms no status."""
+    try:
+        return tuple(channel.facts().items())
+    except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
+        return (("failed", f"{type(error).__name__}: {error}"),)
+
+
+def _lost(channel: Channel) -> int:
+    counts = (value for name, value in facts_of(channel) if name in _LOSSES)
+    return sum(count for count in counts if isinstance(count, int))
+
+
+def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
+    # A copy at once: channels open and close meanwhile.
+    for name, channel in tuple(channels.items()):
+        yield ChannelStatus(f"{direction}.{name}", facts_of(channel))
+
+
+def connection_of(user: str) -> str:
+    """Return the id of the connection that a user of the pool is."""
+    return user.partition("#")[0]

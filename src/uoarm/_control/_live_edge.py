@@ -1,0 +1,165 @@
+"""Live edges: an output that feeds an input, through a route of ours or a native link."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from attrs import define, field
+
+from uoarm._adapt import transfer
+from uoarm._control._live import LiveComponent, facts_of
+from uoarm._dataplane import Clock, Route, make_check
+from uoarm.bridge import Channel
+from uoarm.errors import BridgeError
+from uoarm.model import Edge, Input, Message, QueuePolicy, RouteStatus, ValidationMode
+
+__all__ = ["LiveEdge"]
+
+_STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
+_DRAIN_SECONDS = 5.0
+_log = logging.getLogger("uoarm")
+
+
+@define(eq=False)
+class LiveEdge:
+    """An edge between two open components. Its messages are checked as its strictest user wishes.
+
+    Args:
+        edge: of the plan.
+        producer: the open component at its beginning.
+        consumer: the open component at its end.
+        held: whether messages wait for `release`, because another edge feeds the input still;
+            those that come meanwhile are dropped and counted.
+    """
+
+    edge: Edge
+    producer: LiveComponent
+    consumer: LiveComponent
+    held: bool = False
+    users: dict[str, ValidationMode] = field(factory=dict, init=False)
+    route: Route | None = field(default=None, init=False)
+    link: Channel | None = field(default=None, init=False)
+    _ready: threading.Lock = field(factory=threading.Lock, init=False)
+    _checking: threading.Lock = field(factory=threading.Lock, init=False)
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """The input that it feeds."""
+        return self.edge.consumer, self.edge.input
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """The output that feeds it."""
+        return self.edge.producer, self.edge.output
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether a component at one of its ends was closed: nobody can use it any more."""
+        return self.producer.is_closed or self.consumer.is_closed
+
+    def open(self, clock: Clock) -> None:
+        """Open it where it is not open yet; a native link that is held is left for `release`.
+
+        Raises:
+            BridgeError: a bridge could not open the input, or not link both ends.
+        """
+        with self._ready:
+            if self.route is None and self.link is None:
+                if not self._is_native:
+                    self._open_route(clock)
+                elif not self.held:
+                    self._open_link(clock)
+            self.renew_check()
+
+    def release(self, clock: Clock) -> None:
+        """Let messages through from now on.
+
+        Raises:
+            BridgeError: a bridge could not link both ends.
+        """
+        self.held = False
+        self.open(clock)
+        if self.route is not None:
+            self.producer.open_output(self.edge.output)
+
+    def renew_check(self) -> None:
+        """Check messages as the users of this moment wish; never those of a native link."""
+        if self.route is None:
+            return
+        with self._checking:
+            wished = list(self.users.values())
+            mode = max(wished, key=_STRICTNESS.index, default=ValidationMode.OFF)
+            self.route.check = make_check(self.edge.producer_structure, mode, ".".join(self.origin))
+
+    def status(self) -> RouteStatus | None:
+        """Return what the status map shows; None while the edge is being opened."""
+        if self.route is not None:
+            return self.route.status()
+        if self.link is None:
+            return None
+        ends = ".".join(self.origin), ".".join(self.key)
+        return RouteStatus(*ends, 0, 0, native=True, facts=facts_of(self.link))
+
+    def finish(self) -> None:
+        """Take nothing more from the producer, let what waits pass, then close."""
+        if self.route is not None:
+            self.producer.outlets[self.edge.output].detach(self.route)
+            self.route.drain(_DRAIN_SECONDS)
+        self.close()
+
+    def close(self) -> None:
+        """Close it, also for the second time."""
+        if self.route is not None:
+            self.producer.outlets[self.edge.output].detach(self.route)
+            self.route.close()
+        if self.link is not None:
+            try:
+                self.link.close()
+            except BridgeError as error:
+                _log.warning("%s", error)
+
+    @property
+    def _is_native(self) -> bool:
+        """Whether the bridge may connect both ends itself: they are its own, of one structure."""
+        bridge = self.producer.bridge
+        return (
+            bridge is self.consumer.bridge
+            and self.edge.mapping is None
+            and self.edge.producer_structure == self.edge.consumer_structure
+            and bridge.capabilities.link
+        )
+
+    def _open_link(self, clock: Clock) -> None:
+        output = self.producer.component.output(self.edge.output)
+        assert output is not None, "the resolver checked every output"
+        self.link = self.producer.bridge.link(output.endpoint, self._input.endpoint)
+        if self.link is None:
+            self._open_route(clock)
+
+    def _open_route(self, clock: Clock) -> None:
+        sink = self.consumer.open_input(self.edge.input)
+        queue = self._input.queue
+        if queue is None and sink.blocking:
+            queue = QueuePolicy()
+        send = self.consumer.sender(self.edge.input, lambda: route.closed)
+
+        def hand(message: Message) -> None:
+            if self.held:
+                route.take_back("replaced")
+            else:
+                send(message)
+
+        route = self.route = Route(
+            ".".join(self.origin),
+            ".".join(self.key),
+            hand if self.held else send,
+            clock=clock,
+            transfer=transfer(self.edge),
+            queue=queue,
+        )
+        self.producer.outlets[self.edge.output].attach(route)
+
+    @property
+    def _input(self) -> Input:
+        return next(one for one in self.consumer.component.inputs if one.name == self.edge.input)

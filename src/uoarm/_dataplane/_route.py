@@ -1,0 +1,224 @@
+"""Routes: one flow of messages each, planned when it is opened, a direct call when it runs."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from uoarm._dataplane._queue import BoundedQueue, QueueClosed
+from uoarm.errors import MessageError
+from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
+
+__all__ = ["Clock", "Route"]
+
+Clock = Callable[[], float]
+"""Returns seconds that only grow."""
+
+_WINDOW_SECONDS = 1.0
+_WORKER_SECONDS = 1.0
+
+_log = logging.getLogger("uoarm")
+
+
+class Route:
+    """Takes messages from one output and hands them to one consumer.
+
+    Args:
+        producer: name of the output, for the status map.
+        consumer: name of the input or connection, for the status map.
+        hand: the consumer; what it raises is counted here.
+        clock: seconds.
+        transfer: compiled adapter, None when messages pass unchanged.
+        check: raises MessageError for a message that does not match; None: not checked. May
+            be replaced at any time, as `check`.
+        queue: None to call the consumer in the producer's thread; else a bounded queue with
+            one worker stands between.
+    """
+
+    __slots__ = (
+        "_clock",
+        "_closed",
+        "_dropped",
+        "_dropping",
+        "_give",
+        "_hand",
+        "_handed",
+        "_queue",
+        "_taken_back",
+        "_transfer",
+        "_window_count",
+        "_window_rate",
+        "_window_start",
+        "_worker",
+        "check",
+        "consumer",
+        "invalid",
+        "last_error",
+        "last_time",
+        "producer",
+        "received",
+    )
+
+    def __init__(
+        self,
+        producer: str,
+        consumer: str,
+        hand: Deliver,
+        *,
+        clock: Clock,
+        transfer: Callable[[Message], Message] | None = None,
+        check: Callable[[Message], None] | None = None,
+        queue: QueuePolicy | None = None,
+    ) -> None:
+        self.producer = producer
+        self.consumer = consumer
+        self.received = 0
+        self._handed = 0
+        self._taken_back = 0
+        self.invalid = 0
+        self.last_error = ""
+        self.last_time: float | None = None
+        self._dropped: dict[str, int] = {}
+        self._dropping = threading.Lock()
+        self._hand = hand
+        self._transfer = transfer
+        self.check = check
+        self._clock = clock
+        self._closed = False
+        self._window_start = clock()
+        self._window_count = 0
+        self._window_rate: float | None = None
+        self._queue: BoundedQueue[Message] | None = None
+        self._worker: threading.Thread | None = None
+        self._give: Deliver = self._hand_over
+        if queue is not None:
+            self._queue = BoundedQueue(queue, self.drop)
+            self._give = self._queue_first
+
+    def deliver(self, message: Message) -> None:
+        """Take one message, in the thread in which it arrived. Never raises."""
+        now = self._clock()
+        self.received += 1
+        self.last_time = now
+        self._window_count += 1
+        if now - self._window_start >= _WINDOW_SECONDS:
+            self._turn_window(now)
+        try:
+            check = self.check
+            if check is not None:
+                check(message)
+            if self._transfer is not None:
+                message = self._transfer(message)
+            self._give(message)
+        except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted here
+            self._fail(error)
+
+    def drop(self, reason: str) -> None:
+        """Count one lost message, from any thread."""
+        with self._dropping:
+            self._dropped[reason] = self._dropped.get(reason, 0) + 1
+
+    def take_back(self, reason: str) -> None:
+        """Count a message as lost that had been counted as delivered."""
+        with self._dropping:
+            self._taken_back += 1
+            self._dropped[reason] = self._dropped.get(reason, 0) + 1
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until what is queued was handed over; False when time ran out."""
+        return self._queue is None or self._queue.drain(timeout)
+
+    @property
+    def closed(self) -> bool:
+        """Whether it hands over nothing more."""
+        return self._closed
+
+    def stop(self) -> None:
+        """Hand over nothing more; what is queued is lost and counted. Waits for nothing."""
+        with self._dropping:
+            self._closed = True
+        if self._queue is not None:
+            self._queue.close(discard=True)
+
+    def close(self) -> None:
+        """Stop, and wait a second at most for a message that the worker has in hand."""
+        self.stop()
+        if self._worker is not None and self._worker is not threading.current_thread():
+            self._worker.join(_WORKER_SECONDS)
+
+    def status(self) -> RouteStatus:
+        """Return the counters as they are now."""
+        now = self._clock()
+        age = None if self.last_time is None else now - self.last_time
+        return RouteStatus(
+            producer=self.producer,
+            consumer=self.consumer,
+            received=self.received,
+            delivered=self._handed - self._taken_back,
+            dropped=tuple(sorted(self._dropped.copy().items())),
+            invalid=self.invalid,
+            rate=self._rate(now),
+            age=age,
+            last_error=self.last_error,
+        )
+
+    def _queue_first(self, message: Message) -> None:
+        """Start the worker with the first message: opening a route starts no thread."""
+        assert self._queue is not None, "only a route with a queue comes here"
+        with self._dropping:
+            if self._worker is None and not self._closed:
+                self._worker = threading.Thread(
+                    target=self._work,
+                    args=(self._queue,),
+                    name=f"uoarm-to-{self.consumer}",
+                    daemon=True,
+                )
+                self._worker.start()
+        self._give = self._queue.put
+        self._queue.put(message)
+
+    def _hand_over(self, message: Message) -> None:
+        if self._closed:
+            self.drop("closed")
+            return
+        self._hand(message)
+        self._handed += 1
+
+    def _work(self, queue: BoundedQueue[Message]) -> None:
+        while True:
+            try:
+                message = queue.get()
+            except QueueClosed:
+                return
+            try:
+                self._hand_over(message)
+            except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted
+                self._fail(error)
+            finally:
+                queue.done()
+
+    def _fail(self, error: Exception) -> None:
+        if self._closed:
+            self.drop("closed")
+            return
+        if isinstance(error, MessageError):
+            self.invalid += 1
+            self.drop("invalid")
+        else:
+            self.drop("failed")
+        text = f"{type(error).__name__}: {error}"
+        if text != self.last_error:
+            _log.warning("%s -> %s: %s", self.producer, self.consumer, text, exc_info=error)
+        self.last_error = text
+
+    def _turn_window(self, now: float) -> None:
+        self._window_rate = self._window_count / (now - self._window_start)
+        self._window_start = now
+        self._window_count = 0
+
+    def _rate(self, now: float) -> float | None:
+        elapsed = now - self._window_start
+        if elapsed >= 2 * _WINDOW_SECONDS or (self._window_rate is None and self.received > 1):
+            return self._window_count / elapsed if elapsed > 0 else None
+        return self._window_rate

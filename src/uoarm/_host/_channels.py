@@ -1,0 +1,144 @@
+"""The manager's side of the channels that are open in a host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from uoarm._host._flow import Incoming, Outgoing
+from uoarm._host._tally import Counter
+from uoarm.bridge import Channel, Delivery, Sink
+from uoarm.errors import UoarmError
+from uoarm.model import Endpoint, Message
+
+__all__ = ["AskChannel", "RemoteChannel", "RemoteSink", "RemoteSource"]
+
+AskChannel = Callable[..., object]
+"""Asks the host: an operation, then named values."""
+
+
+class RemoteChannel(Channel):
+    """A channel in a host through which no message of ours passes: a service, a native link.
+
+    Args:
+        endpoint: where it is open.
+        number: its number in the host.
+        ask: asks the host.
+        when_closed: what else ends with it.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        number: int,
+        ask: AskChannel,
+        when_closed: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(endpoint)
+        self.number = number
+        self._ask = ask
+        self._finally = when_closed
+        self.host_facts: Mapping[str, object] = {}
+
+    def facts(self) -> Mapping[str, object]:
+        """Return what the host's framework knew of the link a second ago at most."""
+        return self.host_facts
+
+    def _close(self) -> None:
+        try:
+            self._ask("close_channel", flow=self.number, sent=self._sent())
+        finally:
+            self._finally()
+
+    def _sent(self) -> int:
+        return 0
+
+
+class RemoteSource(RemoteChannel):
+    """An output in a host; its messages arrive in a thread of their own.
+
+    Attributes:
+        counter: of the messages that the host took from its component; None: not known.
+        given: how many were handed on.
+    """
+
+    incoming: Incoming
+    delivery: Delivery
+    counter: Counter | None = None
+    given: int = 0
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the host's facts, and what was lost on the link; latency in seconds."""
+        lost = self.incoming.lost
+        taken = self.given + lost if self.counter is None else self.counter.read()
+        ours = {
+            "under_way": max(0, taken - self.given - lost),
+            "lost_on_link": lost,
+            "link_latency": self.incoming.latency,
+        }
+        return {**self.host_facts, **ours}
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until every message that the host has sent by now is delivered."""
+        try:
+            sent = self._ask("sent", flow=self.number, timeout=timeout)
+        except UoarmError:
+            return False
+        return not isinstance(sent, int) or self.incoming.drain(sent, timeout)
+
+    def _close(self) -> None:
+        self.incoming.close()
+        self.delivery.end()
+        super()._close()
+
+
+class RemoteSink(RemoteChannel, Sink):
+    """An input in a host.
+
+    `send` waits for room for 10 s at most where the host's own sink may block, else for 0.2 s.
+
+    Attributes:
+        counter: of the messages that the component in the host took; None: not known at once.
+    """
+
+    outgoing: Outgoing
+    counter: Counter | None = None
+
+    def send(self, message: Message) -> None:
+        """Send one message to the host, where it is handed to the component.
+
+        Raises:
+            MessageError: it cannot be written.
+            BridgeError: the host is dead, or the component is too slow; it was not sent.
+        """
+        self.outgoing.send(message)
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the host's facts, and what became of the messages sent."""
+        outgoing = self.outgoing
+        under_way = outgoing.unconfirmed
+        if self.counter is not None:
+            under_way = max(0, outgoing.sent - outgoing.lost - self.counter.read())
+        ours = {
+            "under_way": under_way,
+            "lost_on_link": outgoing.lost,
+            "failed_in_host": outgoing.failed,
+            "last_error_in_host": outgoing.last_error,
+        }
+        return {**self.host_facts, **ours}
+
+    def drain(self, timeout: float) -> bool:
+        """Wait until the component has taken every message that was sent by now."""
+        try:
+            sent = self.outgoing.sent
+            return bool(self._ask("drain", flow=self.number, sent=sent, timeout=timeout))
+        except UoarmError:
+            return False
+
+    def _close(self) -> None:
+        try:
+            super()._close()
+        finally:
+            self.outgoing.close()
+
+    def _sent(self) -> int:
+        return self.outgoing.sent

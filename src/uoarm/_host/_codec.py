@@ -1,0 +1,167 @@
+"""Messages to octets and back: a msgpack tree, with numeric buffers raw behind it.
+
+A frame is four octets with the length of the tree (little-endian), the tree, then each buffer,
+padded to eight octets. Numeric arrays leave as they lie in memory and arrive as read-only views
+of the frame; octets arrive as `bytes`, tuples as lists.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+import sys
+from array import array
+from typing import Any
+
+import msgpack
+
+from uoarm._host._tree_scan import check_claims
+from uoarm.errors import MessageError
+from uoarm.model import Message
+
+__all__ = ["pack", "unpack"]
+
+_LENGTH = struct.Struct("<I")
+_BUFFER, _BIG = 1, 2
+_TYPE = re.compile(r"[<>|][biuf](1|2|4|8|16)")
+_MAX_DIMENSIONS = 32
+_STEP = 8
+_FILL = bytes(_STEP)
+_LITTLE = sys.byteorder == "little"
+_KINDS = {"b": "i", "h": "i", "i": "i", "l": "i", "q": "i", "f": "f", "d": "f"}
+
+
+def pack(message: Message) -> bytes:
+    """Return a message as one frame.
+
+    Raises:
+        MessageError: it holds a value that is neither JSON, octets nor a numeric buffer.
+    """
+    buffers: list[Any] = []
+
+    def other(value: Any) -> Any:
+        if isinstance(value, array):
+            return _outside(buffers, value, _array_type(value), (len(value),))
+        if isinstance(value, int):
+            return msgpack.ExtType(
+                _BIG, value.to_bytes(value.bit_length() // 8 + 1, "big", signed=True)
+            )
+        numpy = sys.modules.get("numpy")
+        if numpy is not None and isinstance(value, numpy.generic) and value.dtype.kind in "biuf":
+            return value.item()
+        if numpy is not None and isinstance(value, numpy.ndarray) and value.dtype.kind in "biuf":
+            whole = numpy.ascontiguousarray(value)
+            return _outside(buffers, whole.reshape(-1).view("u1"), value.dtype.str, value.shape)
+        raise MessageError(
+            f"a message cannot carry a {type(value).__name__}: expected values of JSON, octets, "
+            "or numeric buffers (numpy, array)"
+        )
+
+    try:
+        tree: bytes = msgpack.packb(message, default=other, unicode_errors="surrogatepass")
+    except (ValueError, OverflowError, TypeError) as error:
+        if isinstance(error, MessageError):
+            raise
+        raise MessageError(f"a message cannot be written: {error}") from error
+    if not buffers:
+        return _LENGTH.pack(len(tree)) + tree
+    parts = [_LENGTH.pack(len(tree)), tree, _FILL[: -(len(tree) + _LENGTH.size) % _STEP]]
+    for one in buffers:
+        parts += (one, _FILL[: -memoryview(one).nbytes % _STEP])
+    return b"".join(parts)
+
+
+def unpack(frame: bytes) -> Message:
+    """Return the message of a frame that `pack` made.
+
+    Raises:
+        MessageError: the frame is cut or was made by something else.
+    """
+    try:
+        return _read(frame)
+    except MessageError:
+        raise
+    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
+        raise MessageError(f"a frame cannot be read: {type(error).__name__}: {error}") from error
+
+
+def _read(frame: bytes) -> Message:
+    end = _LENGTH.size + int.from_bytes(frame[: _LENGTH.size], "little")
+    if len(frame) < max(end, _LENGTH.size + 1):
+        raise MessageError(f"a frame of {len(frame)} octets says that its tree ends at {end}")
+    place = end + -end % _STEP
+
+    def read(code: int, data: bytes) -> Any:
+        nonlocal place
+        if code == _BIG:
+            return int.from_bytes(data, "big", signed=True)
+        if code != _BUFFER:
+            raise MessageError(f"a frame holds an unknown extension {code}")
+        kind, shape, size = _buffer(data)
+        view = memoryview(frame)[place : place + size]
+        if len(view) != size:
+            raise MessageError(f"a frame ends within a buffer of {size} octets")
+        place += size + -size % _STEP
+        return _numbers(view, kind, shape)
+
+    check_claims(frame, _LENGTH.size, end)
+    tree = memoryview(frame)[_LENGTH.size : end]
+    return msgpack.unpackb(tree, ext_hook=read, unicode_errors="surrogatepass")
+
+
+def _buffer(data: bytes) -> tuple[str, list[int], int]:
+    """Return the item type, the shape and the octets of a buffer; they fit one another.
+
+    Numpy would take far more for a type than `pack` writes, even Python code in commas.
+    """
+    kind, shape, size = msgpack.unpackb(data)
+    known = _TYPE.fullmatch(kind) if isinstance(kind, str) else None
+    if known is None:
+        raise MessageError(f"a frame holds a buffer of an unknown type {str(kind)[:40]!r}")
+    if not (isinstance(shape, list) and len(shape) <= _MAX_DIMENSIONS):
+        raise MessageError(f"a frame holds a buffer of more than {_MAX_DIMENSIONS} dimensions")
+    if not all(type(one) is int and one >= 0 for one in shape):
+        raise MessageError("a frame holds a buffer of a shape that is no list of sizes")
+    if math.prod(shape) * int(known[1]) != size:
+        raise MessageError(
+            f"a frame holds a buffer whose shape does not fit its {size!r:.40} octets"
+        )
+    return kind, shape, size
+
+
+def _outside(buffers: list[Any], value: Any, kind: str, shape: tuple[int, ...]) -> Any:
+    buffers.append(value)
+    size = memoryview(value).nbytes
+    return msgpack.ExtType(_BUFFER, msgpack.packb((kind, shape, size)))
+
+
+def _array_type(value: array[Any]) -> str:
+    """Return numpy's name of an array's item type: byte order, kind, octets."""
+    code = value.typecode
+    if code in "uw":
+        raise MessageError("a message cannot carry an array of characters: expected numbers")
+    return f"{'<' if _LITTLE else '>'}{_KINDS.get(code, 'u')}{value.itemsize}"
+
+
+def _numbers(view: memoryview, kind: str, shape: list[int]) -> Any:
+    """Return numpy's view of a buffer; where numpy is missing, a copy as `array`, if it is flat."""
+    try:
+        import numpy as np  # noqa: PLC0415 - only where a message needs it, and may be missing
+    except ImportError:
+        return _flat(view, kind, shape)
+    return np.frombuffer(view, dtype=kind).reshape(shape)
+
+
+def _flat(view: memoryview, kind: str, shape: list[int]) -> Any:
+    for code in "bBhHiIlLqQfd":
+        found = array(code)
+        if len(shape) == 1 and f"|{_KINDS.get(code, 'u')}1" == kind and found.itemsize == 1:
+            found.frombytes(view)
+            return found
+        if len(shape) == 1 and _array_type(found) == kind:
+            found.frombytes(view)
+            return found
+    raise MessageError(
+        f"a buffer of type {kind!r} and shape {shape} needs numpy, which is not installed here"
+    )

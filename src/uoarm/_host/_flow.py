@@ -1,0 +1,296 @@
+"""One flow of messages over a link: numbered, in order, with a window and counted losses.
+
+The receiving end confirms what it has handled, so the sending end never has more than a window
+of messages under way: a slow consumer slows its producer, and after a death it is known how
+many messages may be lost.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import msgpack
+from attrs import astuple, frozen
+
+from uoarm._host._codec import pack, unpack
+from uoarm._host._link import Link
+from uoarm._host._tally import Counter
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Message
+
+__all__ = ["Ending", "Handled", "Incoming", "Outgoing"]
+
+_WINDOW = 64
+_CONFIRM_EACH = _WINDOW // 4
+_CONFIRM_SECONDS = 0.2
+_TRY_SECONDS = 0.2
+_GLANCE_SECONDS = 0.005
+_ERROR_LENGTH = 1000
+_log = logging.getLogger("uoarm")
+
+
+@frozen
+class Ending:
+    """The last thing that a flow says: how it ended, as `Health` has it, and why."""
+
+    health: str
+    cause: str
+
+
+@frozen
+class Handled:
+    """How far a receiving end is.
+
+    Attributes:
+        number: of the last message it handled.
+        failed: how many its consumer raised on.
+        last_error: what it raised last.
+        lost: how many were lost on the way to it.
+    """
+
+    number: int
+    failed: int
+    last_error: str
+    lost: int
+
+
+class Outgoing:
+    """The sending end of a flow. `send` is called by one thread at a time.
+
+    Args:
+        link: carries it.
+        key: name of the flow on the link.
+        patience: seconds that `send` waits while a whole window is under way.
+    """
+
+    def __init__(self, link: Link, key: str, patience: float) -> None:
+        self._link = link
+        self._key = key
+        self._patience = patience
+        self._number = 0
+        self._skipped = 0
+        self._handled = 0
+        self._next_try: float | None = None
+        self._cut = ""
+        self._room = threading.Condition()
+        self.failed = 0
+        self.last_error = ""
+        self.lost = 0
+        self._end = link.listen(f"{key}/handled", self._read_confirmation)
+
+    @property
+    def sent(self) -> int:
+        """How many messages were sent."""
+        return self._number
+
+    @property
+    def unconfirmed(self) -> int:
+        """How many messages were sent and are not known to be handled."""
+        return self._number - self._handled
+
+    def send(self, message: Message) -> None:
+        """Send one message, waiting for room if need be.
+
+        Raises:
+            MessageError: it cannot be written.
+            BridgeError: the flow is cut, or a whole window has been under way for too long;
+                the message was not sent.
+        """
+        frame = pack(message)
+        if self._number - self._handled >= _WINDOW or self._cut:
+            self._wait_for_room()
+        self._put(frame, None)
+
+    def skip(self) -> None:
+        """Give up one message; the other end counts it as lost when it hears the next one."""
+        self._skipped += 1
+
+    def finish(self, ending: Ending) -> None:
+        """Send the end of the flow, after everything that was sent before.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+        self._put(b"", (ending.health, ending.cause))
+
+    def cut(self, cause: str) -> None:
+        """Have every later `send`, and one that waits, fail with this cause."""
+        with self._room:
+            self._cut = cause
+            self._room.notify_all()
+
+    def close(self) -> None:
+        """Send nothing more. Once is enough."""
+        self.cut("it is closed")
+        self._end()
+
+    def _put(self, frame: bytes, ending: tuple[str, str] | None) -> None:
+        self._number += 1
+        header = msgpack.packb((self._number, self._skipped, time.time_ns(), ending))
+        self._link.publish(self._key, frame, header, must_arrive=ending is not None)
+
+    def _wait_for_room(self) -> None:
+        """Return when there is room; without any, let one message a while through as a try.
+
+        The try is what finds out that the other end goes on after all, when messages or
+        confirmations were lost on the way.
+        """
+        with self._room:
+            if self._next_try is None:
+                self._room.wait_for(self._has_room, self._patience)
+            if self._cut:
+                raise BridgeError(f"{self._key}: {self._cut}", FailureReason.CLOSED)
+            now = time.monotonic()
+            if self._has_room() or self._next_try is None or now >= self._next_try:
+                self._next_try = None if self._has_room() else now + _TRY_SECONDS
+                return
+        raise BridgeError(
+            f"{self._key}: the other end has handled none of the last {_WINDOW} messages",
+            FailureReason.UNAVAILABLE,
+        )
+
+    def _has_room(self) -> bool:
+        return bool(self._cut) or self._number - self._handled < _WINDOW
+
+    def confirm(self, handled: Handled) -> None:
+        """Take what the other end says it has handled so far."""
+        with self._room:
+            self._handled = max(self._handled, handled.number)
+            self.failed, self.last_error = handled.failed, handled.last_error
+            self.lost = handled.lost
+            self._next_try = None
+            self._room.notify_all()
+
+    def _read_confirmation(self, header: bytes) -> None:
+        match _plain(header):
+            case [int(number), int(failed), str(error), int(lost)] if number <= self._number:
+                self.confirm(Handled(number, failed, error[:_ERROR_LENGTH], lost))
+            case told:
+                _log.debug("%s: no confirmation: %.40s", self._key, told)
+
+
+class Incoming:
+    """The receiving end of a flow: a thread that takes one message after the other.
+
+    Args:
+        link: carries it.
+        key: name of the flow on the link.
+        name: for the thread.
+        take: the consumer; what it raises is counted and told to the sending end.
+        ended: told, after the last message, how the flow ended.
+        counter: where how many messages the consumer has taken is written down.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        key: str,
+        *,
+        name: str,
+        take: Callable[[Message], None],
+        ended: Callable[[Ending], None],
+        counter: Counter | None = None,
+    ) -> None:
+        self._link = link
+        self._key = key
+        self._take = take
+        self._ended = ended
+        self._counter = counter
+        self._closed = False
+        self._number = 0
+        self._skipped = 0
+        self._confirmed = 0
+        self._confirmed_at = 0.0
+        self.received = 0
+        self.lost = 0
+        self.failed = 0
+        self.last_error = ""
+        self.latency = 0.0
+        self._receive, self._end = link.subscribe(key, 2 * _WINDOW)
+        self._thread = threading.Thread(target=self._run, name=f"uoarm-from-{name}", daemon=True)
+        self._thread.start()
+
+    def handled(self) -> Handled:
+        """Return how far it is, for the sending end."""
+        return Handled(self._number, self.failed, self.last_error, self.lost)
+
+    def close(self) -> None:
+        """Begin no other `take`; one under way finishes alone. Once is enough."""
+        self._closed = True
+        self._end()
+
+    def drain(self, number: int, timeout: float) -> bool:
+        """Wait until the message of this number is handled; False when time ran out."""
+        deadline = time.monotonic() + timeout
+        pause = threading.Event()
+        while self._number < number and time.monotonic() < deadline:
+            pause.wait(_GLANCE_SECONDS)
+        return self._number >= number
+
+    def join(self, timeout: float) -> None:
+        """Wait until a `take` under way has finished, unless this is called from within it."""
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout)
+
+    def _run(self) -> None:
+        try:
+            while (frame := self._receive()) is not None and not self._closed:
+                self._handle(*frame)
+        except BridgeError as error:
+            _log.debug("%s ended with its link: %s", self._key, error)
+
+    def _handle(self, frame: bytes, header: bytes) -> None:
+        told = _header(header)
+        if (
+            told is None or told[0] <= self._number
+        ):  # damaged, or sent once more by whoever heard it
+            self.failed += 1
+            self.last_error = "a frame without a header of its own, or one that came before"
+            return
+        number, skipped, sent_at, ending = told
+        self.lost += number - self._number - 1 + skipped - self._skipped
+        self._skipped = skipped
+        self.latency = max(0.0, (time.time_ns() + self._link.ahead() - sent_at) / 1e9)
+        if ending is not None:
+            self._ended(ending)
+        else:
+            self.received += 1
+            try:
+                self._take(unpack(frame))
+            except Exception as error:  # noqa: BLE001 - a consumer may raise anything
+                self.failed += 1
+                self.last_error = f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]
+            if self._counter is not None:
+                self._counter.set(self.received)
+        self._number = number
+        self._confirm()
+
+    def _confirm(self) -> None:
+        now = time.monotonic()
+        few = self._number - self._confirmed < _CONFIRM_EACH
+        if few and now - self._confirmed_at < _CONFIRM_SECONDS:
+            return
+        self._confirmed, self._confirmed_at = self._number, now
+        header = msgpack.packb(astuple(self.handled()))
+        self._link.publish(f"{self._key}/handled", b"", header, must_arrive=True)
+
+
+def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:
+    """Return number, skipped, time and ending of a frame; None where it is no header of a flow."""
+    match _plain(octets):
+        case [int(number), int(skipped), int(sent_at), None]:
+            return number, skipped, sent_at, None
+        case [int(number), int(skipped), int(sent_at), [str(health), str(cause)]]:
+            return number, skipped, sent_at, Ending(health, cause)
+    return None
+
+
+def _plain(octets: bytes) -> object:
+    """Return what msgpack holds, None where it holds nothing that can be read."""
+    try:
+        return msgpack.unpackb(octets)
+    except (ValueError, TypeError, msgpack.UnpackException):
+        return None

@@ -1,0 +1,272 @@
+"""The link between a manager and a bridge host: one Zenoh session at either end of a unix socket.
+
+Requests are Zenoh queries whose payloads are frames of the codec. Every request gets a reply or
+an error, also when the answering function raises. Foreign exceptions end here.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import zenoh
+
+from uoarm._host._codec import pack, unpack
+from uoarm._host._failures import from_failure, to_failure
+from uoarm._host._link_settings import NO_MORE, configuration
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+
+__all__ = ["ANSWER_SECONDS", "Link", "Reply"]
+
+ANSWER_SECONDS = 120.0
+"""A request that nothing else limits is given up after this time."""
+
+Reply = Callable[[Any], None]
+"""Takes the value to answer with, or the exception to answer with; from any thread, once."""
+
+_PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
+_BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
+_log = logging.getLogger("uoarm")
+
+
+class Link:
+    """One end of a link. All methods may be called from any thread.
+
+    Args:
+        place: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
+        listen: whether this end waits for the other one; it must be there first.
+        timeout: seconds for the connection to stand, where this end connects, or connects again;
+            `close` waits as long for such a try.
+        lease: seconds without a sign of life after which the other end is taken for gone. The
+            pulse notices a host that hangs, so this may be long.
+        shared_memory: whether large frames cross in shared memory; both ends must say the same.
+        more: further settings of the session, by name.
+
+    Attributes:
+        ahead: by how many nanoseconds the clock at the other end is ahead of this one.
+
+    Raises:
+        BridgeError: the session could not be opened.
+    """
+
+    def __init__(
+        self,
+        place: str,
+        *,
+        listen: bool,
+        timeout: float = 10.0,
+        lease: float = 10.0,
+        shared_memory: bool = False,
+        more: Mapping[str, object] = NO_MORE,
+    ) -> None:
+        with _wrapped(f"opening the link at {place}"):
+            settings = configuration(
+                place,
+                listen=listen,
+                timeout=timeout,
+                lease=lease,
+                shared_memory=shared_memory,
+                more=more,
+            )
+            self._session = zenoh.open(settings)
+        self._prefix = ""
+        self._kept: list[Any] = []
+        self.ahead: Callable[[], int] = _same_clock
+
+    def part(self, prefix: str) -> Link:
+        """Return a link over the same session that sees every key behind a prefix.
+
+        Closing it ends what was declared through it; the session stays.
+        """
+        part = copy.copy(self)
+        part._prefix = f"{self._prefix}{prefix}/"  # noqa: SLF001 - one of this kind
+        part._kept = []  # noqa: SLF001 - likewise
+        return part
+
+    def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
+        """Send a request and return the answer; waits `timeout` seconds at most.
+
+        Raises:
+            UoarmError: what the other end answered with.
+            BridgeError: UNAVAILABLE when nobody answers.
+            BridgeTimeoutError: no answer in time.
+        """
+        begun = time.monotonic()
+        key = self._prefix + key
+        with _wrapped(f"asking {key}"):
+            replies = list(self._session.get(key, payload=pack(request), timeout=timeout))
+        late = time.monotonic() - begun >= timeout
+        if late and (not replies or replies[0].ok is None):
+            raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
+        if not replies:
+            raise BridgeError(f"nobody answers at {key}", FailureReason.UNAVAILABLE)
+        reply = replies[0]
+        if reply.err is not None:
+            text = reply.err.payload.to_string()
+            raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
+        assert reply.ok is not None, "a reply that is no error holds a sample"
+        told = unpack(reply.ok.payload.to_bytes())
+        match told:
+            case [bool(failed), value]:
+                if not failed:
+                    return value
+                if isinstance(value, Mapping):
+                    raise from_failure(value)
+        text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
+        raise BridgeError(text, FailureReason.CONTRACT)
+
+    def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
+        """Have requests at a key handed to `take`, in the link's thread; returns what ends it.
+
+        `take` must not block: it answers at once, or hands the reply to another thread.
+        """
+
+        def handle(query: zenoh.Query) -> None:
+            reply = _reply_to(query)
+            try:
+                payload = query.payload
+                take(None if payload is None else unpack(payload.to_bytes()), reply)
+            except Exception as error:  # noqa: BLE001 - an unanswered query looks like a death
+                reply(error)
+
+        with _wrapped(f"answering at {key}"):
+            return self._keep(
+                self._session.declare_queryable(self._prefix + key, _directly(handle))
+            )
+
+    def publish(
+        self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
+    ) -> None:
+        """Send one frame. When the link is full for 0.2 s, the frame is dropped.
+
+        With `must_arrive` it waits longer, and a link that stays full for 5 s is broken.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+        with _wrapped(f"sending to {key}"):
+            self._session.put(
+                self._prefix + key,
+                payload,
+                attachment=header,
+                congestion_control=_BLOCK if must_arrive else _DROP,
+            )
+
+    def subscribe(self, key: str, length: int) -> tuple[Callable[[], Any], Callable[[], None]]:
+        """Return a function that waits for the next frame, and one that ends the subscription.
+
+        The first returns (payload, header), or None when the subscription has ended. At most
+        `length` frames wait; the oldest are lost first.
+        """
+        with _wrapped(f"subscribing to {key}"):
+            ring: Any = zenoh.handlers.RingChannel(length)
+            subscriber = self._session.declare_subscriber(self._prefix + key, ring)
+        waiting = subscriber.handler
+
+        def receive() -> tuple[bytes, bytes] | None:
+            try:
+                sample = waiting.recv()
+            except zenoh.ZError:
+                return None
+            header = sample.attachment
+            return sample.payload.to_bytes(), b"" if header is None else header.to_bytes()
+
+        return receive, self._keep(subscriber)
+
+    def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
+        """Have the headers of frames at a key handed to `take`, in the link's thread."""
+
+        def handle(sample: zenoh.Sample) -> None:
+            header = sample.attachment
+            if header is not None:
+                take(header.to_bytes())
+
+        with _wrapped(f"listening at {key}"):
+            taking = _directly(handle)
+            return self._keep(self._session.declare_subscriber(self._prefix + key, taking))
+
+    def show_alive(self, key: str) -> None:
+        """Declare a token that goes when this end dies."""
+        with _wrapped("declaring the token"):
+            self._keep(self._session.liveliness().declare_token(self._prefix + key))
+
+    def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
+        """Have the coming and going of a token told, in the link's thread."""
+        self.watch_tokens(key, lambda _, alive: seen(alive))
+
+    def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> None:
+        """Have the coming and going of every token that matches told, each with its key."""
+
+        def handle(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr).removeprefix(self._prefix)
+            seen(key, sample.kind == zenoh.SampleKind.PUT)
+
+        with _wrapped("watching for tokens"):
+            tokens = self._session.liveliness()
+            place = self._prefix + keys
+            subscriber = tokens.declare_subscriber(place, _directly(handle), history=True)
+        self._keep(subscriber)
+
+    def close(self) -> None:
+        """End everything of this end, or of this part of it. Once is enough."""
+        kept = list(self._kept)
+        self._kept.clear()
+        if self._prefix:
+            for declared in kept:
+                with suppress(zenoh.ZError):  # the session was closed before
+                    declared.undeclare()
+            return
+        with _wrapped("closing the link"):
+            self._session.close()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+
+    def _keep(self, declared: Any) -> Callable[[], None]:
+        self._kept.append(declared)
+
+        def end() -> None:
+            if declared in self._kept:
+                self._kept.remove(declared)
+                with _wrapped("ending a subscription"):
+                    declared.undeclare()
+
+        return end
+
+
+def _same_clock() -> int:
+    return 0
+
+
+def _directly(handle: Callable[[Any], None]) -> Any:
+    """Have a handler called in Zenoh's thread; else each one gets a thread that no exit ends."""
+    return zenoh.handlers.Callback(handle, indirect=False)
+
+
+def _reply_to(query: zenoh.Query) -> Reply:
+    key = str(query.key_expr)
+
+    def reply(value: Any) -> None:
+        failed = isinstance(value, BaseException)
+        try:
+            frame = pack((failed, to_failure(value) if failed else value))
+        except MessageError as error:
+            frame = pack((True, to_failure(error)))
+        try:
+            query.reply(key, frame)
+            query.drop()  # type: ignore[no-untyped-call] # zenoh's stub says no more
+        except zenoh.ZError as error:
+            _log.debug("nobody waits for the answer at %s any more: %s", key, error)
+
+    return reply
+
+
+@contextmanager
+def _wrapped(step: str) -> Iterator[None]:
+    try:
+        yield
+    except zenoh.ZError as error:
+        text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
+        raise BridgeError(f"{step} failed: {text}", FailureReason.UNAVAILABLE) from error

@@ -1,0 +1,263 @@
+"""The remote bridge: the bridge contract on the manager's side of a host."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, final
+
+from uoarm._host import _keys
+from uoarm._host._channels import RemoteChannel, RemoteSink, RemoteSource
+from uoarm._host._connection import HostConnection
+from uoarm._host._desk import MachineDesk
+from uoarm._host._flow import Ending, Handled, Incoming, Outgoing
+from uoarm._host._link import Reply
+from uoarm._host._machine import MachineConnection
+from uoarm._host._settings import HostSettings
+from uoarm._host._tally import Counter
+from uoarm._host._workers import Workers
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Delivery,
+    Description,
+    Discovered,
+    Handler,
+    Sink,
+)
+from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.model import (
+    BridgeSpec,
+    Deliver,
+    Endpoint,
+    Health,
+    Message,
+    MessageStructure,
+    from_json,
+    to_json,
+)
+
+__all__ = ["RemoteBridge"]
+
+_BLOCKING_SECONDS = 10.0
+_PROMPT_SECONDS = 0.2
+_CLOSE_SECONDS = 2.0
+_log = logging.getLogger("uoarm")
+
+
+@final
+class RemoteBridge(Bridge):
+    """A bridge that runs in a process of its own, which this object starts and ends.
+
+    One on another machine is only taken up and let go: its process is not this object's.
+
+    Args:
+        spec: name, plugin and options of the bridge; `spec.host` are the settings of its host.
+        desk: where other machines join; for a host that has a `machine`.
+        origin: the configuration file, which the host's command line shows.
+
+    Raises:
+        UoarmError: what the plugin raised when it was started in the host.
+        BridgeError: the host could not be started, or is of another version.
+        BridgeTimeoutError: it was not ready in time.
+    """
+
+    def __init__(
+        self, spec: BridgeSpec, desk: MachineDesk | None = None, *, origin: str = ""
+    ) -> None:
+        super().__init__(spec.name, spec.options)
+        self._numbers = itertools.count(1)
+        self._channels: dict[int, RemoteChannel] = {}
+        self._services = Workers(f"uoarm-serve-{spec.name}")
+        self._told_death = threading.Lock()
+        settings = HostSettings.read(spec.host or {})
+        connect: Callable[..., HostConnection | MachineConnection] = partial(
+            HostConnection, origin=origin
+        )
+        if settings.machine is not None:
+            if desk is None:
+                text = f"bridge {spec.name!r} is on machine {settings.machine!r}: ask its manager"
+                raise BridgeError(text, FailureReason.UNSUPPORTED)
+            connect = partial(MachineConnection, desk, settings.machine)
+        self._host = connect(
+            spec, settings, heard=self._heard, doubted=self._doubted, died=self._died
+        )
+        try:
+            self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
+            self._host.link.answer(_keys.TOLD, self._told)
+        except BaseException:
+            self._host.close(None)
+            raise
+
+    @property
+    def process(self) -> int:
+        """The id of the host's process.
+
+        Raises:
+            BridgeError: it is another machine's.
+        """
+        return self._host.process
+
+    @property
+    def process_id(self) -> int | None:
+        """The id of the host's process; None where it is another machine's."""
+        return self._host.process if isinstance(self._host, HostConnection) else None
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return from_json(self._ask("describe", endpoint=to_json(endpoint)), Description)
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return tuple(from_json(one, Discovered) for one in self._ask("discover"))
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Channel:
+        number = next(self._numbers)
+        channel = RemoteSource(endpoint, number, self._ask_to_close, lambda: self._drop(number))
+
+        def ended(ending: Ending) -> None:
+            self.report(Health(ending.health), ending.cause, channel=channel)
+
+        def give(message: Message) -> None:
+            channel.given += 1
+            deliver(message)
+
+        channel.counter = self._counter()
+        channel.delivery = Delivery(give)
+        channel.incoming = Incoming(
+            self._host.link,
+            _keys.flow(number),
+            name=f"{endpoint.component}.{endpoint.port}",
+            take=channel.delivery.give,
+            ended=ended,
+        )
+        self._channels[number] = channel
+        try:
+            self._ask("source", **_opening(number, channel.counter, endpoint, structure))
+        except BaseException:
+            channel.incoming.close()
+            self._drop(number)
+            raise
+        return channel
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        number = next(self._numbers)
+        channel = RemoteSink(endpoint, number, self._ask_to_close, lambda: self._drop(number))
+        channel.counter = self._counter()
+        try:
+            opening = _opening(number, channel.counter, endpoint, structure)
+            channel.blocking = self._ask("sink", **opening)
+        except BaseException:
+            self._take_back(channel.counter)
+            raise
+        patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
+        channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
+        self._channels[number] = channel
+        if self._host.dead:
+            channel.outgoing.cut(self._host.dead)
+        return channel
+
+    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        return self._ask("call", endpoint=to_json(endpoint), message=message, timeout=timeout)
+
+    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+        number = next(self._numbers)
+
+        def take(message: Message, reply: Reply) -> None:
+            self._services.answer(reply, lambda: handler(message))
+
+        end = self._host.link.answer(_keys.service(number), take)
+        try:
+            self._ask("serve", flow=number, endpoint=to_json(endpoint))
+        except BaseException:
+            end()
+            raise
+        return RemoteChannel(endpoint, number, self._ask_to_close, end)
+
+    def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        number = next(self._numbers)
+        if not self._ask("link", flow=number, source=to_json(source), sink=to_json(sink)):
+            return None
+        channel = RemoteChannel(source, number, self._ask_to_close, lambda: self._drop(number))
+        self._channels[number] = channel
+        return channel
+
+    def _close(self) -> None:
+        self._services.close()
+        self._host.close(lambda: self._ask("close", timeout=_CLOSE_SECONDS))
+
+    def _ask(self, operation: str, **values: Any) -> Any:
+        try:
+            return self._host.ask(operation, values)
+        finally:
+            if self._host.dead:
+                self._tell_death()
+
+    def _ask_to_close(self, operation: str, **values: Any) -> Any:
+        """Ask about an open channel; one of a dead host is closed already."""
+        try:
+            if not self._host.dead:
+                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
+        except UoarmError:
+            if not self._host.dead:
+                raise
+        return None
+
+    def _drop(self, number: int) -> None:
+        channel = self._channels.pop(number, None)
+        if isinstance(channel, RemoteSource | RemoteSink) and not self._host.dead:
+            self._take_back(channel.counter)
+
+    def _counter(self) -> Counter | None:
+        tally = self._host.tally
+        return None if tally is None else tally.counter()
+
+    def _take_back(self, counter: Counter | None) -> None:
+        if self._host.tally is not None:
+            self._host.tally.take_back(counter)
+
+    def _heard(self, answer: list[Any]) -> None:
+        for number, handled, facts in answer:
+            channel = self._channels.get(number)
+            if channel is not None:
+                channel.host_facts = facts
+            if isinstance(channel, RemoteSink) and handled is not None:
+                channel.outgoing.confirm(Handled(*handled))
+
+    def _doubted(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - told, not asked
+        self.report(Health.DEGRADED if in_doubt else Health.OK, cause)
+
+    def _died(self, cause: str) -> None:
+        for channel in list(self._channels.values()):
+            if isinstance(channel, RemoteSink):
+                channel.outgoing.cut(f"bridge host {self.name!r} died: {cause}")
+        self._tell_death()
+
+    def _tell_death(self) -> None:
+        """Report the death once, when there is somebody to hear it."""
+        if self._listener is not None and self._told_death.acquire(blocking=False):
+            self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
+
+    def _told(self, told: Mapping[str, Any], reply: Reply) -> None:
+        self.report(
+            Health(told["health"]),
+            told["cause"],
+            channel=self._channels.get(told["flow"]),
+            component=told["component"],
+        )
+        reply(None)
+
+
+def _opening(
+    number: int, counter: Counter | None, endpoint: Endpoint, structure: MessageStructure
+) -> dict[str, Any]:
+    return {
+        "flow": number,
+        "slot": None if counter is None else counter.slot,
+        "endpoint": to_json(endpoint),
+        "structure": to_json(structure),
+    }

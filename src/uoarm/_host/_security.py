@@ -1,0 +1,111 @@
+"""Who may join from another machine, and what it may touch: mutual TLS and an access list.
+
+Everything is denied but to a machine whose certificate carries its name, and to that one only the
+keys that begin with it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from attrs import frozen
+
+from uoarm._host import _keys
+from uoarm.errors import BridgeError, FailureReason
+
+__all__ = ["MANAGER", "Identity", "access_list"]
+
+MANAGER = "manager"
+"""The name of the manager's files in a folder of certificates."""
+
+_OTHERS = 0o077
+_MESSAGES = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+
+
+@frozen
+class Identity:
+    """The files by which one end of a link shows who it is and knows whom to believe."""
+
+    authority: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def find(cls, folder: str | Path, name: str) -> Identity:
+        """Return `ca.pem`, `NAME.pem` and `NAME.key` of a folder.
+
+        Raises:
+            BridgeError: one of them is missing, or others than its owner may read the key.
+        """
+        home = Path(folder).expanduser()
+        found = cls(home / "ca.pem", home / f"{name}.pem", home / f"{name}.key")
+        for file in (found.authority, found.certificate, found.key):
+            if not file.is_file():
+                text = f"there is no {file}; make it: uoarm certificates --help"
+                raise BridgeError(text, FailureReason.NOT_FOUND)
+        if os.name == "posix" and found.key.stat().st_mode & _OTHERS:
+            text = f"others may read the private key {found.key}: chmod 600 it"
+            raise BridgeError(text, FailureReason.REFUSED)
+        return found
+
+    def settings(self, *, listen: bool) -> dict[str, object]:
+        """Return Zenoh's settings for the end that listens, or for one that joins."""
+        side = "listen" if listen else "connect"
+        return {
+            "transport/link/tls": {
+                "root_ca_certificate": str(self.authority),
+                f"{side}_certificate": str(self.certificate),
+                f"{side}_private_key": str(self.key),
+                "enable_mtls": True,
+                "verify_name_on_connect": True,
+                "close_link_on_expiration": True,
+            }
+        }
+
+
+def access_list(machines: Iterable[str], *, named: bool) -> Mapping[str, object]:
+    """Return Zenoh's settings under which each machine reaches its own keys, and nobody any other.
+
+    Args:
+        machines: their names.
+        named: whether certificates tell who is who; without, as on a loopback without TLS,
+            whoever connects may touch the keys of every machine.
+    """
+    names = sorted(machines)
+    rules = [
+        {
+            "id": name,
+            "permission": "allow",
+            "flows": ["ingress", "egress"],
+            "messages": list(_MESSAGES),
+            "key_exprs": [f"{_keys.MACHINES}/{name}/**"],
+        }
+        for name in names
+    ]
+    if named:
+        subjects = [{"id": name, "cert_common_names": [name]} for name in names]
+        policies = [{"rules": [name], "subjects": [name]} for name in names]
+    else:
+        subjects = [{"id": "anybody"}]
+        policies = [{"rules": names, "subjects": ["anybody"]}]
+    return {
+        "access_control": {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": subjects,
+            "policies": policies,
+        }
+    }

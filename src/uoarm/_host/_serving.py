@@ -1,0 +1,190 @@
+"""The host's side of the contract: requests from the link become calls of the bridge."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from threading import Event
+from typing import Any
+
+from uoarm._host import _keys
+from uoarm._host._daemons import DaemonThreads
+from uoarm._host._flow import Ending
+from uoarm._host._link import ANSWER_SECONDS, Link, Reply
+from uoarm._host._open_flows import OpenFlows
+from uoarm._host._tally import Tally
+from uoarm._host._workers import Workers
+from uoarm._version import __version__
+from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent
+from uoarm.errors import BridgeError, FailureReason, UoarmError
+from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
+
+__all__ = ["Serving"]
+
+_log = logging.getLogger("uoarm")
+
+Request = Mapping[str, Any]
+
+
+class Serving:
+    """Answers a manager's requests with a bridge, each in a thread of its own.
+
+    Args:
+        bridge: the bridge of this host.
+        link: to the manager.
+        ended: set when the manager has closed the bridge.
+        tally: where flows are counted; None where the manager shares no memory.
+    """
+
+    def __init__(
+        self, bridge: Bridge, link: Link, ended: Event, tally: Tally | None = None
+    ) -> None:
+        self._bridge = bridge
+        self._link = link
+        self._flows = OpenFlows(link, tally)
+        self._workers = Workers("uoarm-ask")
+        self._teller = DaemonThreads("uoarm-tell", 1)
+        self._looker = DaemonThreads("uoarm-look", 1)
+        self._looking = Event()
+        self._ended = ended
+        self._operations: dict[str, Callable[[Request], Any]] = {
+            "hello": self._hello,
+            "describe": self._describe,
+            "discover": self._discover,
+            "source": self._source,
+            "sink": self._sink,
+            "call": self._call,
+            "serve": self._serve,
+            "link": self._native_link,
+            "sent": lambda request: self._flows.sent(request["flow"]),
+            "drain": lambda request: self._flows.drain(
+                request["flow"], request["sent"], request["timeout"]
+            ),
+            "close_channel": self._close_channel,
+            "close": self._close,
+        }
+
+    def begin(self) -> None:
+        """Answer from now on, then show that the host is alive."""
+        self._bridge.watch(self._noticed)
+        self._link.answer(_keys.ASK, self._take)
+        self._link.answer(_keys.PING, self._beat)
+        self._link.show_alive(_keys.ALIVE)
+
+    def end(self) -> None:
+        """Take no more requests; those under way end alone."""
+        self._workers.close()
+        self._teller.close()
+        self._looker.close()
+
+    def _beat(self, _: Any, reply: Reply) -> None:
+        """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
+        reply(self._flows.pulse())
+        if not self._looking.is_set():
+            self._looking.set()
+            self._looker.submit(self._look)
+
+    def _look(self) -> None:
+        try:
+            self._flows.look_at_facts()
+        finally:
+            self._looking.clear()
+
+    def _take(self, request: Request, reply: Reply) -> None:
+        operation = self._operations.get(request["op"])
+        if operation is None:
+            text = f"the bridge host knows no operation {request['op']!r}"
+            raise BridgeError(text, FailureReason.CONTRACT)
+        last = request["op"] == "close"
+
+        def answer(value: Any) -> None:
+            reply(value)
+            if last:
+                self._ended.set()
+
+        self._workers.answer(answer, lambda: operation(request))
+
+    def _hello(self, request: Request) -> Any:
+        del request
+        return {
+            "link": _keys.LINK_VERSION,
+            "contract": CONTRACT_VERSION,
+            "version": __version__,
+            "capabilities": to_json(self._bridge.capabilities),
+        }
+
+    def _describe(self, request: Request) -> Any:
+        endpoint = from_json(request["endpoint"], Endpoint)
+        return to_json(self._bridge.describe(endpoint, timeout=ANSWER_SECONDS))
+
+    def _discover(self, request: Request) -> Any:
+        del request
+        return [to_json(one) for one in self._bridge.discover(timeout=ANSWER_SECONDS)]
+
+    def _source(self, request: Request) -> None:
+        endpoint, structure = _port(request)
+        with self._flows.leaving(request["flow"], request["slot"], endpoint) as leaving:
+            leaving.channel = self._bridge.open_source(
+                endpoint, structure, leaving.deliver, timeout=ANSWER_SECONDS
+            )
+
+    def _sink(self, request: Request) -> bool:
+        endpoint, structure = _port(request)
+        sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
+        self._flows.arriving(request["flow"], request["slot"], sink)
+        return sink.blocking
+
+    def _call(self, request: Request) -> Message:
+        endpoint = from_json(request["endpoint"], Endpoint)
+        return self._bridge.call(endpoint, request["message"], timeout=request["timeout"])
+
+    def _serve(self, request: Request) -> None:
+        endpoint = from_json(request["endpoint"], Endpoint)
+        key = _keys.service(request["flow"])
+
+        def handle(message: Message) -> Message:
+            return self._link.ask(key, message)
+
+        channel = self._bridge.serve(endpoint, handle, timeout=ANSWER_SECONDS)
+        self._flows.plain(request["flow"], channel)
+
+    def _native_link(self, request: Request) -> bool:
+        source = from_json(request["source"], Endpoint)
+        sink = from_json(request["sink"], Endpoint)
+        channel = self._bridge.link(source, sink, timeout=ANSWER_SECONDS)
+        if channel is not None:
+            self._flows.plain(request["flow"], channel)
+        return channel is not None
+
+    def _close_channel(self, request: Request) -> None:
+        self._flows.close(request["flow"], request["sent"], request["timeout"])
+
+    def _close(self, request: Request) -> None:
+        self._bridge.close(timeout=request["timeout"])
+
+    def _noticed(self, event: HealthEvent) -> None:
+        """Take an event in the bridge's thread; what concerns a source goes with its messages."""
+        channel: Channel | None = event.channel
+        if channel is not None and event.health in {Health.FINISHED, Health.LOST}:
+            leaving = self._flows.leaving_of(channel)
+            if leaving is not None:
+                leaving.finish(Ending(event.health.value, event.cause))
+                return
+        told = {
+            "health": event.health.value,
+            "cause": event.cause,
+            "flow": None if channel is None else self._flows.number_of(channel),
+            "component": event.component if channel is None else channel.endpoint.component,
+        }
+        self._teller.submit(lambda: self._tell(told))
+
+    def _tell(self, told: Mapping[str, Any]) -> None:
+        try:
+            self._link.ask(_keys.TOLD, told, timeout=5.0)
+        except UoarmError as error:
+            _log.warning("the manager was not told of %s: %s", told, error)
+
+
+def _port(request: Request) -> tuple[Endpoint, MessageStructure]:
+    endpoint = from_json(request["endpoint"], Endpoint)
+    return endpoint, from_json(request["structure"], MessageStructure)

@@ -1,0 +1,16 @@
+"""Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
+
+from uoarm._resolve._catalogue import StructureCache
+from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
+from uoarm._resolve._resolver import NoPlanError, Resolver
+
+__all__ = [
+    "Catalogue",
+    "EdgeCheck",
+    "Judgement",
+    "NoPlanError",
+    "Resolver",
+    "StructureCache",
+    "Structures",
+    "Unavailable",
+]

@@ -1,0 +1,102 @@
+"""A catalogue over bridges: each endpoint is described once, until it is forgotten."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from attrs import define, field
+
+from uoarm._resolve._protocols import Structures, Unavailable
+from uoarm.bridge import Bridge, Description
+from uoarm.errors import UoarmError
+from uoarm.model import Component, Endpoint, MessageStructure
+
+__all__ = ["StructureCache"]
+
+_DESCRIBE_SECONDS = 30.0
+
+
+@define(eq=False)
+class _Entry:
+    """What is known of one component, asked for by one caller at a time."""
+
+    asking: threading.Lock = field(factory=threading.Lock)
+    found: Structures | None = None
+
+
+class StructureCache:
+    """Asks bridges for structures and remembers what they said. Thread safe.
+
+    What a bridge could not tell is asked again the next time.
+
+    Args:
+        bridge: gives the bridge instance of a name; may raise what starting one raises.
+    """
+
+    def __init__(self, bridge: Callable[[str], Bridge]) -> None:
+        self._bridge = bridge
+        self._entries: dict[str, _Entry] = {}
+        self._lock = threading.Lock()
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        """Return the structures of a component's ports, or why they cannot be had."""
+        with self._lock:
+            entry = self._entries.setdefault(component.name, _Entry())
+        if entry.found is not None:
+            return entry.found
+        with entry.asking:
+            if entry.found is None:
+                try:
+                    entry.found = self._ask(component)
+                except (_UnknownError, UoarmError) as error:
+                    return Unavailable(str(error))
+            return entry.found
+
+    def forget(self, component: str) -> None:
+        """Ask again the next time.
+
+        An answer that is under way goes to those who wait for it and to nobody else: it lands in
+        an entry that is no longer listed.
+        """
+        with self._lock:
+            self._entries.pop(component, None)
+
+    def _ask(self, component: Component) -> Structures:
+        found: dict[str, MessageStructure] = {}
+        warnings: list[str] = []
+
+        def settle(
+            name: str, said: MessageStructure | None, declared: MessageStructure | None
+        ) -> None:
+            if declared is not None:
+                found[name] = declared
+                if said is not None:
+                    warnings.append(
+                        f"{component.name}.{name}: the declared structure replaces the bridge's"
+                    )
+            elif said is not None:
+                found[name] = said
+            else:
+                raise _UnknownError(
+                    f"the structure of {name!r} is not known to bridge {component.bridge!r}: "
+                    "declare it in the configuration"
+                )
+
+        for role, ports in (("input", component.inputs), ("output", component.outputs)):
+            for port in ports:
+                said = self._describe(port.endpoint).message
+                settle(f"{role}.{port.name}", said, port.declared)
+        if component.service is not None:
+            service = component.service
+            description = self._describe(service.endpoint)
+            settle("request", description.request, service.request)
+            settle("reply", description.reply, service.reply)
+        return Structures(found, tuple(warnings))
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return self._bridge(endpoint.bridge).describe(endpoint, timeout=_DESCRIBE_SECONDS)
+
+
+class _UnknownError(Exception):
+    """A structure that neither the bridge nor the configuration gives."""

@@ -1,0 +1,143 @@
+"""The resolver: the plan for a function, found once and kept until something changes."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import threading
+import time
+from collections.abc import Callable
+
+from attrs import frozen
+
+from uoarm._resolve._fit import Fit
+from uoarm._resolve._protocols import Catalogue, EdgeCheck
+from uoarm._resolve._search import Search
+from uoarm.errors import ResolutionError
+from uoarm.model import Plan, Rejection, Robot, tell_rejections
+
+__all__ = ["NoPlanError", "Resolver"]
+
+_BUDGET = 1_000_000
+_SEARCHES = 3
+# A candidate that was not there is looked for again after ten times as long as asking for it took.
+_PATIENCE = 10.0
+_LEAST_SECONDS, _MOST_SECONDS = 1.0, 30.0
+
+
+class NoPlanError(ResolutionError):
+    """No plan satisfies a request.
+
+    Attributes:
+        function: the function asked for.
+        rejections: its candidates, each with its reasons and what those rest on.
+    """
+
+    def __init__(self, function: str, rejections: tuple[Rejection, ...]) -> None:
+        super().__init__(f"no component can provide {function!r}:\n{tell_rejections(rejections)}")
+        self.function = function
+        self.rejections = rejections
+
+
+@frozen
+class _Kept:
+    """A plan, and the time from which on it must be sought anew."""
+
+    plan: Plan
+    until: float
+
+
+class Resolver:
+    """Resolves functions of one robot. Thread safe; deterministic.
+
+    Args:
+        robot: the configuration.
+        catalogue: knows the structures of components.
+        check_edge: judges edges.
+        budget: candidates tried at most in one search.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        catalogue: Catalogue,
+        check_edge: EdgeCheck,
+        *,
+        budget: int = _BUDGET,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._functions = robot.functions
+        self._fit = Fit(catalogue, check_edge)
+        self._budget = budget
+        self._clock = clock
+        self._plans: dict[str, _Kept] = {}
+        self._revision = 0
+        self._lock = threading.Lock()
+
+    def known(self, name: str) -> Plan | None:
+        """Return the plan that was found before and still holds, None when it must be sought.
+
+        One that passed over a candidate because it was not there holds for a second, or for ten
+        times as long as asking for that candidate took, half a minute at most.
+        """
+        kept = self._plans.get(name)
+        if kept is None or (kept.until < math.inf and kept.until <= self._clock()):
+            return None
+        return kept.plan
+
+    def resolve(self, name: str, *, excluded: frozenset[str] = frozenset()) -> Plan:
+        """Return the plan of highest priority.
+
+        Args:
+            name: the function asked for.
+            excluded: components that may not be used; such a plan is not kept.
+
+        Raises:
+            NoPlanError: nothing fits, or there is no such function.
+            ResolutionError: the search was given up.
+        """
+        plan = self.known(name)
+        if plan is not None and not excluded:
+            return plan
+        if name not in self._functions:
+            close = difflib.get_close_matches(name, self._functions, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise ResolutionError(f"there is no function {name!r} in the configuration{hint}")
+        # What is invalidated meanwhile may be in the plan: it is sought anew, and not kept when
+        # there is no end of that.
+        for _ in range(_SEARCHES):
+            revision = self._revision
+            search = Search(self._functions, self._fit, excluded, self._budget, self._clock)
+            found = search.run(name)
+            if revision == self._revision:
+                break
+        if not isinstance(found, Plan):
+            raise NoPlanError(name, found)
+        if not excluded:
+            until = self._until(search.asked_in_vain)
+            with self._lock:
+                if revision == self._revision:
+                    self._plans[name] = _Kept(found, until)
+        return found
+
+    def invalidate(self, component: str | None = None) -> None:
+        """Forget the plans that use a component, and those that passed something over.
+
+        None forgets every plan. Edges stay judged: they depend on structures alone.
+        """
+        with self._lock:
+            self._revision += 1
+            self._plans = {
+                name: kept
+                for name, kept in self._plans.items()
+                if component is not None
+                and not kept.plan.rejected
+                and all(step.component.name != component for step in kept.plan.steps)
+            }
+
+    def _until(self, asked_in_vain: float | None) -> float:
+        if asked_in_vain is None:
+            return math.inf
+        seconds = max(_LEAST_SECONDS, min(_MOST_SECONDS, _PATIENCE * asked_in_vain))
+        return self._clock() + seconds

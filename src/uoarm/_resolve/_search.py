@@ -1,0 +1,303 @@
+"""The search: depth first by priority, with conflict-directed backjumping.
+
+Variables are functions, values their components. A function is assigned when a chosen component
+demands it; the plan found is the first that plain depth-first backtracking would find (the
+function asked for first, then its inputs in order, each with all that it needs before the next).
+When no component of a function is left, the search jumps to the latest choice that had a part in
+the failure. A function that fails for no choice's fault is remembered as impossible. The stack is
+explicit, so that a chain of any length resolves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from attrs import define, field
+
+from uoarm._resolve._fit import Fit
+from uoarm._resolve._protocols import Structures
+from uoarm.errors import ResolutionError
+from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejection, Step
+
+__all__ = ["Search"]
+
+
+@define
+class _Agenda:
+    """Functions that are still to be assigned, as a linked list that backtracking can share."""
+
+    function: str
+    rest: _Agenda | None
+
+
+@define
+class _Frame:
+    """One function, the components tried for it, and whose choices spoilt those."""
+
+    function: Function
+    agenda: _Agenda | None
+    depth: int
+    introducer: int | None
+    next_candidate: int = 0
+    chosen: Component | None = None
+    structures: Structures | None = None
+    edges: list[Edge] = field(factory=list)
+    warnings: list[str] = field(factory=list)
+    culprits: set[int] = field(factory=set)
+    rejected: list[Rejection] = field(factory=list)
+
+
+@define
+class _Refusal:
+    """Why a candidate does not do, and the depths of the choices that had a part in it."""
+
+    reasons: tuple[Reason, ...]
+    culprits: set[int] = field(factory=set)
+    because_of: tuple[Rejection, ...] = ()
+
+
+class Search:
+    """One search for one plan; used once.
+
+    Args:
+        functions: all functions by name.
+        fit: judges components and edges, memoised.
+        excluded: names of components that may not be used.
+        budget: candidates tried at most.
+        clock: seconds that only grow.
+    """
+
+    def __init__(
+        self,
+        functions: Mapping[str, Function],
+        fit: Fit,
+        excluded: frozenset[str],
+        budget: int,
+        clock: Callable[[], float],
+    ) -> None:
+        self._functions = functions
+        self._fit = fit
+        self._excluded = excluded
+        self._budget = budget
+        self._clock = clock
+        self._asked_in_vain: float | None = None
+        self._frames: list[_Frame] = []
+        self._assigned: dict[str, _Frame] = {}
+        self._demands: dict[str, list[tuple[int, Component, Input]]] = {}
+        self._impossible: dict[str, tuple[Rejection, ...]] = {}
+
+    @property
+    def asked_in_vain(self) -> float | None:
+        """Seconds spent on components that were not available; None: all that were tried were."""
+        return self._asked_in_vain
+
+    def run(self, name: str) -> Plan | tuple[Rejection, ...]:
+        """Return the plan, or the rejected candidates of the function asked for.
+
+        Raises:
+            ResolutionError: the budget ran out.
+        """
+        self._push(name, None, None)
+        while True:
+            frame = self._frames[-1]
+            if self._choose(frame):
+                agenda = frame.agenda
+                while agenda is not None and agenda.function in self._assigned:
+                    agenda = agenda.rest
+                if agenda is None:
+                    return self._plan(name)
+                introducer = self._demands[agenda.function][0][0]
+                self._push(agenda.function, agenda.rest, introducer)
+            elif not self._jump_back(frame):
+                return tuple(frame.rejected)
+
+    def _push(self, name: str, rest: _Agenda | None, introducer: int | None) -> None:
+        depth = len(self._frames)
+        self._frames.append(_Frame(self._functions[name], rest, depth, introducer))
+
+    def _choose(self, frame: _Frame) -> bool:
+        rest = frame.agenda
+        for candidate in frame.function.components[frame.next_candidate :]:
+            self._budget -= 1
+            if self._budget < 0:
+                raise ResolutionError("the search was given up: too many combinations were tried")
+            frame.next_candidate += 1
+            refusal = self._try(frame, candidate)
+            if refusal is None:
+                self._assign(frame, candidate, rest)
+                return True
+            frame.culprits |= refusal.culprits
+            frame.rejected.append(_rejection(candidate, refusal.reasons, refusal.because_of))
+        return False
+
+    def _try(self, frame: _Frame, candidate: Component) -> _Refusal | None:
+        if candidate.name in self._excluded:
+            return _Refusal((Reason("it is excluded: it died or was ruled out"),))
+        begun = self._clock()
+        structures = self._fit.structures(candidate)
+        if not isinstance(structures, Structures):
+            self._asked_in_vain = (self._asked_in_vain or 0.0) + self._clock() - begun
+            return _Refusal((Reason(structures.sentence),))
+        frame.structures, frame.edges, frame.warnings = structures, [], list(structures.warnings)
+        for depth, consumer, port in self._demands.get(frame.function.name, ()):
+            refusal = self._connect(frame, candidate, structures, consumer, port)
+            if refusal is not None:
+                refusal.culprits.add(depth)
+                return refusal
+        for port in candidate.inputs:
+            if port.source is not None:
+                refusal = self._feed(frame, candidate, port)
+                if refusal is not None:
+                    return refusal
+        return None
+
+    def _feed(self, frame: _Frame, candidate: Component, port: Input) -> _Refusal | None:
+        """Check an input against its producer where that is chosen already, and for a cycle."""
+        assert port.source is not None, "fed by a function"
+        name = port.source.function
+        if name == frame.function.name:
+            return _Refusal((Reason(f"its input {port.name!r} needs its own function"),))
+        if name in self._impossible:
+            reason = Reason(f"its input {port.name!r} needs {name!r}, which nothing provides")
+            return _Refusal((reason,), because_of=self._impossible[name])
+        producer = self._assigned.get(name)
+        if producer is None:
+            return None
+        path = self._path_between(producer, frame)
+        if path is not None:
+            cycle = " -> ".join([*path, name])
+            depths = {self._assigned[one].depth for one in path if one in self._assigned}
+            return _Refusal((Reason(f"it would close the cycle {cycle}"),), depths)
+        assert producer.chosen is not None
+        assert producer.structures is not None
+        refusal = self._connect(frame, producer.chosen, producer.structures, candidate, port)
+        if refusal is not None:
+            refusal.culprits.add(producer.depth)
+        return refusal
+
+    def _connect(
+        self,
+        frame: _Frame,
+        producer: Component,
+        structures: Structures,
+        consumer: Component,
+        port: Input,
+    ) -> _Refusal | None:
+        assert port.source is not None, "fed by a function"
+        output = producer.output(port.source.port)
+        if output is None:
+            has = ", ".join(one.name for one in producer.outputs) or "none"
+            wanted = port.source.port or "default"
+            text = f"{producer.name} has no output {wanted!r} for {consumer.name}; it has {has}"
+            return _Refusal((Reason(text),))
+        made = self._fit.edge(producer, output, structures, consumer, port)
+        if isinstance(made, Edge):
+            frame.edges.append(made)
+            frame.warnings.extend(made.warnings)
+            return None
+        return _Refusal(made)
+
+    def _path_between(self, start: _Frame, goal: _Frame) -> list[str] | None:
+        """Return functions from `start` to `goal` along demands, None where there is no way."""
+        came: dict[str, str] = {}
+        queue = [goal.function.name]
+        for name in queue:
+            if name == start.function.name:
+                path = [name]
+                while path[-1] != goal.function.name:
+                    path.append(came[path[-1]])
+                return path
+            for _, consumer, _ in self._demands.get(name, ()):
+                if consumer.function not in came and consumer.function != goal.function.name:
+                    came[consumer.function] = name
+                    queue.append(consumer.function)
+        return None
+
+    def _assign(self, frame: _Frame, candidate: Component, rest: _Agenda | None) -> None:
+        frame.chosen = candidate
+        self._assigned[frame.function.name] = frame
+        for port in reversed(candidate.inputs):
+            if port.source is not None:
+                rest = _Agenda(port.source.function, rest)
+        for port in candidate.inputs:
+            if port.source is not None:
+                demands = self._demands.setdefault(port.source.function, [])
+                demands.append((frame.depth, candidate, port))
+        frame.agenda = rest
+
+    def _retract(self, frame: _Frame) -> None:
+        assert frame.chosen is not None
+        del self._assigned[frame.function.name]
+        for port in frame.chosen.inputs:
+            if port.source is not None:
+                self._demands[port.source.function].pop()
+                assert frame.agenda is not None
+                frame.agenda = frame.agenda.rest
+        frame.chosen = None
+
+    def _jump_back(self, frame: _Frame) -> bool:
+        """Undo choices back to the latest that had a part in a failure; False: there is none."""
+        if frame.introducer is None:
+            return False
+        rejected = tuple(frame.rejected)
+        name = frame.function.name
+        if not frame.culprits:
+            self._impossible[name] = rejected
+        culprits = frame.culprits | {frame.introducer}
+        target = max(culprits)
+        self._frames.pop()
+        while len(self._frames) - 1 > target:
+            self._retract(self._frames.pop())
+        back = self._frames[target]
+        assert back.chosen is not None
+        sentence = f"nothing provides {name!r} for it"
+        back.rejected.append(_rejection(back.chosen, (Reason(sentence),), rejected))
+        back.culprits |= culprits - {target}
+        self._retract(back)
+        return True
+
+    def _plan(self, name: str) -> Plan:
+        steps: list[Step] = []
+        edges: list[Edge] = []
+        for frame in _producers_first(self._frames, self._assigned):
+            assert frame.chosen is not None
+            assert frame.structures is not None
+            steps.append(Step(frame.chosen, frame.structures.by_port))
+        for frame in self._frames:
+            edges.extend(frame.edges)
+        return Plan(
+            function=name,
+            steps=tuple(steps),
+            edges=tuple(edges),
+            rejected=tuple(one for frame in self._frames for one in frame.rejected),
+            warnings=tuple(one for frame in self._frames for one in frame.warnings),
+        )
+
+
+def _rejection(
+    candidate: Component, reasons: tuple[Reason, ...], because_of: tuple[Rejection, ...]
+) -> Rejection:
+    return Rejection(candidate.function, candidate.name, candidate.priority, reasons, because_of)
+
+
+def _producers_first(frames: list[_Frame], assigned: Mapping[str, _Frame]) -> list[_Frame]:
+    """Order frames so that each stands after all that feed it; the first frame comes last."""
+    ordered: list[_Frame] = []
+    seen: set[str] = set()
+    stack: list[tuple[_Frame, bool]] = [(frames[0], False)]
+    while stack:
+        frame, expanded = stack.pop()
+        if expanded:
+            ordered.append(frame)
+            continue
+        if frame.function.name in seen:
+            continue
+        seen.add(frame.function.name)
+        stack.append((frame, True))
+        assert frame.chosen is not None
+        stack.extend(
+            (assigned[port.source.function], False)
+            for port in reversed(frame.chosen.inputs)
+            if port.source is not None
+        )
+    return ordered

@@ -1,0 +1,257 @@
+"""Messages as CBOR (RFC 8949) with typed arrays (RFC 8746): octets and numbers stay buffers."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from array import array
+from collections.abc import Callable, Mapping
+from io import BytesIO
+from typing import Any
+
+import cbor2
+
+from uoarm._wire._cbor_scan import scan_cbor
+from uoarm.errors import ControlMessageError, MessageError
+from uoarm.model import Message, Spending
+
+__all__ = ["read_binary", "write_binary"]
+
+_LARGE = 4096
+_MAX_BITS = 3072
+_MULTIPLE_DIMENSIONS = 40
+# Tag to (typecode, big-endian): the numbers of RFC 8746, section 2.1, of sizes that `array` has.
+_TYPED = {
+    64: ("B", False), 65: ("H", True), 66: ("I", True), 67: ("Q", True), 68: ("B", False),
+    69: ("H", False), 70: ("I", False), 71: ("Q", False), 72: ("b", False), 73: ("h", True),
+    74: ("i", True), 75: ("q", True), 77: ("h", False), 78: ("i", False), 79: ("q", False),
+    81: ("f", True), 82: ("d", True), 85: ("f", False), 86: ("d", False),
+}  # fmt: skip
+_LITTLE_TAGS = {
+    ("u", 1): 64, ("u", 2): 69, ("u", 4): 70, ("u", 8): 71, ("i", 1): 72, ("i", 2): 77,
+    ("i", 4): 78, ("i", 8): 79, ("f", 2): 84, ("f", 4): 85, ("f", 8): 86,
+}  # fmt: skip
+_SIGNS = {"B": "u", "H": "u", "I": "u", "L": "u", "Q": "u", "f": "f", "d": "f"}
+_CONTAINERS = {list, dict}
+_KINDS = {type(None), bool, int, float, str, bytes, array, *_CONTAINERS}
+# Tags that the library would turn into dates, fractions, sets, references: no message has them.
+_FOREIGN = (0, 1, 4, 5, 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261, 1004, 43000)
+
+
+def write_binary(message: Message) -> bytes:
+    """Return a message as CBOR.
+
+    Raises:
+        MessageError: a value in it has no form here; the text says which type.
+    """
+    try:
+        if isinstance(message, dict) and _has_large(message):
+            parts: list[Any] = []
+            _write_parts(message, parts)
+            return b"".join(parts)
+        return _dumps(message)
+    except (cbor2.CBOREncodeError, TypeError, ValueError, RecursionError) as error:
+        raise MessageError(f"the message has no form as CBOR: {error}") from error
+
+
+def read_binary(data: bytes, spending: Spending) -> Message:
+    """Return the value that CBOR stands for; numeric arrays come as `array.array`.
+
+    Raises:
+        ControlMessageError: it is not CBOR, holds a tag or a simple value that no message has, or
+            costs more than its budget.
+    """
+    spending.octets(len(data))
+    made = _Made(Spending(spending.budget))
+    if len(data) > spending.budget.elements:  # else each octet may be an item
+        scan_cbor(data, Spending(spending.budget))
+    stream = _Octets(data)
+    try:
+        value = cbor2.CBORDecoder(
+            stream,
+            semantic_decoders={**_DECODERS, **made.decoders},
+            max_depth=spending.budget.depth,
+            allow_duplicate_keys=False,
+            strict_hashable_types=True,
+        ).decode()
+    except (cbor2.CBORError, ValueError, OverflowError, RecursionError) as error:
+        cause = error.__cause__ or error
+        if isinstance(cause, ControlMessageError):
+            raise cause from None
+        raise ControlMessageError(f"not CBOR as messages have it: {str(cause)[:200]}") from error
+    if stream.tell() != len(data):
+        raise ControlMessageError(f"more follows the message of {stream.tell():,} bytes")
+    _examine(value, spending)
+    return value
+
+
+class _Octets(BytesIO):
+    """Read through Python, some thousand octets at a time: there other threads have their turn."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(size)
+
+
+def _dumps(value: Any) -> bytes:
+    return cbor2.dumps(value, encoders=_ENCODERS, default=_encode_other)
+
+
+def _has_large(message: Mapping[str, Any]) -> bool:
+    for value in message.values():
+        if isinstance(value, bytes | bytearray | memoryview):
+            if len(value) >= _LARGE:
+                return True
+        elif isinstance(value, dict) and _has_large(value):
+            return True
+    return False
+
+
+def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
+    """Write large buffers as they are, without the copies that the encoder makes."""
+    parts.append(_head(5, len(message)))
+    for key, value in message.items():
+        parts.append(_dumps(key))
+        if isinstance(value, bytes | bytearray | memoryview) and len(value) >= _LARGE:
+            octets = value
+            if isinstance(value, memoryview):
+                octets = value.cast("B") if value.c_contiguous else value.tobytes()
+            parts += (_head(2, len(octets)), octets)
+        elif isinstance(value, dict):
+            _write_parts(value, parts)
+        else:
+            parts.append(_dumps(value))
+
+
+def _head(major: int, count: int) -> bytes:
+    """Return the first bytes of an item: major type and length (RFC 8949, section 3)."""
+    if count < 24:  # noqa: PLR2004 - the RFC's own bound for a length in the first byte
+        return bytes([major << 5 | count])
+    for more, size in ((24, 1), (25, 2), (26, 4)):
+        if count < 1 << 8 * size:
+            return bytes([major << 5 | more]) + count.to_bytes(size, "big")
+    return bytes([major << 5 | 27]) + count.to_bytes(8, "big")
+
+
+def _encode_octets(encoder: cbor2.CBOREncoder, value: Any) -> None:
+    encoder.encode(value.tobytes())
+
+
+def _encode_array(encoder: cbor2.CBOREncoder, value: array[Any]) -> None:
+    kind = _SIGNS.get(value.typecode, "i")
+    _encode_typed(encoder, kind, value.itemsize, _little(value).tobytes())
+
+
+def _encode_other(encoder: cbor2.CBOREncoder, value: Any) -> None:
+    if not hasattr(value, "__array_interface__"):
+        raise MessageError(f"a value of type {type(value).__name__}")
+    if value.ndim == 0:
+        encoder.encode(value.item())
+    elif value.dtype == "uint8" and value.ndim == 1:
+        encoder.encode(value.tobytes())
+    elif (value.dtype.kind, value.dtype.itemsize) not in _LITTLE_TAGS:
+        encoder.encode(value.tolist())
+    elif value.ndim == 1:
+        octets = value.astype(value.dtype.newbyteorder("<"), copy=False).tobytes()
+        _encode_typed(encoder, value.dtype.kind, value.dtype.itemsize, octets)
+    else:
+        encoder.encode(cbor2.CBORTag(_MULTIPLE_DIMENSIONS, [list(value.shape), value.ravel()]))
+
+
+def _encode_typed(encoder: cbor2.CBOREncoder, kind: str, size: int, octets: bytes) -> None:
+    encoder.encode(cbor2.CBORTag(_LITTLE_TAGS[kind, size], octets))
+
+
+def _little(value: array[Any]) -> array[Any]:
+    if sys.byteorder == "big":
+        value = value[:]
+        value.byteswap()
+    return value
+
+
+def _typed_reader(typecode: str, *, big: bool) -> Callable[[Any, bool], array[Any]]:
+    def read(octets: Any, immutable: bool) -> array[Any]:  # noqa: FBT001 - the library's signature
+        del immutable
+        numbers: array[Any] = array(typecode)
+        numbers.frombytes(octets)
+        if big != (sys.byteorder == "big"):
+            numbers.byteswap()
+        return numbers
+
+    return read
+
+
+class _Made:
+    """Decoders of what stands for more values than it has items, for one message."""
+
+    def __init__(self, spending: Spending) -> None:
+        self._spending = spending
+        self.decoders = {
+            80: self._half(">"),
+            84: self._half("<"),
+            _MULTIPLE_DIMENSIONS: self._rows,
+        }
+
+    def _half(self, order: str) -> Callable[[Any, bool], list[float]]:
+        def read(octets: Any, immutable: bool) -> list[float]:  # noqa: FBT001 - the library's signature
+            del immutable
+            count = len(octets) // 2
+            self._spending.add(count)
+            return list(struct.unpack(f"{order}{count}e", octets))
+
+        return read
+
+    def _rows(self, value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
+        """Return rows as lists of lists (RFC 8746, section 3.1.1)."""
+        del immutable
+        sizes, items = value
+        if not (isinstance(sizes, list) and isinstance(items, list | array | bytes)):
+            raise ControlMessageError("an array of several dimensions: expected sizes and items")
+        self._spending.dimensions(sizes, len(items))
+        for size in reversed(sizes[1:]):
+            items = [list(items[at : at + size]) for at in range(0, len(items), size)]
+        return items
+
+
+def _read_integer(octets: Any, *, negative: bool) -> int:
+    if len(octets) > _MAX_BITS // 8:
+        raise ControlMessageError(f"an integer of more than {_MAX_BITS:,} bits")
+    number = int.from_bytes(octets, "big")
+    return -1 - number if negative else number
+
+
+def _refuse(value: Any, immutable: bool) -> Any:  # noqa: FBT001 - the library's signature
+    del value, immutable
+    raise ControlMessageError("a tag that no message has")
+
+
+def _examine(value: Any, spending: Spending) -> None:
+    """Count what was made, one level of nesting after the other, and refuse what JSON lacks."""
+    depth, level = 0, [value]
+    while level:
+        spending.add(len(level))
+        kinds = set(map(type, level))
+        if not kinds <= _KINDS:
+            strange = ", ".join(sorted(kind.__name__ for kind in kinds - _KINDS))
+            raise ControlMessageError(f"a value of type {strange} is no message")
+        inner: list[Any] = []
+        if not kinds.isdisjoint(_CONTAINERS):
+            depth += 1
+            spending.depth(depth)
+        for one in level if dict in kinds or list in kinds else ():
+            if type(one) is list:
+                inner += one
+            elif type(one) is dict:
+                if not set(map(type, one)) <= {str}:
+                    raise ControlMessageError("expected names to be strings, got octets")
+                spending.add(len(one))
+                inner += one.values()
+        level = inner
+
+
+_ENCODERS: dict[Any, Any] = {memoryview: _encode_octets, array: _encode_array}
+_DECODERS: dict[int, Any] = {
+    **dict.fromkeys(_FOREIGN, _refuse),
+    **{tag: _typed_reader(code, big=big) for tag, (code, big) in _TYPED.items()},
+    2: lambda octets, _: _read_integer(octets, negative=False),
+    3: lambda octets, _: _read_integer(octets, negative=True),
+}
