@@ -15,6 +15,7 @@ from tests.server.talk import Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from uoarm.server import hash_token
+from uoarm.testing import patience
 
 pytest.importorskip("zenoh", reason="hosts need zenoh")
 LIBRARIES = [
@@ -87,7 +88,7 @@ def port(tmp_path: Path, clock: Path) -> Iterator[int]:
         assert found
         yield int(found[1])
         process.terminate()
-        assert process.wait(20) == 0
+        assert process.wait(patience()) == 0
 
 
 def test_a_clock_that_is_set_ends_what_has_a_date_and_nothing_else(port: int, clock: Path) -> None:

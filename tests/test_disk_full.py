@@ -20,6 +20,7 @@ from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UoarmError, UsageError
 from uoarm.server._own_certificate import own_certificate
+from uoarm.testing import patience
 
 HOSTED = """
 version: 1
@@ -91,7 +92,8 @@ def test_output_without_room_is_an_error_of_one_line(tmp_path: Path, command: li
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(
             [sys.executable, "-m", "uoarm", *command],
-            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False,
+            cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=patience(),
+            check=False,
         )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr == "Error: nothing more can be written: No space left on device\n"

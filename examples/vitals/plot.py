@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from uoarm._control import Connection, RobotManager
+from uoarm import Connection, RobotManager
 from uoarm.errors import UoarmError
 
 ROWS, COLUMNS = 8, 72

@@ -8,7 +8,9 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from random import SystemRandom
 from types import TracebackType
 
 from tests.host import hosted
@@ -41,16 +43,27 @@ functions:
     components:
       - {{name: asker, bridge: far, service: {{endpoint: ["hosted_parts:process_id"]}}}}
 """
+_GIVEN_PORTS = Path("/proc/sys/net/ipv4/ip_local_port_range")
+_LOWEST_PORT = 10_000
 SPARE = """
       - {name: spare, bridge: near, priority: 1, output: {endpoint: ["hosted_parts:forever"]}}
 """
 
 
 def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port: int = one.getsockname()[1]
-        return port
+    """Return a port that is free, and that the system gives to nobody who does not ask for it.
+
+    One that the system chose itself may be given to the next connection of any process before
+    the test listens on it.
+    """
+    first_given = 32768
+    with suppress(OSError):
+        first_given = int(_GIVEN_PORTS.read_text().split()[0])
+    for port in SystemRandom().sample(range(_LOWEST_PORT, max(first_given, 2 * _LOWEST_PORT)), 100):
+        with socket.socket() as one, suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("none of a hundred ports is free")
 
 
 def robot(

@@ -40,7 +40,7 @@ def test_messages_arrive_in_order_from_the_first_one_on(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     for number in range(5000):
         outgoing.send(number)
     wait(lambda: len(taker.got) == 5000)
@@ -52,7 +52,7 @@ def test_large_messages_arrive_whole(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     for number in range(30):
         outgoing.send({"n": number, "data": bytes([number]) * 2_000_000})
         wait(lambda: outgoing.sent - incoming.received < 8)  # a link full for 0.2 s drops
@@ -65,7 +65,7 @@ def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> Non
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=30.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     taker.gate.clear()
 
     def fill() -> None:
@@ -98,8 +98,8 @@ def test_a_consumer_that_hangs_costs_the_producer_its_patience_once(ends: Ends) 
             assert error.reason is FailureReason.UNAVAILABLE
             outgoing.skip()
             refused += 1
-    assert 0.5 <= time.monotonic() - begun < 5
     assert refused > 300
+    assert 0.5 <= time.monotonic() - begun < 0.5 * refused / 3  # once, and not with each of them
     taker.gate.set()
     wait(lambda: outgoing.unconfirmed < 64)
     outgoing.send("last")
@@ -112,7 +112,7 @@ def test_a_flow_that_is_cut_lets_its_sender_go(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=60.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     taker.gate.clear()
     failures: list[str] = []
 
@@ -144,7 +144,7 @@ def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
         take=taker.take,
         ended=lambda ending: seen.append(len(taker.got)),
     )
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     for number in range(50):
         outgoing.send(number)
     outgoing.finish(Ending("finished", "no more"))
@@ -156,7 +156,7 @@ def test_what_the_consumer_raises_is_counted_and_told(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     for number in range(64):
         outgoing.send("bad" if number % 2 else number)
     wait(lambda: incoming.received == 64)
@@ -170,7 +170,7 @@ def test_a_message_that_cannot_be_written_is_refused_and_uses_no_number(ends: En
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     with pytest.raises(MessageError):
         outgoing.send(object())
     outgoing.send("good")
@@ -182,7 +182,7 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     outgoing.send(1)
     wait(lambda: taker.got == [1])
     incoming.close()
@@ -214,7 +214,7 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     recorded: list[tuple[bytes, bytes]] = []
     publish = far.publish
 
@@ -241,7 +241,7 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
 
 def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     near, far = ends
-    outgoing = Outgoing(far, "flow/1", patience=5.0)
+    outgoing = Outgoing(far, "flow/1", patience=patience())
     for header in [*HEADERS, msgpack.packb([10**6, 0, "", 0]), msgpack.packb([1, 0, 5, 0])]:
         near.publish("flow/1/handled", b"", header, must_arrive=True)
     taker = _Taker()

@@ -21,7 +21,7 @@ def test_its_bridges_close_at_the_same_time() -> None:
         """Closes when the other one closes, too."""
 
         def _close(self) -> None:
-            met.append(meeting.wait(3))
+            met.append(meeting.wait(patience()))
             super()._close()
 
     registry = Registry([])

@@ -205,14 +205,16 @@ def test_the_command_line_shows_machines(tmp_path: Path, port: int) -> None:
 
 
 def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: int) -> None:
-    file = robot(tmp_path, port, silence=slowness())
-    with Joined(tmp_path, _place(port)) as host, RobotManager.from_file(file) as manager:
+    file = robot(tmp_path, port, silence=2 * slowness())
+    # Its own silence is also when the link takes it for gone, and that is to come later.
+    lease = ("--silence", str(patience()))
+    with Joined(tmp_path, _place(port), *lease) as host, RobotManager.from_file(file) as manager:
         manager.call("where", 0)
         host.signal(signal.SIGSTOP)
         with pytest.raises(BridgeError, match="machine 'arm' has not answered for"):
-            manager.call("where", 0)
+            manager.call("where", 0, timeout=patience())
         with pytest.raises(Exception, match=r"host of machine 'arm' (does not|is there)"):
-            manager.call("where", 0)
+            manager.call("where", 0, timeout=patience())
         assert host.runs
         host.signal(signal.SIGCONT)
         answers: list[int] = []

@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from uoarm import RobotManager
 from uoarm._wire import ASKED
 from uoarm.server import Limits, Server
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
 
 def url(server: Server, path: str = "/") -> str:
@@ -73,7 +73,8 @@ def test_a_client_that_leaves_its_replies_is_cut_off(serve: Serve) -> None:
 def test_a_client_that_dies_frees_what_only_it_used(
     serve: Serve, robot: RobotManager, how: str
 ) -> None:
-    server = serve(Limits(ping_seconds=0.2, stall_seconds=0.5))
+    silence = 2 * slowness() if how == "vanish" else patience()  # the other one must keep to it
+    server = serve(Limits(ping_seconds=silence / 4, stall_seconds=silence))
     with Talk(url(server)) as other, open_socket(server.ports[0]) as dying:
         shared = other.open("numbers")
         dying.sendall(frame(b'{"op":"Request","type":"numbers","id":"1"}'))

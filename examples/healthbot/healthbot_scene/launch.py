@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import sys
 
-from uoarm._host import die_with_parent
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def main() -> None:
     """Run `PARENT PROGRAM ARGUMENT...` in this process."""
     parent, program, *arguments = sys.argv[1:]
-    if die_with_parent(int(parent)):
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() == int(parent):  # else it died before the kernel was asked
         os.execv(program, [program, *arguments])  # noqa: S606 - the program is the scene's own
 
 
