@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 from weakref import WeakSet
 
@@ -22,6 +22,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._instance import Instance
+from uoarm.local._modules import Modules
 from uoarm.local._target import Target, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
@@ -63,7 +64,7 @@ class PythonBridge(Bridge):
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         path: Any = options.get("path", ())
-        self._path: Sequence[str] = tuple(path)
+        self._modules = Modules(path)
         self._slots: dict[str, _Slot] = {}
         self._services: dict[str, Endpoint] = {}
         self._sources: WeakSet[threading.Thread] = WeakSet()
@@ -129,7 +130,7 @@ class PythonBridge(Bridge):
             thread.join(max(0.0, deadline - time.monotonic()))
 
     def _target(self, endpoint: Endpoint) -> Target:
-        return find(endpoint.address, self._path)
+        return find(endpoint.address, self._modules)
 
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
         """Return the component's instance; one that is slow to build holds up nobody else."""

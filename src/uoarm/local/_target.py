@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import importlib
 import inspect
-import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -15,13 +12,13 @@ from attrs import frozen
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._hints import HintError, schema_of
+from uoarm.local._modules import Modules, written_name
 from uoarm.model import Endpoint, MessageStructure, Options, Role, Schema
 
 __all__ = ["Target", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _DECLARED = "__uoarm_structures__"
-_path_lock = threading.Lock()
 
 
 def structure(
@@ -120,12 +117,12 @@ class Target:
         return get_type_hints(method, include_extras=True).get(name, inspect.Parameter.empty)
 
 
-def find(address: Sequence[str], path: Sequence[str]) -> Target:
+def find(address: Sequence[str], modules: Modules) -> Target:
     """Import the object that an address names.
 
     Args:
         address: one string, `module:attribute`.
-        path: folders in which modules are looked for first.
+        modules: those of the bridge.
 
     Raises:
         BridgeError: NOT_FOUND for a module or attribute that is not there, UNAVAILABLE when a
@@ -136,7 +133,7 @@ def find(address: Sequence[str], path: Sequence[str]) -> Target:
     if not colon or not module_name or not attribute:
         text = f"expected one string 'module:attribute', got {list(address)}"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-    value: Any = _import(module_name, path)
+    value: Any = _import(module_name, modules)
     for part in attribute.split("."):
         if not hasattr(value, part):
             close = difflib.get_close_matches(part, dir(value), n=1)
@@ -171,22 +168,15 @@ def _return_hint(method: Any) -> Any:
     return hint
 
 
-def _import(name: str, path: Sequence[str]) -> Any:
+def _import(name: str, modules: Modules) -> Any:
     try:
-        _look_in(path)
-        return importlib.import_module(name)
+        return modules.load(name)
     except ModuleNotFoundError as error:
-        missing = error.name or name
+        missing = written_name(error.name or name)
         if name == missing or name.startswith(f"{missing}."):
-            text = f"there is no module {name!r} (looked in {', '.join(path) or 'sys.path'})"
+            text = f"there is no module {name!r} (looked in {modules})"
             raise BridgeError(text, FailureReason.NOT_FOUND) from error
         text = f"module {name!r} needs the package {missing!r}, which is not installed"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     except ImportError as error:
         raise BridgeError(f"module {name!r}: {error}", FailureReason.UNAVAILABLE) from error
-
-
-def _look_in(path: Sequence[str]) -> None:
-    """Put folders in front of the import path; they stay, since modules import one another late."""
-    with _path_lock:
-        sys.path[:0] = [folder for folder in path if folder not in sys.path]
