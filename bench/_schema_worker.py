@@ -62,7 +62,7 @@ def isjsonschemasubset() -> Ask:
         Value,
         issubset,
     )
-    from pydantic import TypeAdapter  # type: ignore[import-not-found] # in its own environment
+    from pydantic import TypeAdapter
 
     read = TypeAdapter(Value).validate_python
     return lambda producer, consumer: not list(issubset(read(producer), read(consumer)))
