@@ -39,6 +39,9 @@ functions:
   anything:
     components:
       - {name: anything, bridge: python, service: {endpoint: ["tests.server.robot:anything"]}}
+  many:
+    components:
+      - {name: many, bridge: python, service: {endpoint: ["tests.server.robot:many"]}}
   parrot:
     components:
       - {name: parrot, bridge: python, service: {endpoint: ["tests.server.robot:parrot"]}}
@@ -93,6 +96,10 @@ class Pair(TypedDict):
 
 class Text(TypedDict):
     text: str
+
+
+class Many(TypedDict):
+    values: list[float]
 
 
 class GoalId(TypedDict):
@@ -190,6 +197,10 @@ def slow(message: Number) -> Number:
 
 def parrot(message: Text) -> Text:
     return message
+
+
+def many(message: Number) -> Many:
+    return {"values": [0.5] * message["value"]}
 
 
 def hang(message: Text) -> Text:

@@ -22,6 +22,7 @@ from tests.server.test_bounds import resident
 from websockets.frames import Opcode
 
 from uoarm.server import Limits, Server
+from uoarm.testing import patience
 
 MEMORY = 50_000_000
 CPU_SECONDS = 0.2
@@ -83,6 +84,22 @@ def pings(server: Server) -> None:
             plain.sendall(frame(b"", Opcode.PING) * 10_000)
 
 
+def long_answers(server: Server) -> None:
+    """In CBOR, which takes longest to write."""
+    with Talk(url(server), binary=True) as client:
+        for _ in range(3):
+            client.send("Call", "many", {"value": 1_000_000})
+            client.socket.recv(timeout=patience())
+
+
+def long_messages(server: Server) -> None:
+    with Talk(url(server), binary=True) as client:
+        client.open("numbers")
+        script.put(*[{"value": [0.5] * 1_000_000}] * 3)
+        for _ in range(3):
+            client.socket.recv(timeout=patience())
+
+
 ATTACKS: Mapping[str, Callable[[Server], None]] = {
     "60,000 dimensions": one(HOSTILE["60,000 dimensions"]),
     "huge dimensions": one(HOSTILE["huge dimensions"]),
@@ -92,6 +109,8 @@ ATTACKS: Mapping[str, Callable[[Server], None]] = {
     "data for what hangs": data,
     "kills of what hangs": kills,
     "pings": pings,
+    "long answers": long_answers,
+    "long messages": long_messages,
 }
 
 

@@ -6,7 +6,7 @@ Shared by the server and the client. Needs the packages of the extra `server`.
 from uoarm._wire._asked import ASKED, check_asked, protocol_schema, salvage_id
 from uoarm._wire._binary import read_binary, write_binary
 from uoarm._wire._forms import BINARY_FORM, FORMS, TEXT_FORM, Form, write_or_tell
-from uoarm._wire._skeleton import dump_parts
+from uoarm._wire._skeleton import dump_parts, is_octets
 from uoarm._wire._text import read_text
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "Form",
     "check_asked",
     "dump_parts",
+    "is_octets",
     "protocol_schema",
     "read_binary",
     "read_text",

@@ -98,7 +98,7 @@ def _dumps(value: Any) -> bytes:
 
 def _has_large(message: Mapping[str, Any]) -> bool:
     for value in message.values():
-        if isinstance(value, bytes | bytearray | memoryview):
+        if isinstance(value, bytes | bytearray | memoryview | list):
             if len(value) >= _LARGE:
                 return True
         elif isinstance(value, dict) and _has_large(value):
@@ -107,7 +107,11 @@ def _has_large(message: Mapping[str, Any]) -> bool:
 
 
 def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
-    """Write large buffers as they are, without the copies that the encoder makes."""
+    """Write large buffers without the encoder's copies, and long lists a piece at a time.
+
+    The encoder keeps the interpreter's lock from its first value to its last; between two pieces
+    other threads have their turn.
+    """
     parts.append(_head(5, len(message)))
     for key, value in message.items():
         parts.append(_dumps(key))
@@ -118,6 +122,11 @@ def _write_parts(message: Mapping[str, Any], parts: list[Any]) -> None:
             parts += (_head(2, len(octets)), octets)
         elif isinstance(value, dict):
             _write_parts(value, parts)
+        elif isinstance(value, list) and len(value) >= _LARGE:
+            parts.append(_head(4, len(value)))
+            for start in range(0, len(value), _LARGE):
+                piece = value[start : start + _LARGE]
+                parts.append(_dumps(piece)[len(_head(4, len(piece))) :])
         else:
             parts.append(_dumps(value))
 

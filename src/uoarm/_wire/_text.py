@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import orjson
@@ -24,6 +24,7 @@ __all__ = ["SAFE_INTEGER", "read_text", "write_text", "write_text_parts"]
 SAFE_INTEGER = 2**53 - 1
 _OPTIONS = orjson.OPT_STRICT_INTEGER
 _NUMPY = orjson.OPT_SERIALIZE_NUMPY
+_PIECE = 8192
 _WIDE_KINDS = "iu"
 _WIDE_SIZE = 8
 
@@ -69,7 +70,7 @@ def write_text_parts(message: Message) -> list[bytes]:
 def _write_other(value: Any) -> Any:
     """Return what orjson can write in the place of a numeric buffer or a numpy value."""
     if isinstance(value, array):
-        return _exact(value.tolist())
+        return _in_pieces(value, lambda piece: _write_list(piece.tolist()))
     if isinstance(value, Mapping):
         return dict(value)
     if hasattr(value, "__array_interface__"):
@@ -80,6 +81,8 @@ def _write_other(value: Any) -> Any:
 def _write_numpy(value: Any) -> Any:
     if value.ndim == 0:
         return _exact(value.item())
+    if value.ndim == 1 and value.size > _PIECE:
+        return _in_pieces(value, lambda piece: orjson.dumps(_write_numpy(piece), option=_NUMPY))
     wide = value.dtype.kind in _WIDE_KINDS and value.dtype.itemsize == _WIDE_SIZE
     too_wide = wide and value.size and max(-int(value.min()), int(value.max())) > SAFE_INTEGER
     # Some versions of orjson take foreign byte orders for their own.
@@ -91,6 +94,22 @@ def _write_numpy(value: Any) -> Any:
         if b"null" not in text:
             return orjson.Fragment(text)
     return _exact(value.tolist())
+
+
+def _in_pieces(numbers: Any, write: Callable[[Any], bytes]) -> orjson.Fragment:
+    """Write an array a piece at a time: within one the encoder keeps the interpreter's lock."""
+    texts = (
+        write(numbers[start : start + _PIECE])[1:-1] for start in range(0, len(numbers), _PIECE)
+    )
+    return orjson.Fragment(b"[" + b",".join(texts) + b"]")
+
+
+def _write_list(numbers: list[Any]) -> bytes:
+    try:
+        text = orjson.dumps(numbers, option=_OPTIONS)
+    except TypeError:  # an integer beyond 53 bits
+        return orjson.dumps(_exact(numbers))
+    return orjson.dumps(_exact(numbers)) if b"null" in text else text
 
 
 def _exact(value: Any) -> Any:

@@ -8,13 +8,14 @@ import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 from attrs import frozen
 
 from uoarm._control import Connection, RobotManager
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
+from uoarm.server._encoder import Encoder
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
 from uoarm.server._limits import Limits
@@ -23,6 +24,7 @@ from uoarm.server._workers import BusyError, Workers
 
 __all__ = ["Desk", "Wanted", "Watcher"]
 
+T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
 Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
@@ -62,6 +64,7 @@ class Desk:
 
     Attributes:
         memory: what is held for all clients.
+        encoder: writes their long messages.
     """
 
     def __init__(self, robot: RobotManager, limits: Limits) -> None:
@@ -70,6 +73,7 @@ class Desk:
         self.memory = Memory(limits.total_memory_bytes, limits.memory_bytes)
         self.hop = Hop(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, self.hop)
+        self.encoder = Encoder()
         self._feeds: dict[Wanted, Feed] = {}
         self._by_id: dict[str, Feed] = {}
         self._claims: dict[Feed, int] = {}
@@ -162,9 +166,21 @@ class Desk:
         return next((one for one in self.robot.connections() if one.id == identity), None)
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
-        """Call a service in a worker.
+        """Call a service in a worker; see `call_and`."""
+        return await self.call_and(lambda answer: answer, name, message, read, timeout)
+
+    async def call_and(
+        self,
+        act: Callable[[Message], T],
+        name: str,
+        message: Message,
+        read: Read,
+        timeout: float,
+    ) -> T:
+        """Call a service in a worker, and do something with its answer there, too.
 
         Args:
+            act: what the answer is for; may take long.
             name: a function.
             message: the request as it came.
             read: makes its logical value, by the service's structure.
@@ -176,17 +192,25 @@ class Desk:
         """
         limit = min(timeout, self.limits.call_seconds)
 
-        def work() -> Message:
+        def work() -> T:
             structure = self.robot.resolve(name).provider.structures.get("request")
             if structure is None:
                 raise UsageError(f"function {name!r} is a stream, not a service")
-            return self.robot.call(name, read(structure, message), timeout=limit)
+            return act(self.robot.call(name, read(structure, message), timeout=limit))
 
         return await self.workers.start(work)
 
     async def resolve(self, name: str) -> Plan:
-        """Find a plan in a worker; raises as `RobotManager.resolve`, and BusyError."""
-        return await self.workers.start(lambda: self.robot.resolve(name))
+        """Find a plan in a worker; see `resolve_and`."""
+        return await self.resolve_and(lambda plan: plan, name)
+
+    async def resolve_and(self, act: Callable[[Plan], T], name: str) -> T:
+        """Find a plan in a worker, and do something with it there, too.
+
+        Raises:
+            UoarmError: as `RobotManager.resolve`, and BusyError.
+        """
+        return await self.workers.start(lambda: act(self.robot.resolve(name)))
 
     async def structures(self, function: str) -> Mapping[str, MessageStructure]:
         """Return the structures of a function's ports; of one that nothing provides, none."""
@@ -212,6 +236,7 @@ class Desk:
         if self._kills:
             await asyncio.wait(self._kills.values(), timeout=self.limits.stop_seconds / 4)
         self.workers.close()
+        self.encoder.close()
 
     async def _open(self, wanted: Wanted, feed: Feed) -> None:
         take = feed.take if wanted.receive else _ignore

@@ -6,18 +6,23 @@ import asyncio
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from attrs import define, field
 
 from uoarm._control import Connection
 from uoarm.errors import MessageError
 from uoarm.model import Message, message_octets
+from uoarm.server._encoder import Encoder, takes_long
 from uoarm.server._hop import Hop
 
-__all__ = ["Feed", "Listener", "Parcel"]
+__all__ = ["Feed", "Listener", "Parcel", "Prepare"]
 
 _TURN_SECONDS = 0.001
+
+
+Write: TypeAlias = Callable[[int, Message], bytes]
+"""Makes the form of a message that has a number."""
 
 
 @define(eq=False)
@@ -33,18 +38,44 @@ class Parcel:
     number: int
     message: Message
     _octets: int | None = None
-    _written: dict[str, bytes] = field(factory=dict, init=False)
+    _long: bool | None = field(default=None, init=False)
+    _written: dict[str, bytes | MessageError] = field(factory=dict, init=False)
+    _writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
 
-    def written(self, key: str, write: Callable[[int, Message], bytes]) -> bytes:
+    def written(self, key: str, write: Write) -> bytes:
         """Return the message as `write` makes it, made once for each key.
 
         Raises:
             MessageError: it has no such form.
         """
-        frame = self._written.get(key)
-        if frame is None:
-            frame = self._written[key] = write(self.number, self.message)
-        return frame
+        made = self._written.get(key)
+        if made is None:
+            self._make(key, write)
+            made = self._written[key]
+        if isinstance(made, MessageError):
+            raise made.with_traceback(None)
+        return made
+
+    def prepare(self, key: str, write: Write, encoder: Encoder) -> asyncio.Future[object] | None:
+        """Have a long message written beside the loop; None when `written` need not wait for that.
+
+        The future never fails: `written` raises what went wrong.
+        """
+        if key in self._written or not self.takes_long:
+            return None
+        if key not in self._writing:
+            future = encoder.start(lambda: self._make(key, write))
+            if future is None:
+                return None
+            self._writing[key] = future
+        return self._writing[key]
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether it is written beside the loop; looked at once."""
+        if self._long is None:
+            self._long = takes_long(self.message)
+        return self._long
 
     @property
     def message_octets(self) -> int:
@@ -56,11 +87,23 @@ class Parcel:
     @property
     def octets(self) -> int:
         """Memory that the message and its written forms hold."""
-        return self.message_octets + sum(map(len, self._written.values()))
+        frames = (one for one in self._written.values() if isinstance(one, bytes))
+        return self.message_octets + sum(map(len, frames))
 
     def forget_written(self) -> None:
         """Let its written forms go; they are made again for whoever comes."""
         self._written.clear()
+        self._writing.clear()
+
+    def _make(self, key: str, write: Write) -> None:
+        try:
+            self._written[key] = write(self.number, self.message)
+        except MessageError as error:
+            self._written[key] = error.with_traceback(None)
+
+
+Prepare: TypeAlias = Callable[[Parcel], "asyncio.Future[object] | None"]
+"""Begins to write a message beside the loop for a listener; None: it need not wait for that."""
 
 
 class Listener(Protocol):
@@ -79,6 +122,8 @@ class Listener(Protocol):
 class Feed:
     """The messages of one open connection, fanned out in the loop's thread.
 
+    In order: while a long message is being written for somebody, those behind it wait for it.
+
     Args:
         hop: the way into the loop.
         limit: messages that wait for the loop; then the oldest is lost, as a gap in the numbers.
@@ -89,7 +134,9 @@ class Feed:
         self._waiting: deque[Parcel] = deque(maxlen=limit)
         self._number = 0
         self._pending = False
-        self._listeners: dict[Listener, None] = {}
+        self._is_writing = False
+        self._is_done = False
+        self._listeners: dict[Listener, Prepare | None] = {}
         self.connection: Connection | None = None
         self.lost = 0
         self.end: tuple[str, str] | None = None
@@ -109,12 +156,19 @@ class Feed:
             self._pending = True
             self._hop.put(self._hand_out)
 
-    def add(self, listener: Listener) -> None:
-        """Hand messages to a listener from now on; to the first one what came before it, too."""
-        self._listeners[listener] = None
-        if self.end is not None:
-            self._hand_all()
+    def add(self, listener: Listener, prepare: Prepare | None = None) -> None:
+        """Hand messages to a listener from now on; to the first one what came before it, too.
+
+        Args:
+            listener: takes them.
+            prepare: asked about each message first; what it begins is waited for.
+        """
+        self._listeners[listener] = prepare
+        if self._is_done:
+            assert self.end is not None, "only what has ended is done"
             listener.ended(*self.end)
+        elif self.end is not None:
+            self._hand_all()
         elif self._waiting:
             self._schedule()
 
@@ -124,14 +178,15 @@ class Feed:
         return not self._listeners
 
     def finish(self, state: str, cause: str) -> None:
-        """Hand out what waits, then tell every listener that this was all."""
+        """Hand out what waits, then tell every listener that this was all.
+
+        At once, unless a long message is being written: then after it.
+        """
         if self.end is not None:
             return
         self.end = (state, cause)
         if self._listeners:
             self._hand_all()
-        for listener in tuple(self._listeners):
-            listener.ended(state, cause)
 
     def _schedule(self) -> None:
         if not self._pending:
@@ -141,17 +196,50 @@ class Feed:
     def _hand_out(self) -> None:
         """Hand out for a moment, then let writers and replies have their turn."""
         self._pending = False
-        if not self._listeners:
+        if self.end is not None:
+            self._hand_all()
             return
         end = time.perf_counter() + _TURN_SECONDS
-        while self._waiting and time.perf_counter() < end:
-            self._hand_one(self._waiting.popleft())
-        if self._waiting:
+        while self._hand_next() and time.perf_counter() < end:
+            pass
+        if self._can_hand():
             self._schedule()
 
     def _hand_all(self) -> None:
-        while self._waiting:
-            self._hand_one(self._waiting.popleft())
+        """Hand out the last messages, then tell the end."""
+        while self._hand_next():
+            pass
+        if self._is_writing or self._is_done or not self._listeners:
+            return
+        assert self.end is not None, "nothing is the last before the end"
+        self._is_done = True
+        for listener in tuple(self._listeners):
+            listener.ended(*self.end)
+
+    def _can_hand(self) -> bool:
+        return bool(self._waiting and self._listeners) and not self._is_writing
+
+    def _hand_next(self) -> bool:
+        """Hand out one message, or have it written first; False when none can be handed out."""
+        if not self._can_hand():
+            return False
+        parcel = self._waiting.popleft()
+        writing = [
+            future
+            for prepare in tuple(self._listeners.values())
+            if prepare is not None and (future := prepare(parcel)) is not None
+        ]
+        if writing:
+            self._is_writing = True
+            asyncio.gather(*writing).add_done_callback(lambda _: self._written(parcel))
+            return False
+        self._hand_one(parcel)
+        return True
+
+    def _written(self, parcel: Parcel) -> None:
+        self._is_writing = False
+        self._hand_one(parcel)
+        self._hand_out()
 
     def _hand_one(self, parcel: Parcel) -> None:
         for listener in tuple(self._listeners):

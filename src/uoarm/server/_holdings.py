@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -81,7 +82,7 @@ class Holdings:
 
     def begin(self, stream: Stream) -> None:
         """Let the messages of a stream come, first those that wait."""
-        stream.feed.add(stream)
+        stream.feed.add(stream, functools.partial(stream.prepare, self._desk.encoder))
 
     def own(self, identity: str) -> Stream:
         """Return the client's stream of a connection.

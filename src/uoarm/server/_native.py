@@ -18,6 +18,7 @@ from uoarm.model import (
     ControlMessage,
     Message,
     Op,
+    Plan,
     Spending,
     StatusEvent,
     message_octets,
@@ -176,12 +177,18 @@ class NativeSession:
         limit = asked.extensions.get("x-timeout", self._client.limits.call_seconds)
         assert isinstance(limit, int | float), "the schema says so"
         read = functools.partial(read_message, self._form)
-        self._reply(asked, await self._desk.call(name, asked.jsonMessage, read, float(limit)))
+        act = functools.partial(self._written, asked)
+        frame = await self._desk.call_and(act, name, asked.jsonMessage, read, float(limit))
+        self._tell_frame(asked.id, frame)
 
     async def _resolve(self, asked: ControlMessage) -> None:
         name = str(asked.type)
         self._require(Operation.SEE, name.partition(".")[0])
-        self._reply(asked, show_plan(await self._desk.resolve(name), self._form))
+
+        def act(plan: Plan) -> bytes:
+            return self._written(asked, show_plan(plan, self._form))
+
+        self._tell_frame(asked.id, await self._desk.resolve_and(act, name))
 
     def _list(self, asked: ControlMessage) -> None:
         functions = list_functions(self._desk.robot.config, self._client.role)
@@ -286,10 +293,12 @@ class NativeSession:
         self._fail(asked.id, str(asked.type), error, more)
 
     def _reply(self, asked: ControlMessage, message: Message) -> None:
-        reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
-        if message is not None:
-            reply["jsonMessage"] = message
-        self._tell(reply)
+        self._tell(_reply_of(asked, message))
+
+    def _written(self, asked: ControlMessage, message: Message) -> bytes:
+        """Write a reply in a worker, which waits where that takes long."""
+        write = functools.partial(write_or_tell, self._form, _reply_of(asked, message))
+        return self._desk.encoder.wait(message, write)
 
     def _fail(
         self,
@@ -308,7 +317,16 @@ class NativeSession:
         self._tell(told)
 
     def _tell(self, message: Mapping[str, Any]) -> None:
-        frame = write_or_tell(self._form, message)
-        if self._answers is not None and "id" in message:
-            self._answers.add(message["id"], frame)
+        self._tell_frame(message.get("id"), write_or_tell(self._form, message))
+
+    def _tell_frame(self, identity: str | None, frame: bytes) -> None:
+        if self._answers is not None and identity is not None:
+            self._answers.add(identity, frame)
         self._client.outbox.tell(frame, text=self._form.text)
+
+
+def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:
+    reply: dict[str, Any] = {"op": "Reply", "type": asked.type, "id": asked.id}
+    if message is not None:
+        reply["jsonMessage"] = message
+    return reply

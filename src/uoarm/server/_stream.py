@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 from collections.abc import Callable
 
@@ -10,6 +11,7 @@ from uoarm._wire import Form
 from uoarm.errors import MessageError
 from uoarm.model import QueuePolicy
 from uoarm.server._complaints import Complaints
+from uoarm.server._encoder import Encoder
 from uoarm.server._feed import Feed, Parcel
 from uoarm.server._outbox import Lane, Outbox
 
@@ -55,6 +57,12 @@ class Stream:
         self._due = 0.0
         self._complaints = Complaints(on_refused)
         self._on_end = on_end
+
+    def prepare(self, encoder: Encoder, parcel: Parcel) -> asyncio.Future[object] | None:
+        """Have a long message written beside the loop, unless it comes too soon anyway."""
+        if self._every and self._clock() < self._due:
+            return None
+        return parcel.prepare(self._key, self._write, encoder)
 
     def offer(self, parcel: Parcel) -> None:
         """Take one message unless it comes too soon after the last."""

@@ -1,0 +1,180 @@
+"""Long messages are written beside the loop, and everybody still gets them in order."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from array import array
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from attrs import define, field
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uoarm._wire import BINARY_FORM, TEXT_FORM
+from uoarm.errors import MessageError
+from uoarm.model import Message
+from uoarm.server._encoder import Encoder, takes_long
+from uoarm.server._feed import Feed, Parcel
+from uoarm.server._hop import Hop
+from uoarm.testing import patience
+
+LONG = [0.5] * 5_000
+LOST = object()
+"""A long message without a form; `takes_long` is told so by its list."""
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        ({"a": 1, "b": [1.0, 2.0]}, False),
+        (LONG, True),
+        ([[1] * 2_000] * 3, True),
+        ({"a": {"b": {"c": {"d": LONG}}}}, True),
+        ("x" * 900_000, False),
+        ("x" * 2_000_000, True),
+        ({"data": bytes(900_000)}, False),
+        ({"data": np.zeros(900_000, np.uint8)}, False),
+        ({"data": np.zeros((640, 480, 3), np.uint8)}, True),  # no octets: numbers, in JSON
+        (array("d", [0.0] * 5_000), True),
+        (np.zeros(5_000), True),
+        (np.float64(1), False),
+        (object(), False),
+    ],
+)
+def test_what_takes_long_is_known_beforehand(message: Message, *, expected: bool) -> None:
+    assert takes_long(message) is expected
+
+
+@define(eq=False)
+class Reader:
+    """Takes down what it is handed, and in which thread that was written."""
+
+    encoder: Encoder
+    took: list[int | str] = field(factory=list)
+    threads: list[threading.Thread] = field(factory=list)
+
+    def write(self, number: int, message: Message) -> bytes:
+        self.threads.append(threading.current_thread())
+        if isinstance(message, list) and message[-1] is LOST:
+            raise MessageError("it has no form")
+        return str(number).encode()
+
+    def prepare(self, parcel: Parcel) -> asyncio.Future[object] | None:
+        return parcel.prepare("one form", self.write, self.encoder)
+
+    def offer(self, parcel: Parcel) -> None:
+        self.took.append(int(parcel.written("one form", self.write)))
+
+    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+        assert str(error) == "it has no form"
+        self.took.append(parcel.number)
+
+    def ended(self, state: str, cause: str) -> None:
+        self.took.append(f"{state} {cause}")
+
+
+MESSAGES = {"short": 1, "long": LONG, "lost": [*LONG, LOST]}
+STEPS = st.lists(
+    st.sampled_from([*MESSAGES, "turn", "add", "remove"]).map(str), min_size=1, max_size=30
+)
+
+
+@given(STEPS)
+def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list[str]) -> None:
+    async def run() -> None:
+        encoder = Encoder()
+        feed = Feed(Hop(asyncio.get_running_loop()), 1000)
+        first = Reader(encoder)
+        feed.add(first, first.prepare)
+        others: list[Reader] = []
+        gone: list[tuple[Reader, int]] = []
+        for step in steps:
+            if step in MESSAGES:
+                feed.take(MESSAGES[step])
+            elif step == "turn":
+                await asyncio.sleep(0)
+            elif step == "add":
+                others.append(Reader(encoder))
+                feed.add(others[-1], others[-1].prepare)
+            elif others:
+                feed.remove(others[-1])
+                gone.append((others.pop(), 0))
+        gone = [(one, len(one.took)) for one, _ in gone]
+        feed.finish("closed", "kill")
+        end = asyncio.get_running_loop().time() + patience()
+        while "closed kill" not in first.took:
+            await asyncio.sleep(0)
+            assert asyncio.get_running_loop().time() < end
+        encoder.close()
+        assert first.took == [*range(1, feed.number + 1), "closed kill"]
+        for one in others:
+            assert one.took == first.took[len(first.took) - len(one.took) :]
+        assert all(len(one.took) == count for one, count in gone)
+        late = Reader(encoder)
+        feed.add(late, late.prepare)
+        assert late.took == ["closed kill"]
+
+    asyncio.run(run())
+
+
+def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> None:
+    async def run() -> None:
+        encoder, loop = Encoder(), asyncio.get_running_loop()
+        feed = Feed(Hop(loop), 10)
+        readers = [Reader(encoder) for _ in range(3)]
+        for one in readers:
+            feed.add(one, one.prepare)
+        feed.take(LONG)
+        end = loop.time() + patience()
+        while not all(one.took for one in readers):
+            await asyncio.sleep(0)
+            assert loop.time() < end
+        [thread] = [thread for one in readers for thread in one.threads]
+        assert thread is not threading.current_thread()
+        encoder.close()
+        feed.take(LONG)  # what comes while the server stops is written in the loop
+        feed.finish("closed", "kill")
+        assert all(one.took == [1, 2, "closed kill"] for one in readers)
+
+    asyncio.run(run())
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON text has it."""
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) and value != value:  # noqa: PLR0124 - so is NaN
+        return "NaN"
+    if isinstance(value, int) and abs(value) >= 2**53:
+        return str(value)
+    return value
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        array("d", [1.5, float("nan")] * 9_000),
+        array("q", [1, 2**60] * 9_000),
+        array("i"),
+        np.array([1, 2**60] * 9_000),
+        np.array([1.5, float("nan")] * 9_000),
+        np.arange(20_000, dtype=">i4"),
+        np.arange(40_000)[::2],
+        np.arange(40_000).reshape(2, 20_000),
+        np.array([True, False] * 9_000),
+    ],
+    ids=lambda value: f"{type(value).__name__} {getattr(value, 'dtype', '')}",
+)
+def test_long_arrays_of_numbers_are_the_same_text_in_pieces(value: Any) -> None:
+    assert json.loads(TEXT_FORM.write({"v": value}))["v"] == _plain(value.tolist())
+
+
+@pytest.mark.parametrize("count", [4_095, 4_096, 4_097, 8_192, 70_000])
+def test_long_lists_are_the_same_octets_in_pieces(count: int) -> None:
+    message = {"v": [[number, str(number)] for number in range(count)], "w": {"x": [1] * count}}
+    assert BINARY_FORM.write(message) == cbor2.dumps(message)
