@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from tests.schema._hostile import HOSTILE
 
 from uoarm._adapt import MappingError, adapt, check_edge, parse
+from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
+from uoarm.schema import Budget
 
 INT = {"type": "integer", "minimum": -100, "maximum": 100}
 SOURCE: dict[str, Any] = {
@@ -134,6 +138,51 @@ def test_a_suggestion_mends_the_edge_that_it_is_for() -> None:
 def test_nothing_is_suggested_where_nothing_fits() -> None:
     verdict = check_edge(structure(a={"type": "string"}), structure(b=INT))
     assert verdict.reasons[0].suggestion == ""
+
+
+def test_suggestions_for_hostile_structures_are_given_up() -> None:
+    """Each of nine pairs of fields would take some seconds to compare."""
+    inner = HOSTILE["500 open choices"]()
+    producer = MessageStructure(structure(**{f"a{n}": inner[0] for n in range(3)}).schema)
+    consumer = MessageStructure(structure(**{f"b{n}": inner[1] for n in range(3)}).schema)
+    start = time.thread_time()
+    end = time.monotonic() + 0.5
+    left = lambda: Budget(seconds=max(0.0, end - time.monotonic()))  # noqa: E731 - it is short
+    assert suggest(producer, consumer, lambda *_: True, left) == ""
+    assert time.thread_time() - start < 2
+
+
+def test_a_hostile_structure_ends_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uoarm._adapt._edge._CHECK_SECONDS", 0.2)
+    producer, consumer = map(MessageStructure, HOSTILE["500 open choices"]())
+    verdict = check_edge(producer, consumer)
+    assert not verdict.compatible
+    assert "the budget of time ran out" in verdict.reasons[0].sentence
+
+
+def test_a_long_map_is_read_in_linear_time() -> None:
+    start = time.thread_time()
+    entries = parse({f"f{n}.x": "a" for n in range(5_000)})
+    assert len(entries) == 5_000
+    assert time.thread_time() - start < 2  # of every pair it would be twenty
+
+
+@given(
+    st.lists(
+        st.lists(st.sampled_from("ab"), min_size=1, max_size=3).map(".".join), unique=True,
+        max_size=6,
+    )
+)  # fmt: skip
+def test_no_two_entries_fill_the_same_field(targets: list[str]) -> None:
+    parts = [one.split(".") for one in targets]
+    overlap = any(one is not other and other[: len(one)] == one for one in parts for other in parts)
+    try:
+        parse(dict.fromkeys(targets, "x"))
+    except MappingError as error:
+        assert overlap
+        assert "fill the same field" in str(error)
+    else:
+        assert not overlap
 
 
 def test_an_optional_source_does_not_fill_a_required_field() -> None:

@@ -268,3 +268,39 @@ def test_what_does_not_fit_is_not_tried_again_until_something_changes() -> None:
     assert len(plan.rejected) == 1
     clock.advance(1e9)
     assert resolver.resolve("f") is plan
+
+
+class Heavy(World):
+    """Every check of an edge takes a second, and the structures of each are others."""
+
+    def __init__(self, clock: ManualClock) -> None:
+        super().__init__(frozenset(), frozenset())
+        self.clock = clock
+
+    def structures(self, component: Component) -> Structures | Unavailable:
+        kind = MessageStructure({"const": component.name})
+        ports = {f"input.{one.name}": kind for one in component.inputs}
+        return Structures({**ports, "output.default": kind})
+
+    def check(
+        self,
+        producer: MessageStructure,
+        consumer: MessageStructure,
+        mapping: Mapping[str, object] | None,
+        allow_loss: tuple[str, ...],
+    ) -> Verdict:
+        self.clock.advance(1.0)
+        return Verdict(compatible=True)
+
+
+def test_checks_that_take_too_long_are_given_up_and_the_edge_is_named() -> None:
+    functions = {
+        f"f{n}": Function(f"f{n}", (component(f"f{n}", 0, (f"f{n + 1}",) if n < 49 else ()),))
+        for n in range(50)
+    }
+    clock = ManualClock()
+    world = Heavy(clock)
+    resolver = Resolver(Robot({}, functions), world, world.check, clock=clock)
+    with pytest.raises(ResolutionError, match=r"took 31 s.*f310.default -> f300\..*1.0 s"):
+        resolver.resolve("f0")
+    assert len(resolver.resolve("f20").steps) == 30  # what was checked is known

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import re
+import socket
+import struct
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Between, Connect, Serve
 from tests.server.robot import script
-from tests.server.talk import Talk, eventually
+from tests.server.talk import Talk, eventually, frame, open_socket
 from tests.server.test_serving import figures
 
 from uoarm.server import Limits, Server, hash_token
@@ -132,3 +137,69 @@ def test_sessions_that_wait_are_bounded_in_octets_and_those_that_hold_most_end_f
     for key in keys[:3]:
         with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as again:
             assert again.ask("Resume", message={"key": key})
+
+
+def _receive(plain: socket.socket) -> Any:
+    """Return the next message of the server, read without a library and its thread."""
+    head = _octets(plain, 2)
+    size = head[1]
+    if size > 125:
+        size = int.from_bytes(_octets(plain, 2 if size == 126 else 8), "big")
+    return json.loads(_octets(plain, size))
+
+
+def _octets(plain: socket.socket, count: int) -> bytes:
+    came = b""
+    while len(came) < count:
+        came += plain.recv(count - len(came))
+    return came
+
+
+def _dropped(stack: ExitStack, server: Server, count: int, text: str = "") -> list[str]:
+    """Have so many clients keep their sessions, with an answer each, and drop; returns the keys."""
+    call = {"op": "Call", "type": "parrot", "id": "2", "jsonMessage": {"text": text}}
+    sockets, keys = [], []
+    for _ in range(count):
+        plain = stack.enter_context(open_socket(server.ports[0]))
+        plain.sendall(frame(b'{"op":"Resume","id":"1"}'))
+        sockets.append(plain)
+        assert _receive(plain)["type"] == "hello"
+        keys.append(_receive(plain)["jsonMessage"]["key"])
+        if text:
+            plain.sendall(frame(json.dumps(call).encode()))
+            assert _receive(plain)["jsonMessage"] == {"text": text}
+    for plain in sockets:
+        plain.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        plain.close()
+    return keys
+
+
+def _waiting(server: Server) -> int:
+    found = re.search(r"^uoarm_serve_kept_sessions (\d+)", figures(server), re.MULTILINE)
+    assert found is not None
+    return int(found.group(1))
+
+
+def test_as_many_sessions_as_may_wait_do_and_no_more(serve: Serve) -> None:
+    most = Limits().kept_sessions
+    assert most == 256
+    server = serve(Limits(resume_seconds=600))
+    with ExitStack() as stack:
+        keys = _dropped(stack, server, most + 4)
+        eventually(lambda: "uoarm_serve_clients 0.0" in figures(server), "all are gone")
+        assert _waiting(server) == most
+        answers = []
+        for key in keys:
+            with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as again:
+                answers.append(again.answer(again.send("Resume", message={"key": key}))["op"])
+        assert sorted(answers) == ["Error"] * 4 + ["Reply"] * most
+
+
+def test_many_sessions_that_wait_hold_no_more_than_they_may(serve: Serve) -> None:
+    """Of 256 that hold 40 KB each, as many stay as have room in 4 MB."""
+    server = serve(Limits(kept_bytes=4_000_000, resume_seconds=600))
+    with ExitStack() as stack:
+        _dropped(stack, server, 256, "x" * 40_000)
+        eventually(lambda: "uoarm_serve_clients 0.0" in figures(server), "all are gone")
+        eventually(lambda: server.held_octets <= 4_000_000, "what is too much was let go")
+        assert 90 <= _waiting(server) <= 100

@@ -23,7 +23,7 @@ from websockets.typing import Origin
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
-from uoarm.server import Server, Settings, fingerprint_of, serve_in_thread
+from uoarm.server import Server, Settings, fingerprint_of, run, serve_in_thread
 from uoarm.testing import patience
 
 ROOT = Path(__file__).parents[2]
@@ -182,3 +182,15 @@ def test_a_server_can_be_started_and_stopped_again(serve: Serve, robot: RobotMan
         ):
             client.open("numbers")
     assert json.loads(page(serve(), "/healthz")[1])["clients"] == 0
+
+
+def test_threads_that_compute_have_short_turns_while_it_serves(robot: RobotManager) -> None:
+    before, during = sys.getswitchinterval(), []
+
+    def ready(_: Server) -> None:
+        during.append(sys.getswitchinterval())
+        signal.raise_signal(signal.SIGTERM)
+
+    run(robot, Settings(port=0), ready)
+    assert during[0] < before / 5
+    assert sys.getswitchinterval() == before

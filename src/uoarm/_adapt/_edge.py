@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,9 +13,12 @@ from uoarm._adapt._mapping import MappingError, parse
 from uoarm._adapt._suggest import suggest
 from uoarm._adapt._walk import UnfitError
 from uoarm.model import Edge, Message, MessageStructure, Reason
-from uoarm.schema import SchemaError, Verdict, check
+from uoarm.schema import Budget, SchemaError, Verdict, check
 
 __all__ = ["EdgeVerdict", "check_edge", "transfer"]
+
+_CHECK_SECONDS = 10.0
+_SUGGEST_SECONDS = 5.0
 
 
 @frozen
@@ -40,7 +44,10 @@ def check_edge(
     mapping: Mapping[str, object] | None = None,
     allow_loss: tuple[str, ...] = (),
 ) -> EdgeVerdict:
-    """Judge one edge. Pure: equal arguments give equal verdicts; raises nothing.
+    """Judge one edge. Raises nothing; blocks for some 15 s at most, whatever the structures are.
+
+    Equal arguments give equal verdicts, but where the time did not suffice: then the reason says
+    so, or it has no suggestion.
 
     Args:
         producer: structure of what is emitted.
@@ -48,12 +55,18 @@ def check_edge(
         mapping: the adapter, None to pass messages unchanged.
         allow_loss: fields that may be dropped.
     """
-    verdict = _judge(producer, consumer, mapping, allow_loss)
+    verdict = _judge(producer, consumer, mapping, allow_loss, Budget(seconds=_CHECK_SECONDS))
     if verdict.compatible or not verdict.reasons or verdict.reasons[0].suggestion:
         return verdict
-    lines = suggest(
-        producer, consumer, lambda *trial: _judge(producer, consumer, *trial).compatible
-    )
+    end = time.monotonic() + _SUGGEST_SECONDS
+
+    def left() -> Budget:
+        return Budget(seconds=max(0.0, end - time.monotonic()))
+
+    def fits(mapping: Mapping[str, Any], losses: tuple[str, ...]) -> bool:
+        return _judge(producer, consumer, mapping, losses, left()).compatible
+
+    lines = suggest(producer, consumer, fits, left)
     if not lines:
         return verdict
     first, *rest = verdict.reasons
@@ -73,12 +86,14 @@ def _judge(
     consumer: MessageStructure,
     mapping: Mapping[str, Any] | None,
     allow_loss: tuple[str, ...],
+    budget: Budget,
 ) -> EdgeVerdict:
     try:
         if mapping is None:
-            return _verdict(check(producer.schema, consumer.schema), (), allow_loss)
+            checked = check(producer.schema, consumer.schema, budget=budget)
+            return _verdict(checked, (), allow_loss)
         adapted = adapt(parse(mapping), producer.schema, consumer.schema)
-        return _with_losses(adapted, consumer, allow_loss)
+        return _with_losses(adapted, consumer, allow_loss, budget)
     except MappingError as error:
         return EdgeVerdict(False, (Reason(f"the map cannot be understood: {error}"),))
     except UnfitError as error:
@@ -88,10 +103,11 @@ def _judge(
 
 
 def _with_losses(
-    adapted: Adaptation, consumer: MessageStructure, allow_loss: tuple[str, ...]
+    adapted: Adaptation, consumer: MessageStructure, allow_loss: tuple[str, ...], budget: Budget
 ) -> EdgeVerdict:
     refused = [loss for loss in adapted.losses if loss not in allow_loss]
-    verdict = _verdict(check(adapted.schema, consumer.schema), adapted.losses, allow_loss)
+    checked = check(adapted.schema, consumer.schema, budget=budget)
+    verdict = _verdict(checked, adapted.losses, allow_loss)
     if not verdict.compatible or not refused:
         return verdict
     lines = f"allow_loss: [{', '.join((*allow_loss, *refused))}]"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
 from attrs import field, frozen
@@ -107,15 +107,22 @@ def _entries(
         value = _value(rule, at, mistakes, depth)
         if value is not None:
             entries.append(Entry(target, value))
-    targets = [entry.target for entry in entries]
-    for number, one in enumerate(targets):
-        for other in targets[:number]:
-            short, long = sorted((one, other), key=len)
-            if long[: len(short)] == short:
-                mistakes.append(
-                    f"{where}: {write_path(other)} and {write_path(one)} fill the same field"
-                )
+    mistakes += _overlaps([entry.target for entry in entries], where)
     return tuple(entries)
+
+
+def _overlaps(targets: list[Path], where: str) -> Iterator[str]:
+    """Yield what fills a field that another entry fills whole or in part; linear in the names."""
+    inner: dict[Path, Path] = {}
+    seen: set[Path] = set()
+    for one in targets:
+        outer = next((one[:end] for end in range(len(one) + 1) if one[:end] in seen), None)
+        other = inner.get(one) if outer is None else outer
+        if other is not None:
+            yield f"{where}: {write_path(other)} and {write_path(one)} fill the same field"
+        seen.add(one)
+        for end in range(len(one)):
+            inner.setdefault(one[:end], one)
 
 
 def _path(text: str, where: str, mistakes: list[str]) -> Path:

@@ -7,11 +7,13 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from attrs import frozen
+
 from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, parse, write_path
 from uoarm._adapt._walk import Structure, UnfitError, leaves
 from uoarm.model import MessageStructure
-from uoarm.schema import check
+from uoarm.schema import Budget, check
 
 __all__ = ["suggest"]
 
@@ -23,6 +25,7 @@ def suggest(
     producer: MessageStructure,
     consumer: MessageStructure,
     fits: Callable[[Mapping[str, Any], tuple[str, ...]], bool],
+    left: Callable[[], Budget],
 ) -> str:
     """Return lines to paste that make the edge fit, or nothing.
 
@@ -30,14 +33,15 @@ def suggest(
         producer: structure of what is emitted.
         consumer: structure of what is taken.
         fits: judges a mapping with its allowed losses.
+        left: what each question may cost; with no time left there is no suggestion.
     """
     source, target = Structure(producer.schema), Structure(consumer.schema)
     try:
-        mapping = _draft(source, target)
+        mapping = _draft(source, target, _Likeness(source, target, left))
         if mapping is None:
             return ""
         losses = adapt(parse(mapping), producer.schema, consumer.schema).losses
-    except (UnfitError, ValueError):
+    except (UnfitError, ValueError, _NoTimeError):
         return ""
     if not fits(mapping, losses):
         return ""
@@ -45,7 +49,27 @@ def suggest(
     return f"{lines}\nallow_loss: {_flow(list(losses))}" if losses else lines
 
 
-def _draft(source: Structure, target: Structure) -> dict[str, Any] | None:
+class _NoTimeError(Exception):
+    """No time is left for a suggestion."""
+
+
+@frozen
+class _Likeness:
+    """Says which field of the producer does for which of the consumer, as long as there is time."""
+
+    source: Structure
+    target: Structure
+    left: Callable[[], Budget]
+
+    def accepts(self, one: Any, other: Any) -> bool:
+        budget = self.left()
+        if not budget.seconds:
+            raise _NoTimeError
+        producer = _with_definitions(one, self.source)
+        return check(producer, _with_definitions(other, self.target), budget=budget).compatible
+
+
+def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[str, Any] | None:
     """Fill every field of the consumer that the producer's field of that name does not."""
     wanted = target.fields()
     if not wanted or len(wanted) > _MAX_FIELDS:
@@ -54,9 +78,9 @@ def _draft(source: Structure, target: Structure) -> dict[str, Any] | None:
     required = target.plain(target.schema, ".").get("required", ())
     mapping: dict[str, Any] = {}
     for name, schema in wanted.items():
-        if name in source.fields() and _accepts(source, source.fields()[name], target, schema):
+        if name in source.fields() and likeness.accepts(source.fields()[name], schema):
             continue
-        path = _best(name, schema, have, source, target)
+        path = _best(name, schema, have, likeness)
         if path is not None:
             mapping[name] = write_path(path)
         elif (value := _only_value(schema)) is not None:
@@ -66,11 +90,9 @@ def _draft(source: Structure, target: Structure) -> dict[str, Any] | None:
     return mapping
 
 
-def _best(
-    name: str, schema: Any, have: list[tuple[Path, Any]], source: Structure, target: Structure
-) -> Path | None:
+def _best(name: str, schema: Any, have: list[tuple[Path, Any]], likeness: _Likeness) -> Path | None:
     """Return the producer's field that fits best: by name, by likeness, or as the only one."""
-    fitting = [path for path, one in have if _accepts(source, one, target, schema)]
+    fitting = [path for path, one in have if likeness.accepts(one, schema)]
     same = [path for path in fitting if path[-1] == name]
     if same:
         return min(same, key=len)
@@ -78,10 +100,6 @@ def _best(
     if alike:
         return next(path for path in fitting if path[-1] == alike[0])
     return fitting[0] if len(fitting) == 1 else None
-
-
-def _accepts(source: Structure, one: Any, target: Structure, other: Any) -> bool:
-    return check(_with_definitions(one, source), _with_definitions(other, target)).compatible
 
 
 def _with_definitions(schema: Any, structure: Structure) -> Any:

@@ -21,6 +21,8 @@ from uoarm.model import Component, Edge, Function, Input, Plan, Reason, Rejectio
 
 __all__ = ["Search"]
 
+_CHECK_SECONDS = 30.0
+
 
 @define
 class _Agenda:
@@ -81,6 +83,7 @@ class Search:
         self._budget = budget
         self._clock = clock
         self._asked_in_vain: float | None = None
+        self._checked = 0.0
         self._frames: list[_Frame] = []
         self._assigned: dict[str, _Frame] = {}
         self._demands: dict[str, list[tuple[int, Component, Input]]] = {}
@@ -95,7 +98,7 @@ class Search:
         """Return the plan, or the rejected candidates of the function asked for.
 
         Raises:
-            ResolutionError: the budget ran out.
+            ResolutionError: the budget ran out, or the time for checking structures.
         """
         self._push(name, None, None)
         while True:
@@ -190,7 +193,17 @@ class Search:
             wanted = port.source.port or "default"
             text = f"{producer.name} has no output {wanted!r} for {consumer.name}; it has {has}"
             return _Refusal((Reason(text),))
+        begun = self._clock()
         made = self._fit.edge(producer, output, structures, consumer, port)
+        took = self._clock() - begun
+        self._checked += took
+        if self._checked > _CHECK_SECONDS:
+            edge = f"{producer.name}.{output.name} -> {consumer.name}.{port.name}"
+            raise ResolutionError(
+                f"the search was given up: checking structures took {self._checked:.0f} s, more "
+                f"than {_CHECK_SECONDS:.0f} s; the last, {edge}, {took:.1f} s: "
+                "simplify its structures or its map"
+            )
         if isinstance(made, Edge):
             frame.edges.append(made)
             frame.warnings.extend(made.warnings)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import functools
 import signal
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
@@ -19,6 +20,8 @@ from uoarm.server._settings import Settings
 __all__ = ["run", "serve_in_thread"]
 
 _START_SECONDS = 10.0
+# Decoders, encoders and checks of messages keep the interpreter's lock as long as they may.
+_SWITCH_SECONDS = 0.0005
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -26,6 +29,9 @@ def run(
     robot: RobotManager, settings: Settings, ready: Callable[[Server], None] | None = None
 ) -> None:
     """Serve until SIGTERM or Ctrl-C, then close properly. Only in the main thread.
+
+    Meanwhile threads of this process that compute have turns of 0.5 ms instead of 5 ms, so that
+    the loop waits less for them (`sys.setswitchinterval`).
 
     Args:
         robot: the manager; it stays open.
@@ -37,7 +43,12 @@ def run(
         OSError: a port is taken.
     """
     server = Server(robot, settings)
-    _run_loop(_new_loop(), _until_signal(server, ready))
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_SECONDS)
+    try:
+        _run_loop(_new_loop(), _until_signal(server, ready))
+    finally:
+        sys.setswitchinterval(before)
 
 
 @contextmanager
