@@ -15,7 +15,7 @@ ROOT = Path(uoarm.__file__).parent
 
 # From the bottom up; a layer may import itself and everything before it.
 LAYERS = [
-    {"errors", "_version", "_origin", "_spelling", "_whole_file"},
+    {"errors", "_version", "_origin", "_spelling", "_whole_file", "_workers"},
     {"_yaml"},
     {"_mistakes"},
     {"schema"},

@@ -16,9 +16,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
 
+from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
 __all__ = ["run"]
@@ -26,7 +26,6 @@ __all__ = ["run"]
 T = TypeVar("T")
 
 _log = logging.getLogger("uoarm")
-_IDLE_SECONDS = 10.0
 _GLANCE_SECONDS = 0.05
 _HANGING_EACH = 16
 _HANGING_IN_ALL = 256
@@ -84,10 +83,13 @@ class _Job(Generic[T]):
         return self._given_up
 
     def work(self) -> None:
+        _current.job = self
         try:
             self._result = self._action()
         except BaseException as error:  # noqa: BLE001 - handed to the waiter whole
             self._error = error
+        finally:
+            _current.job = None
         with self._verdict:
             self._finished.release()
             late = self._given_up
@@ -122,53 +124,18 @@ class _Job(Generic[T]):
         return self._result
 
 
-class _Workers:
-    """Daemon threads that wait a while for the next job and then end."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._idle: list[SimpleQueue[_Job[Any]]] = []
-
-    def submit(self, job: _Job[Any]) -> None:
-        with self._lock:
-            inbox = self._idle.pop() if self._idle else None
-        if inbox is None:
-            inbox = SimpleQueue()
-            threading.Thread(
-                target=self._serve, args=(inbox,), name="uoarm-step", daemon=True
-            ).start()
-        inbox.put(job)
-
-    def _serve(self, inbox: SimpleQueue[_Job[Any]]) -> None:
-        while True:
-            try:
-                job = inbox.get(timeout=_IDLE_SECONDS)
-            except Empty:
-                with self._lock:
-                    if inbox not in self._idle:
-                        continue
-                    self._idle.remove(inbox)
-                return
-            _current.job = job
-            job.work()
-            _current.job = None
-            del job
-            with self._lock:
-                self._idle.append(inbox)
-
-
 class _Current(threading.local):
     job: _Job[Any] | None = None
 
 
 _current = _Current()
-_workers = _Workers()
+_workers = WorkerPool("uoarm-step")
 _hanging = _Hanging()
 
 
 def _forget_threads() -> None:
     global _workers, _current, _hanging
-    _workers, _current, _hanging = _Workers(), _Current(), _Hanging()
+    _workers, _current, _hanging = WorkerPool("uoarm-step"), _Current(), _Hanging()
 
 
 os.register_at_fork(after_in_child=_forget_threads)
@@ -198,7 +165,7 @@ def run(
     outer = _current.job
     if outer is None or outer.given_up():
         job = _Job(step, limit, action, on_late)
-        _workers.submit(job)
+        _workers.submit(job.work)
         return job.wait()
     return _run_inside(outer, step, limit, action, on_late)
 

@@ -8,13 +8,13 @@ from threading import Event
 from typing import Any
 
 from uoarm._host import _keys
-from uoarm._host._daemons import DaemonThreads
 from uoarm._host._flow import Ending
 from uoarm._host._link import ANSWER_SECONDS, Link, Reply
 from uoarm._host._open_flows import OpenFlows
 from uoarm._host._tally import Tally
 from uoarm._host._workers import Workers
 from uoarm._version import __version__
+from uoarm._workers import WorkerPool
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
@@ -43,8 +43,8 @@ class Serving:
         self._link = link
         self._flows = OpenFlows(link, tally)
         self._workers = Workers("uoarm-ask")
-        self._teller = DaemonThreads("uoarm-tell", 1)
-        self._looker = DaemonThreads("uoarm-look", 1)
+        self._teller = WorkerPool("uoarm-tell", 1)
+        self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
         self._ended = ended
         self._operations: dict[str, Callable[[Request], Any]] = {
@@ -176,7 +176,7 @@ class Serving:
             "flow": None if channel is None else self._flows.number_of(channel),
             "component": event.component if channel is None else channel.endpoint.component,
         }
-        self._teller.submit(lambda: self._tell(told))
+        self._teller.submit(self._tell, told)
 
     def _tell(self, told: Mapping[str, Any]) -> None:
         try:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import threading
 from collections.abc import Callable
-from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import TypeVar
 
+from uoarm._workers import WorkerPool
 from uoarm.errors import UoarmError
 from uoarm.server._hop import Hop
 
@@ -34,8 +32,9 @@ class Workers:
 
     def __init__(self, limit: int, hop: Hop) -> None:
         self._limit = limit
-        self._asking = _Threads("uoarm-serve", limit, hop)
-        self._freeing = _Threads("uoarm-serve-free", _FREEING, hop)
+        self._hop = hop
+        self._asking = WorkerPool("uoarm-serve-call", limit)
+        self._freeing = _freeing_pool()
 
     @property
     def busy(self) -> int:
@@ -52,9 +51,7 @@ class Workers:
         Raises:
             BusyError: no worker is free.
         """
-        if self._asking.busy >= self._limit and not always:
-            raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
-        return self._asking.put(action)
+        return self._submit(self._asking, action, queue=always)
 
     def free(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run an action that frees something, when all workers are taken, too.
@@ -62,57 +59,38 @@ class Workers:
         Never refused; it waits for those before it. Each is bounded in time by itself, and the
         caller bounds how many there are.
         """
-        return self._freeing.put(action)
+        return self._submit(self._freeing, action, queue=True)
 
     def close(self) -> None:
-        """Let idle threads end; those at work end after it."""
-        self._asking.close()
-        self._freeing.close()
+        """Start no more actions; those that were taken are done still. Idempotent."""
+        self._asking.close(drop=False)
+        self._freeing.close(drop=False)
+        # What was being opened until now is to be freed still, by threads that do not stay.
+        self._freeing = _freeing_pool(idle_seconds=0)
 
-
-class _Threads:
-    """Threads started as they are needed, up to a number; further jobs wait in order."""
-
-    def __init__(self, name: str, most: int, hop: Hop) -> None:
-        self._name = name
-        self._most = most
-        self._hop = hop
-        self._jobs: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
-        self._started = 0
-        self.busy = 0
-
-    def put(self, action: Callable[[], T]) -> asyncio.Future[T]:
+    def _submit(
+        self, pool: WorkerPool, action: Callable[[], T], *, queue: bool
+    ) -> asyncio.Future[T]:
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
-        self.busy += 1
-        self._jobs.put(lambda: self._work(action, future))
-        if self._started < min(self.busy, self._most):
-            self._started += 1
-            name = f"{self._name}-{self._started}"
-            threading.Thread(target=self._serve, name=name, daemon=True).start()
+
+        def done(result: T, error: BaseException | None) -> None:
+            self._hop.put(lambda: _finish(future, result, error))
+
+        if not pool.submit(action, done=done, queue=queue):
+            if pool.closed:
+                raise BusyError("the server is closing")
+            raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
         return future
 
-    def close(self) -> None:
-        for _ in range(self._started):
-            self._jobs.put(None)
 
-    def _serve(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            job()
-            del job  # with what it holds
+def _freeing_pool(**settings: float) -> WorkerPool:
+    return WorkerPool("uoarm-serve-free", _FREEING, **settings)
 
-    def _work(self, action: Callable[[], T], future: asyncio.Future[T]) -> None:
-        try:
-            result = action()
-        except BaseException as error:  # noqa: BLE001 - handed to whoever awaits
-            failure = error
-            self._hop.put(lambda: self._finish(future, future.set_exception, failure))
-        else:
-            self._hop.put(lambda: self._finish(future, future.set_result, result))
 
-    def _finish(
-        self, future: asyncio.Future[T], conclude: Callable[[Any], None], outcome: object
-    ) -> None:
-        self.busy -= 1
-        if not future.done():
-            with contextlib.suppress(asyncio.InvalidStateError):
-                conclude(outcome)
+def _finish(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
+    if future.done():  # nobody waits for it any more
+        return
+    if error is None:
+        future.set_result(result)
+    else:
+        future.set_exception(error)

@@ -1,0 +1,192 @@
+"""A pool of daemon worker threads: the one place where threads are started for calls that wait."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, TypeAlias, TypeVar
+
+from attrs import frozen
+
+from uoarm.errors import UoarmError
+
+__all__ = ["Done", "WorkerPool", "WorkerPoolClosedError"]
+
+T = TypeVar("T")
+Done: TypeAlias = Callable[[Any, BaseException | None], object]
+"""Takes what a call returned, or None and what it raised."""
+
+_IDLE_SECONDS = 10.0
+_log = logging.getLogger("uoarm")
+
+
+class WorkerPoolClosedError(UoarmError):
+    """The call had not begun when its pool was closed, and never will."""
+
+
+@frozen(eq=False)
+class _Task(Generic[T]):
+    call: Callable[..., T]
+    args: tuple[Any, ...]
+    done: Done | None
+
+
+class WorkerPool:
+    """Runs calls in daemon threads, which are started as they are needed and used again.
+
+    A thread that finds nothing more to do waits some seconds for the next call and then ends: to
+    start and join one costs several times as much as to wake one. The one that became idle last is
+    woken first, so that those that are not needed end.
+
+    Not a pool of `concurrent.futures`, for whose threads the interpreter waits when it ends: a call
+    of a component that hangs would keep the process for ever.
+
+    All methods may be called from any thread, and return at once.
+
+    Args:
+        name: of the threads.
+        limit: threads at most; a call that finds all at work waits for one, in order, so that a
+            pool with one thread keeps the order. None: a thread for each call that is under way.
+        idle_seconds: how long a thread waits for the next call.
+
+    Example:
+        >>> pool = WorkerPool("uoarm-describe", limit=4)
+        >>> pool.submit(bridge.describe, endpoint, done=lambda result, error: ...)
+        True
+    """
+
+    def __init__(
+        self, name: str, limit: int | None = None, *, idle_seconds: float = _IDLE_SECONDS
+    ) -> None:
+        self._name = name
+        self._limit = float("inf") if limit is None else limit
+        self._idle_seconds = idle_seconds
+        self._lock = threading.Lock()
+        self._waiting: deque[_Task[Any]] = deque()
+        self._idle: list[SimpleQueue[_Task[Any] | None]] = []
+        self._threads = 0
+        self._busy = 0
+        self._closed = False
+
+    @property
+    def busy(self) -> int:
+        """Calls that are under way or wait for a thread."""
+        return self._busy
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    def submit(
+        self, call: Callable[..., T], *args: Any, done: Done | None = None, queue: bool = True
+    ) -> bool:
+        """Have a call run in a thread of the pool.
+
+        Args:
+            call: what may wait.
+            args: handed to it.
+            done: called once, in the call's thread, when the call does not count as busy any more:
+                whoever learns of an end through it finds room for the next. What it raises is
+                logged; without it, what the call raises is.
+            queue: False to refuse the call, rather than let it wait, where all threads are at work.
+
+        Returns:
+            Whether the call was taken: False where the pool is closed or, without `queue`, full;
+            then nothing is called.
+
+        Raises:
+            RuntimeError: the system gives no more threads.
+        """
+        task = _Task(call, args, done)
+        with self._lock:
+            if self._closed or (not queue and self._busy >= self._limit):
+                return False
+            self._busy += 1
+            if self._idle:
+                self._idle.pop().put(task)
+                return True
+            if self._threads >= self._limit:
+                self._waiting.append(task)
+                return True
+            self._threads += 1
+        inbox: SimpleQueue[_Task[Any] | None] = SimpleQueue()
+        inbox.put(task)  # not an argument of the thread, which would hold it until its end
+        try:
+            threading.Thread(target=self._work, args=(inbox,), name=self._name, daemon=True).start()
+        except RuntimeError:
+            with self._lock:
+                self._threads -= 1
+                self._busy -= 1
+            raise
+        return True
+
+    def close(self, *, drop: bool = True) -> int:
+        """Take no more calls, and let idle threads end; what is under way goes on. Idempotent.
+
+        Args:
+            drop: drop the calls that have not begun: the `done` of each gets a
+                `WorkerPoolClosedError`, in this thread. Otherwise they are run first.
+
+        Returns:
+            How many were dropped.
+        """
+        dropped: list[_Task[Any]] = []
+        with self._lock:
+            self._closed = True
+            while self._idle:
+                self._idle.pop().put(None)
+            if drop:
+                dropped.extend(self._waiting)
+                self._waiting.clear()
+                self._busy -= len(dropped)
+        error = WorkerPoolClosedError(f"{self._name} was closed before the call began")
+        for task in dropped:
+            self._conclude(task, None, error)
+        return len(dropped)
+
+    def _work(self, inbox: SimpleQueue[_Task[Any] | None]) -> None:
+        task = inbox.get()
+        while task is not None:
+            result, error = None, None
+            try:
+                result = task.call(*task.args)
+            except BaseException as raised:  # noqa: BLE001 - whatever it is, the thread goes on
+                error = raised
+            with self._lock:
+                self._busy -= 1
+            self._conclude(task, result, error)
+            del task, result, error  # with what they hold, before this waits for the next
+            task = self._next(inbox)
+
+    def _next(self, inbox: SimpleQueue[_Task[Any] | None]) -> _Task[Any] | None:
+        """Wait for a task; None tells the thread to end."""
+        with self._lock:
+            if self._waiting:
+                return self._waiting.popleft()
+            if self._closed:
+                return None
+            self._idle.append(inbox)
+        try:
+            return inbox.get(timeout=self._idle_seconds)
+        except Empty:
+            pass
+        with self._lock:
+            if inbox in self._idle:
+                self._idle.remove(inbox)
+                self._threads -= 1
+                return None
+        return inbox.get_nowait()  # handed over, under the lock, when the wait had just ended
+
+    def _conclude(self, task: _Task[Any], result: object, error: BaseException | None) -> None:
+        if task.done is None:
+            if error is not None and not isinstance(error, WorkerPoolClosedError):
+                _log.error("a call in a thread of %s failed", self._name, exc_info=error)
+            return
+        try:
+            task.done(result, error)
+        except BaseException:  # noqa: BLE001 - whatever it is, the thread goes on
+            _log.exception("the callback of a call in a thread of %s failed", self._name)
