@@ -11,26 +11,25 @@ from pathlib import Path
 import pytest
 
 from uoarm import _bounded
-from uoarm.bridge import Bridge, BridgeType, Channel, Description, Registry, Sink
+from uoarm.bridge import (
+    Bridge,
+    BridgeType,
+    Capabilities,
+    Channel,
+    Description,
+    Handler,
+    Registry,
+    ServiceStructures,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Deliver, Endpoint, Message, MessageStructure, Role
-from uoarm.testing import patience
+from uoarm.testing import Background, Collector, lying, patience
 
 ROOT = Path(__file__).parents[2]
 ENDPOINT = Endpoint("b", "c", Role.OUTPUT, ("x",))
 ANY = MessageStructure({})
-
-
-class Link(Sink):
-    def __init__(self, endpoint: Endpoint, close: Callable[[], None]) -> None:
-        super().__init__(endpoint)
-        self._on_close = close
-
-    def send(self, message: Message) -> None:
-        del message
-
-    def _close(self) -> None:
-        self._on_close()
 
 
 class Puppet(Bridge):
@@ -39,6 +38,7 @@ class Puppet(Bridge):
     def __init__(self) -> None:
         super().__init__("b", {})
         self.step: Callable[[], object] = lambda: None
+        self.deliver: Deliver = lambda _: None
         self.closed_links: list[str] = []
         self.closing: Callable[[], None] = lambda: self.closed_links.append("closed")
 
@@ -48,9 +48,10 @@ class Puppet(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
+        self.deliver = deliver
         self.step()
-        return Link(endpoint, self.closing)
+        return Source(endpoint, self.closing)
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         return self.step()  # type: ignore[return-value] # a lie, on purpose
@@ -178,7 +179,7 @@ def test_a_plugin_that_states_no_contract_version_is_a_problem(
     registry = Registry([point("unstated", "unstated")])
     assert not registry.types
     [problem] = registry.problems
-    assert "contract" in problem.cause
+    assert "bridge type 'x' states no contract version: add `contract=`" in problem.cause
 
 
 @pytest.mark.parametrize("folder", ["plugins", "src/uoarm/cli/template", "src/uoarm/local"])
@@ -191,9 +192,130 @@ def test_what_we_ship_states_its_contract_version_as_a_number(folder: str) -> No
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "BridgeType"
     ]
     assert stated
-    assert all(isinstance(one, ast.Constant) and one.value == 1 for one in stated)
+    assert all(isinstance(one, ast.Constant) and one.value == 2 for one in stated)
 
 
 def test_a_missing_plugin_says_what_to_install() -> None:
     with pytest.raises(PluginError, match=r"pip install .*uoarm-rtm$"):
         Registry([]).create(BridgeSpec("r", "rtm"))
+
+
+def test_no_message_is_delivered_once_a_channel_is_closed() -> None:
+    """A bridge need not see to it: what it delivers too late is counted and goes nowhere."""
+    bridge, got = Puppet(), list[Message]()
+    channel = bridge.open_source(ENDPOINT, ANY, got.append)
+    bridge.deliver(1)
+    channel.close()
+    bridge.deliver(2)
+    assert got == [1]
+    assert channel.refused == 1
+
+
+def test_no_message_is_delivered_from_what_did_not_open() -> None:
+    bridge, got = Puppet(), list[Message]()
+    bridge.step = fail
+    with pytest.raises(BridgeError):
+        bridge.open_source(ENDPOINT, ANY, got.append)
+    bridge.deliver(1)
+    assert got == []
+
+
+def test_no_message_is_delivered_once_the_bridge_is_closed() -> None:
+    bridge, got = Puppet(), list[Message]()
+    bridge.open_source(ENDPOINT, ANY, got.append)
+    bridge.close()
+    bridge.deliver(1)
+    assert got == []
+
+
+def test_a_bridge_may_deliver_from_several_threads_at_once() -> None:
+    bridge, collector = Puppet(), Collector()
+    bridge.open_source(ENDPOINT, ANY, collector.deliver)
+    with collector.held():
+        threads = [Background(lambda: bridge.deliver(1)) for _ in range(8)]
+        collector.wait_begun(1)
+    for thread in threads:
+        thread.result()
+    assert (len(collector.messages), collector.overlaps) == (8, 0)
+
+
+def test_closing_does_not_wait_for_a_delivery_that_lasts() -> None:
+    bridge, collector = Puppet(), Collector()
+    channel = bridge.open_source(ENDPOINT, ANY, collector.deliver)
+    with collector.held():
+        thread = Background(lambda: bridge.deliver(1))
+        collector.wait_begun(1)
+        Background(channel.close).result()
+    thread.result()
+
+
+def test_a_channel_may_be_closed_from_its_own_delivery() -> None:
+    bridge = Puppet()
+    channel: Channel = bridge.open_source(ENDPOINT, ANY, lambda _: channel.close())
+    Background(lambda: bridge.deliver(1)).result()
+    assert channel.closed
+
+
+def test_a_plain_sink_sends_until_it_is_closed() -> None:
+    sent, closed = list[Message](), list[str]()
+    sink = Sink(ENDPOINT, sent.append, lambda: closed.append("closed"), blocking=False)
+    sink.send(1)
+    sink.close()
+    sink.close()
+    with pytest.raises(BridgeError, match="is closed") as caught:
+        sink.send(2)
+    assert caught.value.reason is FailureReason.CLOSED
+    assert (sent, closed, sink.blocking) == ([1], ["closed"], False)
+
+
+def test_a_channel_without_a_way_to_close_it_cannot_be_made() -> None:
+    with pytest.raises(TypeError, match="Source: pass a function `close`, or override `_close`"):
+        Source(ENDPOINT)
+    with pytest.raises(TypeError, match="Sink: pass a function `send`, or override `_send`"):
+        Sink(ENDPOINT, close=lambda: None)
+
+
+def test_an_output_must_be_opened_as_a_source() -> None:
+    bridge = Puppet()
+    with (
+        lying(bridge, "_open_source", Channel(ENDPOINT, lambda: None)),
+        pytest.raises(BridgeError, match="returned Channel, expected a Source") as caught,
+    ):
+        bridge.open_source(ENDPOINT, ANY, lambda _: None)
+    assert caught.value.reason is FailureReason.CONTRACT
+
+
+def test_a_bridge_that_knows_no_structures_need_not_describe() -> None:
+    class Bare(Puppet):
+        _describe = Bridge._describe
+
+    assert Bare().describe(ENDPOINT) == Description()
+
+
+def test_calls_and_served_functions_are_given_their_structures() -> None:
+    seen: list[object] = []
+    structures = ServiceStructures(MessageStructure({"type": "integer"}), ANY)
+
+    class Calls(Puppet):
+        capabilities = Capabilities(call=True, serve=True)
+
+        def _call(
+            self,
+            endpoint: Endpoint,
+            structures: ServiceStructures,
+            message: Message,
+            timeout: float,
+        ) -> Message:
+            seen.append(structures)
+
+        def _serve(
+            self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+        ) -> Channel:
+            seen.append(structures)
+            return Channel(endpoint, lambda: None)
+
+    bridge = Calls()
+    bridge.call(ENDPOINT, 1, structures)
+    bridge.serve(ENDPOINT, lambda message: message, structures)
+    bridge.call(ENDPOINT, 1)
+    assert seen == [structures, structures, ServiceStructures()]

@@ -27,7 +27,7 @@ SCHEMA = {
         },
     },
 }
-KIND = BridgeType("isles", "for tests", MemoryBridge, SCHEMA, contract=1)
+KIND = BridgeType("isles", "for tests", MemoryBridge, SCHEMA, contract=2)
 TYPES = {"isles": KIND}
 FUNCTIONS = """
 functions: {f: {components: [{name: c, bridge: a, output: {endpoint: [c]}}]}}

@@ -24,7 +24,7 @@ BUS = BridgeType(
     never,
     options_schema={"type": "object"},
     topic=lambda address, _: "" if address[0].startswith("one-way") else address[0],
-    contract=1,
+    contract=2,
 )
 
 

@@ -49,7 +49,7 @@ PROBE = BridgeType(
         "additionalProperties": False,
     },
     check_endpoint=check_endpoint,
-    contract=1,
+    contract=2,
 )
 
 
@@ -93,5 +93,5 @@ def test_a_manager_from_a_file_checks_with_its_registry(tmp_path: Any) -> None:
 
 def test_options_that_fit_are_taken() -> None:
     registry = Registry([])
-    registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name), contract=1))
+    registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name), contract=2))
     registry.create(BridgeSpec("lab", "memory")).close()

@@ -25,7 +25,7 @@ def test_its_bridges_close_at_the_same_time() -> None:
             super()._close()
 
     registry = Registry([])
-    registry.add(BridgeType("slow", "for tests", Slow, contract=1))
+    registry.add(BridgeType("slow", "for tests", Slow, contract=2))
     place = f"tcp/127.0.0.1:{free_port()}"
     desk = MachineDesk(Listening(place), ["arm"], lambda *_: None)
     host = JoinedHost(place, "arm", identity=None, registry=registry)

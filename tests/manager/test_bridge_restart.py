@@ -31,7 +31,7 @@ class Scene:
     def __init__(self) -> None:
         self.made: dict[str, list[MemoryBridge]] = {"one": [], "two": []}
         registry = Registry([])
-        registry.add(BridgeType("memory", "for tests", self._make, contract=1))
+        registry.add(BridgeType("memory", "for tests", self._make, contract=2))
         self.robot = RobotManager(loads(ROBOT), registry=registry)
         self.events: list[StatusEvent] = []
         self.robot.listen(self.events.append)

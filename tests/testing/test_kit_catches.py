@@ -11,7 +11,7 @@ import pytest
 from hypothesis.errors import Flaky
 from tests.testing.test_memory_conformance import MemoryWorld
 
-from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.bridge import Bridge, Sink, Source
 from uoarm.errors import BridgeError
 from uoarm.model import Deliver, Endpoint, Message, MessageStructure
 from uoarm.testing import MemoryBridge
@@ -43,7 +43,7 @@ def delivering(wrap: Wrap) -> Callable[[MemoryBridge], None]:
     def spoil(bridge: MemoryBridge) -> None:
         original = bridge._open_source
 
-        def opened(endpoint: Endpoint, structure: MessageStructure, deliver: Deliver) -> Channel:
+        def opened(endpoint: Endpoint, structure: MessageStructure, deliver: Deliver) -> Source:
             return original(endpoint, structure, wrap(deliver))
 
         bridge._open_source = opened  # type: ignore[method-assign] # on purpose
@@ -98,7 +98,7 @@ def changing(deliver: Deliver) -> Deliver:
 
 
 def deaf_to_close(sink: Sink) -> None:
-    sink.send = lambda message: None  # type: ignore[method-assign] # on purpose
+    sink.send = lambda message: None  # type: ignore[method-assign,misc] # on purpose
 
 
 def slow_to_close(sink: Sink) -> None:

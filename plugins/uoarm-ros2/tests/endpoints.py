@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from uoarm.bridge import Bridge, Channel, HealthEvent
+from uoarm.bridge import Bridge, Channel, HealthEvent, Source
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, wait
 
@@ -16,7 +16,7 @@ def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -
     return Endpoint("ros", "thing", role, address, port=port, options=options)
 
 
-def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:
+def source(bridge: Bridge, at: Endpoint, take: Any) -> Source:
     structure = bridge.describe(at).message
     assert structure is not None
     return bridge.open_source(at, structure, take)

@@ -69,7 +69,7 @@ def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:
     talker.do("advertise", topic="/latched", durability="transient_local", depth=1)
     talker.do("publish", topic="/latched", count=3)
     inbox = Inbox()
-    source(bridge, endpoint(Role.OUTPUT, "/latched", INT64), inbox)
+    assert source(bridge, endpoint(Role.OUTPUT, "/latched", INT64), inbox).latched
     assert inbox.wait_for(1)[0] == {"data": 3}
 
 

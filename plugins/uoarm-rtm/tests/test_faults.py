@@ -101,10 +101,10 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     assert structure is not None
     place = bridge._place(OUT)  # type: ignore[attr-defined]  # everything before the connection
     component.freeze()
-    from uoarm_rtm._source import Source
+    from uoarm_rtm._source import OutPortSource
 
     with pytest.raises(BridgeTimeoutError):
-        Source(place, Inbox())
+        OutPortSource(place, Inbox())
     component.thaw()
     wait(lambda: component.connectors() == [0, 0])
     time.sleep(0.2)  # the connection may have come about only now: nothing else tells

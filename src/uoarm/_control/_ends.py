@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from attrs import define, field
 
 from uoarm._control._live import LiveComponent
@@ -35,6 +38,15 @@ class Ends:
         """Receive from the next message on."""
         if self.route is not None and self.output is not None:
             self.provider.outlets[self.output].attach(self.route)
+
+    @contextmanager
+    def letting_through(self) -> Iterator[None]:
+        """Have the application hear the retained message, if any, after it began to hear these."""
+        if self.route is None or self.output is None:
+            yield
+        else:
+            with self.provider.outlets[self.output].letting_through(self.route):
+                yield
 
     def feed(self, user: str, validate: ValidationMode, clock: Clock) -> None:
         """Open every input that the application feeds.

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 from uoarm._control._condition import Condition
 from uoarm._dataplane import Outlet
-from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.model import ChannelStatus, Component, ComponentStatus, Message, Step
 
@@ -41,7 +41,7 @@ class LiveComponent:
         self.condition = Condition()
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
         self.structures = step.structures
-        self._sources: dict[str, Channel] = {}
+        self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
         self._turns: dict[str, threading.Lock] = {}
         self._closed: list[Channel] = []
@@ -81,12 +81,13 @@ class LiveComponent:
             if name not in self._sources:
                 output = self.component.output(name)
                 assert output is not None, "the resolver checked every output"
-                self._sources[name] = self.bridge.open_source(
+                source = self._sources[name] = self.bridge.open_source(
                     output.endpoint,
                     self.structures[f"output.{name}"],
                     self.outlets[name].deliver,
                     timeout=_OPEN_SECONDS,
                 )
+                self.outlets[name].retain(source.latched)
 
     def open_input(self, name: str) -> Sink:
         """Return the open sink of an input.

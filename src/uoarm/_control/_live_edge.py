@@ -78,6 +78,9 @@ class LiveEdge:
         Raises:
             BridgeError: a bridge could not link both ends.
         """
+        if self.route is not None:
+            with self.producer.outlets[self.edge.output].letting_through(self.route):
+                self.held = False
         self.held = False
         self.open(clock)
         if self.route is not None:

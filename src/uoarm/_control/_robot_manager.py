@@ -25,7 +25,7 @@ from uoarm._control._staleness import StalenessWatch
 from uoarm._dataplane import Clock, make_check
 from uoarm._mistakes import choose
 from uoarm._resolve import Resolver, StructureCache
-from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
 from uoarm.errors import ResolutionError, UsageError
 from uoarm.model import (
@@ -278,7 +278,8 @@ class RobotManager:
         if check is not None:
             check(message)
         bridge = self._bridges.get(step.component.bridge)
-        return bridge.call(service.endpoint, message, timeout=timeout)
+        structures = ServiceStructures(step.structures["request"], step.structures["reply"])
+        return bridge.call(service.endpoint, message, structures, timeout=timeout)
 
     def _resolve(self, name: str, excluded: frozenset[str] = frozenset()) -> Plan:
         """Resolve without what was stale lately; where there is nothing else, with it."""

@@ -122,7 +122,11 @@ class Succession:
 
         with self._deciding:
             self._require_turn()
-            self.course.change(swap)
+            if self._opened.shares_ends(self._before) or self._dead:
+                self.course.change(swap)  # it hears them already
+            else:
+                with self._opened.ends.letting_through():
+                    self.course.change(swap)
 
     def withdraw(self) -> bool:
         """Keep a plan that takes too long to open from being taken; False when it was already.

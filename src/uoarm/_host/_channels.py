@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from uoarm._host._flow import Incoming, Outgoing
 from uoarm._host._tally import Counter
-from uoarm.bridge import Channel, Delivery, Sink
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import UoarmError
 from uoarm.model import Endpoint, Message
 
@@ -53,7 +53,7 @@ class RemoteChannel(Channel):
         return 0
 
 
-class RemoteSource(RemoteChannel):
+class RemoteSource(RemoteChannel, Source):
     """An output in a host; its messages arrive in a thread of their own.
 
     Attributes:
@@ -62,16 +62,16 @@ class RemoteSource(RemoteChannel):
     """
 
     incoming: Incoming
-    delivery: Delivery
     counter: Counter | None = None
     given: int = 0
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what was lost on the link; latency in seconds."""
         lost = self.incoming.lost
-        taken = self.given + lost if self.counter is None else self.counter.read()
+        given = self.given - self.refused
+        taken = given + lost if self.counter is None else self.counter.read()
         ours = {
-            "under_way": max(0, taken - self.given - lost),
+            "under_way": max(0, taken - given - lost),
             "lost_on_link": lost,
             "link_latency": self.incoming.latency,
         }
@@ -87,7 +87,6 @@ class RemoteSource(RemoteChannel):
 
     def _close(self) -> None:
         self.incoming.close()
-        self.delivery.end()
         super()._close()
 
 
@@ -102,15 +101,6 @@ class RemoteSink(RemoteChannel, Sink):
 
     outgoing: Outgoing
     counter: Counter | None = None
-
-    def send(self, message: Message) -> None:
-        """Send one message to the host, where it is handed to the component.
-
-        Raises:
-            MessageError: it cannot be written.
-            BridgeError: the host is dead, or the component is too slow; it was not sent.
-        """
-        self.outgoing.send(message)
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what became of the messages sent."""
@@ -139,6 +129,10 @@ class RemoteSink(RemoteChannel, Sink):
             super()._close()
         finally:
             self.outgoing.close()
+
+    def _send(self, message: Message) -> None:
+        """Send one message to the host, where it is handed to the component."""
+        self.outgoing.send(message)
 
     def _sent(self) -> int:
         return self.outgoing.sent

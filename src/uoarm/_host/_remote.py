@@ -23,11 +23,12 @@ from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
-    Delivery,
     Description,
     Discovered,
     Handler,
+    ServiceStructures,
     Sink,
+    Source,
 )
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import (
@@ -115,7 +116,7 @@ class RemoteBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         number = next(self._numbers)
         channel = RemoteSource(endpoint, number, self._ask_to_close, lambda: self._drop(number))
 
@@ -127,17 +128,17 @@ class RemoteBridge(Bridge):
             deliver(message)
 
         channel.counter = self._counter()
-        channel.delivery = Delivery(give)
         channel.incoming = Incoming(
             self._host.link,
             _keys.flow(number),
             name=f"{endpoint.component}.{endpoint.port}",
-            take=channel.delivery.give,
+            take=give,
             ended=ended,
         )
         self._channels[number] = channel
         try:
-            self._ask("source", **_opening(number, channel.counter, endpoint, structure))
+            opening = _opening(number, channel.counter, endpoint, structure)
+            channel.latched = self._ask("source", **opening)
         except BaseException:
             channel.incoming.close()
             self._drop(number)
@@ -161,10 +162,20 @@ class RemoteBridge(Bridge):
             channel.outgoing.cut(self._host.dead)
         return channel
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
-        return self._ask("call", endpoint=to_json(endpoint), message=message, timeout=timeout)
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        return self._ask(
+            "call",
+            endpoint=to_json(endpoint),
+            structures=to_json(structures),
+            message=message,
+            timeout=timeout,
+        )
 
-    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
         number = next(self._numbers)
 
         def take(message: Message, reply: Reply) -> None:
@@ -172,7 +183,12 @@ class RemoteBridge(Bridge):
 
         end = self._host.link.answer(_keys.service(number), take)
         try:
-            self._ask("serve", flow=number, endpoint=to_json(endpoint))
+            self._ask(
+                "serve",
+                flow=number,
+                endpoint=to_json(endpoint),
+                structures=to_json(structures),
+            )
         except BaseException:
             end()
             raise

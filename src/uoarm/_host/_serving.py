@@ -15,7 +15,7 @@ from uoarm._host._tally import Tally
 from uoarm._host._workers import Workers
 from uoarm._version import __version__
 from uoarm._workers import WorkerPool
-from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent
+from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
@@ -121,12 +121,13 @@ class Serving:
         del request
         return [to_json(one) for one in self._bridge.discover(timeout=ANSWER_SECONDS)]
 
-    def _source(self, request: Request) -> None:
+    def _source(self, request: Request) -> bool:
         endpoint, structure = _port(request)
         with self._flows.leaving(request["flow"], request["slot"], endpoint) as leaving:
-            leaving.channel = self._bridge.open_source(
+            leaving.channel = source = self._bridge.open_source(
                 endpoint, structure, leaving.deliver, timeout=ANSWER_SECONDS
             )
+        return source.latched
 
     def _sink(self, request: Request) -> bool:
         endpoint, structure = _port(request)
@@ -136,16 +137,20 @@ class Serving:
 
     def _call(self, request: Request) -> Message:
         endpoint = from_json(request["endpoint"], Endpoint)
-        return self._bridge.call(endpoint, request["message"], timeout=request["timeout"])
+        structures = from_json(request["structures"], ServiceStructures)
+        return self._bridge.call(
+            endpoint, request["message"], structures, timeout=request["timeout"]
+        )
 
     def _serve(self, request: Request) -> None:
         endpoint = from_json(request["endpoint"], Endpoint)
+        structures = from_json(request["structures"], ServiceStructures)
         key = _keys.service(request["flow"])
 
         def handle(message: Message) -> Message:
             return self._link.ask(key, message)
 
-        channel = self._bridge.serve(endpoint, handle, timeout=ANSWER_SECONDS)
+        channel = self._bridge.serve(endpoint, handle, structures, timeout=ANSWER_SECONDS)
         self._flows.plain(request["flow"], channel)
 
     def _native_link(self, request: Request) -> bool:

@@ -3,9 +3,14 @@
 from uoarm._origin import install_command
 from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
-from uoarm.bridge._channel import Channel, Sink
-from uoarm.bridge._delivery import Delivery
-from uoarm.bridge._description import Capabilities, Description, Discovered, HealthEvent
+from uoarm.bridge._channel import Channel, Sink, Source
+from uoarm.bridge._description import (
+    Capabilities,
+    Description,
+    Discovered,
+    HealthEvent,
+    ServiceStructures,
+)
 from uoarm.bridge._plugin import BridgeType, hookimpl, hookspec
 from uoarm.bridge._registry import PluginProblem, Registry
 
@@ -15,14 +20,15 @@ __all__ = [
     "BridgeType",
     "Capabilities",
     "Channel",
-    "Delivery",
     "Description",
     "Discovered",
     "Handler",
     "HealthEvent",
     "PluginProblem",
     "Registry",
+    "ServiceStructures",
     "Sink",
+    "Source",
     "hookimpl",
     "hookspec",
     "install_command",

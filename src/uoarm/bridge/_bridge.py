@@ -1,7 +1,7 @@
 """The bridge contract: public final methods around the few raw steps that a bridge supplies.
 
-Must implement: `_describe`, `_open_source`, `_open_sink`, `_close`.
-May implement, when the capability says so: `_discover`, `_call`, `_serve`, `_link`.
+A bridge must override `_open_source`, `_open_sink` and `_close`. It may override `_describe` and,
+where its capabilities say so, must override `_discover`, `_call`, `_serve`, `_link`.
 """
 
 from __future__ import annotations
@@ -15,19 +15,27 @@ from typing import TypeVar, final
 
 from uoarm import _bounded
 from uoarm.bridge._border import translated
-from uoarm.bridge._channel import Channel, Sink
-from uoarm.bridge._description import Capabilities, Description, Discovered, HealthEvent
+from uoarm.bridge._channel import Channel, Sink, Source
+from uoarm.bridge._description import (
+    Capabilities,
+    Description,
+    Discovered,
+    HealthEvent,
+    ServiceStructures,
+)
+from uoarm.bridge._gate import Gate
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 
 __all__ = ["CONTRACT_VERSION", "Bridge", "Handler"]
 
-CONTRACT_VERSION = 1
+CONTRACT_VERSION = 2
 
 T = TypeVar("T")
 C = TypeVar("C", bound=Channel)
 Handler = Callable[[Message], Message]
 
+_ANYTHING = ServiceStructures()
 _log = logging.getLogger("uoarm")
 
 
@@ -36,7 +44,11 @@ class Bridge(ABC):
 
     The public methods are final. They check the state, keep the time limit, translate foreign
     exceptions and remember what is open; a bridge supplies the steps that begin with `_`.
-    Every public method may be called from any thread, several at a time.
+    Every public method may be called from any thread, several at a time, and so may every step:
+    each runs in a thread of the core, or in that of the step which it is part of.
+
+    A step must end: one that takes longer than its limit is given up, and what it returns later
+    is closed. It may raise anything; what is no UoarmError becomes a BridgeError with RAISED.
 
     Args:
         name: name of this instance in the configuration.
@@ -102,22 +114,28 @@ class Bridge(ABC):
         deliver: Deliver,
         *,
         timeout: float = 5.0,
-    ) -> Channel:
+    ) -> Source:
         """Open an output of a component; its messages go to `deliver`.
 
-        `deliver` is called in the bridge's thread, for one channel one message at a time, and
-        never after `close` has returned (unless `close` was called from within it).
+        `deliver` is called in the bridge's thread, for one channel one message at a time. None
+        begins after `close` has returned, or after this has raised.
 
         Raises:
             BridgeError: the framework refused or failed; nothing stays open.
             BridgeTimeoutError: not open within `timeout` seconds; what opens later is closed.
         """
-        return self._opened(
-            Channel,
-            f"opening {endpoint}",
-            timeout,
-            lambda: self._open_source(endpoint, structure, deliver),
-        )
+        gate = Gate(deliver)
+        try:
+            return self._opened(
+                Source,
+                f"opening {endpoint}",
+                timeout,
+                lambda: self._open_source(endpoint, structure, gate.give),
+                gate,
+            )
+        except BaseException:
+            gate.shut()
+            raise
 
     @final
     def open_sink(
@@ -134,8 +152,21 @@ class Bridge(ABC):
         )
 
     @final
-    def call(self, endpoint: Endpoint, message: Message, *, timeout: float = 10.0) -> Message:
+    def call(
+        self,
+        endpoint: Endpoint,
+        message: Message,
+        structures: ServiceStructures = _ANYTHING,
+        *,
+        timeout: float = 10.0,
+    ) -> Message:
         """Send one request to a service and return its reply.
+
+        Args:
+            endpoint: of the service.
+            message: the request.
+            structures: of request and reply, as `describe` or the configuration gave them.
+            timeout: in seconds.
 
         Raises:
             BridgeError: the service failed or is gone.
@@ -143,12 +174,23 @@ class Bridge(ABC):
         """
         self._require(self.capabilities.call, "call services")
         return self._step(
-            f"calling {endpoint}", timeout, lambda: self._call(endpoint, message, timeout)
+            f"calling {endpoint}",
+            timeout,
+            lambda: self._call(endpoint, structures, message, timeout),
         )
 
     @final
-    def serve(self, endpoint: Endpoint, handler: Handler, *, timeout: float = 5.0) -> Channel:
+    def serve(
+        self,
+        endpoint: Endpoint,
+        handler: Handler,
+        structures: ServiceStructures = _ANYTHING,
+        *,
+        timeout: float = 5.0,
+    ) -> Channel:
         """Offer a service to the framework; requests go to `handler`, in the bridge's thread.
+
+        For programs that hold a bridge. The manager does not call it.
 
         Raises:
             BridgeError: the framework refused or failed; nothing stays open.
@@ -156,7 +198,10 @@ class Bridge(ABC):
         """
         self._require(self.capabilities.serve, "serve")
         return self._opened(
-            Channel, f"serving {endpoint}", timeout, lambda: self._serve(endpoint, handler)
+            Channel,
+            f"serving {endpoint}",
+            timeout,
+            lambda: self._serve(endpoint, structures, handler),
         )
 
     @final
@@ -180,7 +225,7 @@ class Bridge(ABC):
 
     @final
     def close(self, *, timeout: float = 5.0) -> None:
-        """Close every channel, then the bridge. Once is enough.
+        """Close every channel, then the bridge. Idempotent.
 
         Raises:
             BridgeError: something failed while closing; the rest was closed all the same.
@@ -210,39 +255,105 @@ class Bridge(ABC):
         channel: Channel | None = None,
         component: str | None = None,
     ) -> None:
-        """Tell the manager of a change; for bridges, from any thread."""
+        """Tell the manager of a change; for bridges, from any thread. Returns at once.
+
+        What it is about: a `channel`; else every endpoint of a `component`; else the whole bridge.
+        What the manager does:
+
+        - DEGRADED: shows it with its cause. Connections go on. For a link that broke and is being
+          made again, and for one that works badly.
+        - OK: shows it. After DEGRADED, the end of it. Where nothing was open, the component is
+          described again and may take over, or be returned to.
+        - LOST: closes the channels of each component concerned, and replaces it in every
+          connection, or ends the connection. It opens new channels when the component can be
+          described again. When the whole bridge is lost, closes it; the next request makes
+          a new instance.
+        - FINISHED: lets what is under way arrive, drains, then ends the connections. For an
+          orderly end.
+
+        A bridge that reconnects must report DEGRADED at once, and then OK when messages pass
+        again, or LOST when it gives up. It must not report a lost channel as OK: that is closed.
+        """
         listener = self._listener
         if listener is not None and not self._is_closed:
             listener(HealthEvent(self.name, health, cause, channel, component))
 
-    @abstractmethod
     def _describe(self, endpoint: Endpoint) -> Description:
-        """Return the endpoint's structures, or raise BridgeError with NOT_FOUND, UNAVAILABLE."""
+        """Return the endpoint's structures.
+
+        May be overridden; without it every structure must be declared in the configuration. Must
+        raise BridgeError with NOT_FOUND or UNAVAILABLE, with a sentence that names it, when
+        the endpoint is not there now; with BAD_ENDPOINT when it cannot be. May leave out what the
+        framework does not know. Must say the same as long as nothing changes.
+        """
+        del endpoint
+        return Description()
 
     @abstractmethod
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
-        """Open an output. Return only when a message sent from then on will arrive."""
+    ) -> Source:
+        """Open an output.
+
+        Must return only when a message that is emitted from then on will arrive, and raise
+        BridgeError when it cannot be opened, with nothing left open. May call `deliver` before it
+        returns, from any thread and from several: the core has one message at a time pass, in the
+        order in which they come, and none after the channel was closed. `deliver` never raises and
+        may take its time. A message that cannot be read must not reach it, nor end the channel:
+        count it in `facts` and report DEGRADED.
+        """
 
     @abstractmethod
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        """Open an input. Return only when a message sent from then on will arrive."""
+        """Open an input.
+
+        Must return only when a message that is sent from then on will arrive, and raise
+        BridgeError when it cannot be opened, with nothing left open. Must not wait for a
+        `deliver` of another channel that is under way.
+        """
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of the framework; every channel has been closed before."""
+        """Let go of the framework: threads, sockets, handles.
+
+        Called once, after every channel was closed, of which some may not have let go. Must not
+        wait without limit for a thread that may be in a `deliver`.
+        """
 
     def _discover(self) -> tuple[Discovered, ...]:
+        """Return the components that are visible now; with the capability `discover`.
+
+        Must be overridden where the capability is there. Must give endpoints that `_describe`
+        then describes as given here.
+        """
         raise NotImplementedError
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        """Send one request and return its reply; with the capability `call`.
+
+        Must be overridden where the capability is there. Must raise BridgeError when the service
+        failed or is gone, and end within `timeout` seconds. May run in several threads at once.
+        """
         raise NotImplementedError
 
-    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
+        """Offer a service to the framework; with the capability `serve`.
+
+        Must be overridden where the capability is there. `handler` may raise and may take its
+        time: the caller must then get a failure, and other channels must not wait for it.
+        """
         raise NotImplementedError
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
+        """Connect two endpoints natively; with the capability `link`.
+
+        Must be overridden where the capability is there. May return None for a pair that cannot be
+        linked: the manager then moves the messages itself.
+        """
         raise NotImplementedError
 
     def _step(
@@ -258,11 +369,18 @@ class Bridge(ABC):
         with translated(step):
             return _bounded.run(step, timeout, action, on_late=on_late)
 
-    def _opened(self, kind: type[C], what: str, timeout: float, action: Callable[[], C]) -> C:
+    def _opened(
+        self,
+        kind: type[C],
+        what: str,
+        timeout: float,
+        action: Callable[[], C],
+        gate: Gate | None = None,
+    ) -> C:
         channel = self._step(what, timeout, action, on_late=_put_away)
-        return self._adopt(kind, what, channel)
+        return self._adopt(kind, what, channel, gate)
 
-    def _adopt(self, kind: type[C], what: str, channel: C) -> C:
+    def _adopt(self, kind: type[C], what: str, channel: C, gate: Gate | None = None) -> C:
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
         with self._lock:
@@ -270,6 +388,7 @@ class Bridge(ABC):
             if keep:
                 self._open.add(channel)
                 channel._when_closed = self._forget  # noqa: SLF001 - a channel's one owner
+                channel._gate = gate  # noqa: SLF001
         if not keep:
             _put_away(channel)
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)

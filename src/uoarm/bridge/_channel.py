@@ -3,45 +3,61 @@
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from typing import final
 
 from uoarm import _bounded
 from uoarm.bridge._border import translated
+from uoarm.bridge._gate import Gate
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message
 
-__all__ = ["Channel", "Sink"]
+__all__ = ["Channel", "Sink", "Source"]
 
 _CLOSE_SECONDS = 5.0
 
 
-class Channel(ABC):
+class Channel:
     """One open native link of a bridge.
 
-    Must implement: `_close`. May implement: `facts`, `drain`.
+    Usable as it is, with a function that closes the link, and to be subclassed: a subclass must
+    override `_close`, and may override `facts` and `drain`.
+
+    Args:
+        endpoint: where it is open.
+        close: lets go of the native link; see `_close`, for which it stands.
     """
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: Endpoint, close: Callable[[], object] | None = None) -> None:
+        if close is None and not self._overrides("_close", Channel):
+            text = f"{type(self).__name__}: pass a function `close`, or override `_close`"
+            raise TypeError(text)
         self.endpoint = endpoint
+        self._close_given = close
         self._closing = threading.Lock()
         self._closed = False
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
+        self._gate: Gate | None = None
 
+    @final
     @property
     def closed(self) -> bool:
         """Whether `close` was called, whatever it came to."""
         return self._closed
 
+    @final
     @property
     def is_closing(self) -> bool:
         """Whether `close` was called and the framework has not let go yet."""
         return self._closed and not self._let_go
 
+    @final
     def close(self, *, timeout: float = _CLOSE_SECONDS) -> None:
-        """Close the link. May be called from any thread, `deliver`'s too; once is enough.
+        """Close the link. Idempotent; may be called from any thread, that of `deliver` too.
 
-        The channel counts as closed from the beginning of the call, also when it raises.
+        The channel counts as closed from the beginning of the call, also when it raises. No
+        `deliver` begins after it has returned; one under way may still finish.
 
         Raises:
             BridgeTimeoutError: the framework did not let go within `timeout` seconds.
@@ -53,9 +69,15 @@ class Channel(ABC):
             self._closed = True
         if self._when_closed is not None:
             self._when_closed(self)
+        if self._gate is not None:
+            # In this thread, not in a step's: a `deliver` that closes its own channel has the turn.
+            self._gate.shut()
         step = f"bridge {self.endpoint.bridge!r}: closing {self.endpoint}"
         with translated(step):
             _bounded.run(step, timeout, self._close_native)
+
+    def _overrides(self, step: str, base: type[Channel]) -> bool:
+        return getattr(type(self), step) is not getattr(base, step)
 
     def _close_native(self) -> None:
         try:
@@ -64,49 +86,130 @@ class Channel(ABC):
             self._let_go = True
 
     def facts(self) -> Mapping[str, object]:
-        """Return what the framework knows of the link now, for the status; quick, any thread.
+        """Return what the framework knows of the link now, for the status.
 
-        Two names have a meaning for the manager: `under_way` counts messages that the channel
+        May be overridden. Must return at once, from any thread, after `close` too. Names are
+        free, but two have a meaning for the manager: `under_way` counts messages that the channel
         took and that have not arrived, `lost_on_link` those that never will. When a component
-        dies, both are counted as lost, so they can be asked for after `close`, too.
+        dies, both are counted as lost.
         """
         return {}
 
     def drain(self, timeout: float) -> bool:
         """Wait until what is under way has arrived; False when `timeout` seconds were too few.
 
-        For channels whose `send` or framework hands messages to another process, so that an
-        orderly end loses nothing. Must not be called from within `deliver`.
+        May be overridden, by channels whose `send` or framework hands messages to a thread or a
+        process beside, so that an orderly end loses nothing. Must not return True before
+        the last message that was sent has arrived, nor take longer than `timeout`. It is never
+        called from within `deliver`.
         """
         del timeout
         return True
 
-    @abstractmethod
     def _close(self) -> None:
         """Let go of the native link; called once, in a thread of the core.
 
-        It must not wait for a `deliver` under way, since that may be what asked for the close:
-        tell the delivering thread to end, let it finish alone, begin no other `deliver`.
+        Must be overridden where no function `close` was given. Must not wait for a `deliver`
+        under way, since that may be what asked for the close. May go on calling `deliver`, which
+        does nothing any more. May raise: the link counts as closed all the same.
         """
+        assert self._close_given is not None, "the constructor saw to that"
+        self._close_given()
+
+
+class Source(Channel):
+    """A channel out of a component, whose messages go to the `deliver` that it was opened with.
+
+    A subclass must override `_close`.
+
+    Args:
+        endpoint: where it is open.
+        close: lets go of the native link.
+        latched: the attribute.
+
+    Attributes:
+        latched: whether the last message stands until the next one, as a map or a setting does
+            and a measurement does not: each consumer that joins the open source first gets it.
+            Read once, when the source has opened.
+    """
+
+    latched: bool = False
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        close: Callable[[], object] | None = None,
+        *,
+        latched: bool | None = None,
+    ) -> None:
+        super().__init__(endpoint, close)
+        if latched is not None:
+            self.latched = latched
+
+    @final
+    @property
+    def refused(self) -> int:
+        """How many messages came after it was closed; they were not delivered."""
+        return 0 if self._gate is None else self._gate.refused
 
 
 class Sink(Channel):
     """A channel into a component.
 
-    Must implement: `_close`, `send`.
+    A subclass must override `_send` and `_close`.
+
+    Args:
+        endpoint: where it is open.
+        send: hands one message to the component; see `_send`, for which it stands.
+        close: lets go of the native link.
+        blocking: the attribute.
 
     Attributes:
-        blocking: whether `send` may wait or compute. The manager calls a sink that does not
+        blocking: whether sending may wait or compute. The manager calls a sink that does not
             block in the thread in which the message arrived; before any other it puts a
             bounded queue with one worker. True unless the bridge says otherwise.
     """
 
     blocking: bool = True
 
-    @abstractmethod
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        send: Callable[[Message], object] | None = None,
+        close: Callable[[], object] | None = None,
+        *,
+        blocking: bool | None = None,
+    ) -> None:
+        super().__init__(endpoint, close)
+        if send is None and not self._overrides("_send", Sink):
+            text = f"{type(self).__name__}: pass a function `send`, or override `_send`"
+            raise TypeError(text)
+        self._send_given = send
+        if blocking is not None:
+            self.blocking = blocking
+
+    @final
     def send(self, message: Message) -> None:
+        """Hand one message to the component. Called by one thread at a time.
+
+        Raises:
+            MessageError: it does not fit the structure.
+            BridgeError: the channel is closed, or the component is gone or refuses.
+            Exception: what else the framework raises: the route that called counts it and
+                shows it in the status.
+        """
+        if self._closed:
+            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
+            raise BridgeError(text, FailureReason.CLOSED)
+        self._send(message)
+
+    def _send(self, message: Message) -> None:
         """Hand one message to the component.
 
-        Called by one thread at a time, without any wrapper: what it raises is counted,
-        translated and shown in the status by the route that called it.
+        Must be overridden where no function `send` was given. Must raise when the message was not
+        taken: MessageError when it does not fit, BridgeError else. Must return at once where
+        `blocking` is False, and in bounded time everywhere. Must not keep the message to change
+        it. May be called while `_close` runs.
         """
+        assert self._send_given is not None, "the constructor saw to that"
+        self._send_given(message)

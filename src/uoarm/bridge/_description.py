@@ -7,7 +7,10 @@ from attrs import frozen
 from uoarm.bridge._channel import Channel
 from uoarm.model import Endpoint, Health, MessageStructure
 
-__all__ = ["Capabilities", "Description", "Discovered", "HealthEvent"]
+__all__ = ["Capabilities", "Description", "Discovered", "HealthEvent", "ServiceStructures"]
+
+
+_ANYTHING = MessageStructure(schema=True)
 
 
 @frozen
@@ -21,6 +24,14 @@ class Description:
     message: MessageStructure | None = None
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
+
+
+@frozen
+class ServiceStructures:
+    """What a service takes and answers, as the plan was proven with; anything where not said."""
+
+    request: MessageStructure = _ANYTHING
+    reply: MessageStructure = _ANYTHING
 
 
 @frozen
@@ -55,7 +66,7 @@ class HealthEvent:
 
     Attributes:
         bridge: name of the instance.
-        health: what it is now. LOST ends every connection that needs it.
+        health: what it is now; `Bridge.report` says what the manager does on each.
         cause: why, in one sentence.
         channel: the channel concerned; None when it is the whole bridge or `component`.
         component: the component concerned; None when it is the channel or the whole bridge.

@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import pluggy
 from attrs import field, frozen
+from typing_extensions import Self
 
-from uoarm.bridge._bridge import Bridge
+from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
+from uoarm.errors import PluginError
 from uoarm.model import Options, Schema
 
 __all__ = ["BridgeType", "hookimpl", "hookspec"]
@@ -49,6 +51,16 @@ class BridgeType:
     doctor: Callable[[], dict[str, str]] | None = None
     topic: Callable[[tuple[str, ...], Options], str] | None = None
     contract: int = field(kw_only=True)
+
+    def __new__(cls, *given: object, **named: object) -> Self:
+        """Refuse a bridge type that states no contract in a sentence, before attrs does."""
+        if "contract" not in named:
+            name = named.get("name", given[0] if given else "?")
+            raise PluginError(
+                f"bridge type {name!r} states no contract version: add `contract=` with the "
+                f"number for which it is written (this uoarm has {CONTRACT_VERSION})"
+            )
+        return super().__new__(cls)
 
 
 class _Specification:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 from weakref import WeakSet
 
@@ -15,12 +14,12 @@ from uoarm.bridge import (
     BridgeType,
     Capabilities,
     Channel,
-    Delivery,
     Description,
+    ServiceStructures,
     Sink,
+    Source,
     hookimpl,
 )
-from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._instance import Instance
 from uoarm.local._modules import Modules
 from uoarm.local._target import Target, find
@@ -75,19 +74,18 @@ class PythonBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         del structure
         target = self._target(endpoint)
         instance = self._enter(endpoint, target)
-        receiver = Delivery(deliver)
 
         def leave() -> None:
             instance.source.remove_listener(channel)
-            instance.remove_receiver(endpoint.port, receiver)
+            instance.remove_receiver(endpoint.port, channel)
             self._leave(endpoint)
 
-        channel = _SourceChannel(endpoint, leave)
-        instance.add_receiver(endpoint.port, receiver)
+        channel = Source(endpoint, leave)
+        instance.add_receiver(endpoint.port, channel, deliver)
         if not target.takes_messages(endpoint):
             try:
                 thread = instance.source.add_listener(
@@ -102,10 +100,12 @@ class PythonBridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         instance = self._enter(endpoint, self._target(endpoint))
-        return _InputSink(endpoint, instance.feed(endpoint), lambda: self._leave(endpoint))
+        return Sink(endpoint, instance.feed(endpoint), lambda: self._leave(endpoint))
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
-        del timeout
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures, timeout
         instance = self._enter(endpoint, self._target(endpoint))
         with self._counting:
             is_first = endpoint.component not in self._services
@@ -164,39 +164,6 @@ class PythonBridge(Bridge):
             self.report(Health.LOST, cause, channel=channel)
 
 
-class _SourceChannel(Channel):
-    def __init__(self, endpoint: Endpoint, leave: Callable[[], None]) -> None:
-        super().__init__(endpoint)
-        self._leave = leave
-
-    def _close(self) -> None:
-        self._leave()
-
-
-class _InputSink(Sink):
-    """`send` runs the component's function in the caller's thread, so it may take its time."""
-
-    def __init__(
-        self, endpoint: Endpoint, take: Callable[[Message], None], leave: Callable[[], None]
-    ) -> None:
-        super().__init__(endpoint)
-        self._take = take
-        self._leave = leave
-
-    def send(self, message: Message) -> None:
-        """Run the component's function on a message and emit what it returns.
-
-        Raises:
-            BridgeError: the channel is closed. What the function raises passes through.
-        """
-        if self.closed:
-            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
-        self._take(message)
-
-    def _close(self) -> None:
-        self._leave()
-
-
 def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
     del options
     if len(address) != 1 or ":" not in address[0]:
@@ -214,6 +181,6 @@ def uoarm_bridge_types() -> list[BridgeType]:
             create=PythonBridge,
             options_schema=_OPTIONS,
             check_endpoint=_check_endpoint,
-            contract=1,
+            contract=2,
         )
     ]

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import Any
 
 import attrs
 
-from uoarm.bridge import Delivery
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._source import Source
 from uoarm.local._target import Target
-from uoarm.model import Endpoint, Message, Options
+from uoarm.model import Deliver, Endpoint, Message, Options
 
 __all__ = ["Emit", "Instance"]
 
@@ -36,7 +35,7 @@ class Instance:
     def __init__(self, target: Target, parameters: Options) -> None:
         self._target = target
         self._parameters = dict(parameters)
-        self._receivers: dict[str, tuple[Delivery, ...]] = {}
+        self._receivers: dict[str, tuple[tuple[Hashable, Deliver], ...]] = {}
         self._source = Source(self._iterator, self._emit, f"uoarm-{target.name}")
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
 
@@ -45,15 +44,13 @@ class Instance:
         """What iterates over the component where it takes no messages."""
         return self._source
 
-    def add_receiver(self, port: str, receiver: Delivery) -> None:
+    def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
         """Send what the component emits at a port to one more receiver."""
-        self._receivers[port] = (*self._receivers.get(port, ()), receiver)
+        self._receivers[port] = (*self._receivers.get(port, ()), (key, deliver))
 
-    def remove_receiver(self, port: str, receiver: Delivery) -> None:
+    def remove_receiver(self, port: str, key: Hashable) -> None:
         """Send nothing more to a receiver."""
-        receiver.end()
-        left = tuple(each for each in self._receivers[port] if each is not receiver)
-        self._receivers[port] = left
+        self._receivers[port] = tuple(one for one in self._receivers[port] if one[0] is not key)
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
         """Return a function that hands a message to an input and emits what comes back."""
@@ -109,8 +106,8 @@ class Instance:
         receivers = self._receivers.get(port)
         if receivers and message is not None:
             plain = _plain(message)
-            for receiver in receivers:
-                receiver.give(plain)
+            for _, deliver in receivers:
+                deliver(plain)
 
 
 def _plain(message: Any) -> Message:

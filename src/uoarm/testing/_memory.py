@@ -7,18 +7,18 @@ emitted it, and a component dies only when a test says so.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
 from typing import TypeVar
 
 from uoarm.bridge import (
     Bridge,
     Capabilities,
     Channel,
-    Delivery,
     Description,
     Discovered,
     Handler,
+    ServiceStructures,
     Sink,
+    Source,
 )
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Schema
@@ -50,9 +50,13 @@ class MemoryBridge(Bridge):
         self.capabilities = Capabilities(discover=True, call=True, serve=True, link=links)
         self._components: dict[str, Emitter | Taker | Loop | Service] = {}
 
-    def emitter(self, name: str, schema: Schema) -> Emitter:
-        """Make a component with one output, from which the test emits."""
-        return self._add(name, Emitter(MessageStructure(schema, native_type=f"{name}/Row")))
+    def emitter(self, name: str, schema: Schema, *, latched: bool = False) -> Emitter:
+        """Make a component with one output, from which the test emits.
+
+        One that is `latched` hands its last message to each source that is opened.
+        """
+        structure = MessageStructure(schema, native_type=f"{name}/Row")
+        return self._add(name, Emitter(structure, latched=latched))
 
     def taker(self, name: str, schema: Schema, *, blocking: bool = False) -> Taker:
         """Make a component with one input, whose messages the test reads."""
@@ -88,22 +92,14 @@ class MemoryBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         component = self._find(endpoint)
         if not isinstance(component, (Emitter, Loop)):
             raise _without(endpoint, "output")
         _same(endpoint, component.structure, structure)
-        read, delivery = codec(structure.schema, ROWS).read, Delivery(deliver)
-
-        def take(row: object) -> None:
-            delivery.give(read(row))
-
-        def leave() -> None:
-            delivery.end()
-            component.leave(channel)
-
-        channel = _MemoryChannel(endpoint, leave)
-        component.join(channel, take)
+        read = codec(structure.schema, ROWS).read
+        channel = Source(endpoint, lambda: component.leave(channel), latched=component.latched)
+        component.join(channel, lambda row: deliver(read(row)))
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -112,27 +108,33 @@ class MemoryBridge(Bridge):
             raise _without(endpoint, "input")
         _same(endpoint, component.structure, structure)
         write = codec(structure.schema, PAIRS).write
-        sink = _MemorySink(
+        sink = Sink(
             endpoint,
             lambda message: component.take(write(message)),
             lambda: component.leave(sink),
+            blocking=component.blocking,
         )
-        sink.blocking = component.blocking
         component.join(sink, None)
         return sink
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
         del timeout
         component = self._find(endpoint)
         if not isinstance(component, Service):
             raise _without(endpoint, "service")
+        if structures != ServiceStructures():
+            _same(endpoint, component.request, structures.request)
+            _same(endpoint, component.reply, structures.reply)
         return component.answer(message)
 
-    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
         name = endpoint.address[0]
-        anything = MessageStructure(schema=True)
-        self._add(name, Service(anything, anything, handler))
-        return _MemoryChannel(endpoint, lambda: self._withdraw(name))
+        self._add(name, Service(structures.request, structures.reply, handler))
+        return Channel(endpoint, lambda: self._withdraw(name))
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         producer, consumer = self._find(source), self._find(sink)
@@ -140,7 +142,7 @@ class MemoryBridge(Bridge):
             return None
         read = codec(producer.structure.schema, ROWS).read
         write = codec(consumer.structure.schema, PAIRS).write
-        channel = _MemoryChannel(source, lambda: producer.leave(channel))
+        channel = Channel(source, lambda: producer.leave(channel))
         producer.join(channel, lambda row: consumer.take(write(read(row))))
         return channel
 
@@ -169,37 +171,6 @@ class MemoryBridge(Bridge):
             text = f"there is no component at {list(endpoint.address)}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return component
-
-
-class _MemoryChannel(Channel):
-    def __init__(self, endpoint: Endpoint, leave: Callable[[], None]) -> None:
-        super().__init__(endpoint)
-        self._leave = leave
-
-    def _close(self) -> None:
-        self._leave()
-
-
-class _MemorySink(Sink):
-    def __init__(
-        self, endpoint: Endpoint, take: Callable[[Message], None], leave: Callable[[], None]
-    ) -> None:
-        super().__init__(endpoint)
-        self._take = take
-        self._leave = leave
-
-    def send(self, message: Message) -> None:
-        """Write the message natively and hand it to the component.
-
-        Raises:
-            BridgeError: the channel is closed, or the message does not fit the structure.
-        """
-        if self.closed:
-            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
-        self._take(message)
-
-    def _close(self) -> None:
-        self._leave()
 
 
 def _without(endpoint: Endpoint, kind: str) -> BridgeError:

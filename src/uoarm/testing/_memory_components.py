@@ -51,10 +51,18 @@ class Emitter(_Port):
 
     roles: ClassVar[tuple[Role, ...]] = (Role.OUTPUT,)
 
-    def __init__(self, structure: MessageStructure) -> None:
+    def __init__(self, structure: MessageStructure, *, latched: bool = False) -> None:
         super().__init__(structure)
+        self.latched = latched
+        self._last: object = None
         self._write = codec(structure.schema, ROWS).write
         self._garbles = False
+
+    def join(self, channel: Channel, take: Callable[[Any], None] | None) -> None:
+        """Open a channel, which gets the last message first where the output is latched."""
+        super().join(channel, take)
+        if self._last is not None and take is not None:
+            take(self._last)
 
     def emit(self, message: Message) -> None:
         """Emit a message of the component's own structure.
@@ -67,6 +75,8 @@ class Emitter(_Port):
 
     def emit_native(self, row: object) -> None:
         """Emit something as it is, also what no structure allows."""
+        if self.latched:
+            self._last = row
         self._spread(row)
 
     @contextmanager
@@ -118,6 +128,7 @@ class Loop(_Port):
 
     roles: ClassVar[tuple[Role, ...]] = (Role.INPUT, Role.OUTPUT)
     blocking = True
+    latched = False
 
     def __init__(self, structure: MessageStructure) -> None:
         super().__init__(structure)

@@ -93,7 +93,7 @@ def bridge_type(name: str, summary: str, wire: MakeWire | None = None) -> Bridge
         options_schema=BRIDGE_OPTIONS,
         check_endpoint=mistake,
         doctor=doctor,
-        contract=1,
+        contract=2,
     )
 
 

@@ -5,7 +5,16 @@ from __future__ import annotations
 import threading
 import time
 
-from uoarm.bridge import Bridge, Capabilities, Channel, Description, Discovered, Sink
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Description,
+    Discovered,
+    ServiceStructures,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rocos._catalogue import Api, Kind
@@ -56,7 +65,7 @@ class RocosBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         api = self._checked(endpoint, structure)
         channel = SourceChannel(endpoint, self._told)
         device = self._device(endpoint)
@@ -69,7 +78,10 @@ class RocosBridge(Bridge):
         channel.attach(self._device(endpoint).open_input(api, channel.told, _OPEN_SECONDS))
         return channel
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures  # the catalogue has them
         name, api_name, _ = address_of(endpoint)
         began = time.monotonic()
         api = self._described.get((name, api_name)) or self._find(endpoint, timeout)

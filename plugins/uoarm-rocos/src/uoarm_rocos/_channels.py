@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from uoarm.bridge import Channel, Sink
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.model import Endpoint, Health, Message
 from uoarm_rocos._device import Feed, Flow
 
@@ -14,7 +13,7 @@ __all__ = ["SinkChannel", "SourceChannel"]
 Report = Callable[[Channel, Health, str], None]
 
 
-class SourceChannel(Channel):
+class SourceChannel(Source):
     """A flow from a device. Made before the flow, so that the flow can tell of itself."""
 
     def __init__(self, endpoint: Endpoint, report: Report) -> None:
@@ -55,14 +54,13 @@ class SinkChannel(Sink):
         """Take the open flow."""
         self._feed = feed
 
-    def send(self, message: Message) -> None:
+    def _send(self, message: Message) -> None:
         """Send one message to the device.
 
         Raises:
             BridgeError: it does not fit, or the line is gone.
         """
-        if self._feed is None or self.closed:
-            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
+        assert self._feed is not None, "attached before anybody had the channel"
         self._feed.send(message)
 
     def facts(self) -> Mapping[str, object]:

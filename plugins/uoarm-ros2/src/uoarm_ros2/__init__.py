@@ -25,7 +25,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             check_endpoint=mistake,
             topic=topic_name,
             doctor=_doctor,
-            contract=1,
+            contract=2,
         )
     ]
 

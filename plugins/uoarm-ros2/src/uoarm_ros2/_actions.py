@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from uoarm.bridge import Channel, Description, Sink
+from uoarm.bridge import Channel, Description, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros2._graph import Graph
@@ -208,7 +208,7 @@ def _id(goal_id: Any) -> str:
     return bytes(goal_id.uuid).hex()
 
 
-class ActionSource(Channel):
+class ActionSource(Source):
     """Feedback, results or status changes of an action."""
 
     def __init__(
@@ -250,19 +250,16 @@ class ActionSink(Sink):
     def __init__(self, endpoint: Endpoint, action: Action, part: str) -> None:
         super().__init__(endpoint)
         self._action = action
-        self._send = action.send if part == "goal" else action.cancel
+        self._do = action.send if part == "goal" else action.cancel
 
-    def send(self, message: Message) -> None:
+    def _send(self, message: Message) -> None:
         """Send one goal, or cancel one.
 
         Raises:
             MessageError: it does not fit the native type.
-            BridgeError: the channel is closed, or too many goals are under way.
+            BridgeError: too many goals are under way.
         """
-        if self._closed:
-            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
-            raise BridgeError(text, FailureReason.CLOSED)
-        self._send(message)
+        self._do(message)
 
     def _close(self) -> None:
         pass

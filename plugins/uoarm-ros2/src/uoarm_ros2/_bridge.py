@@ -7,7 +7,17 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from uoarm.bridge import Bridge, Capabilities, Channel, Description, Discovered, Handler, Sink
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Channel,
+    Description,
+    Discovered,
+    Handler,
+    ServiceStructures,
+    Sink,
+    Source,
+)
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros2 import _actions, _services
@@ -22,14 +32,14 @@ from uoarm_ros2._services import Caller, Server
 from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._sink import TopicSink
-from uoarm_ros2._source import Source
+from uoarm_ros2._source import TopicSource
 from uoarm_ros2._types import ACTION, import_type
 from uoarm_ros2._write import writer
 
 __all__ = ["Ros2Bridge"]
 
 _CLOSE_SECONDS = 1.0
-Watched = TypeVar("Watched", Source, TopicSink, Relay)
+Watched = TypeVar("Watched", TopicSource, TopicSink, Relay)
 
 
 class Ros2Bridge(Bridge):
@@ -111,14 +121,14 @@ class Ros2Bridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         del structure  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)
         if address.kind == ACTION:
             return self._open_action_source(endpoint, address, settings, deliver)
         place = self._place(endpoint, address, settings)
         read = reader(shape_of(place.native, place.topic.type))
-        source = Source(place, lambda native: deliver(read(native)))
+        source = TopicSource(place, lambda native: deliver(read(native)))
         return self._waited(source)
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -132,11 +142,14 @@ class Ros2Bridge(Bridge):
 
     def _open_action_source(
         self, endpoint: Endpoint, address: Address, settings: Settings, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         action = self._reachable(address, settings)
         return ActionSource(endpoint, action, address.part, deliver, self._told)
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)
         wait = min(self._graph.limit(settings), timeout / 2)
         server = self._called.get(address)
@@ -146,7 +159,10 @@ class Ros2Bridge(Bridge):
             self._called[address] = server
         return server.call(message, timeout, wait)
 
-    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
+        del structures
         address = address_of(endpoint)
         if address.kind == ACTION:
             text = f"{endpoint}: an action can be called and followed, not served; serve a service"

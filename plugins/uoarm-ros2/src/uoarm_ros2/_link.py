@@ -10,7 +10,7 @@ from uoarm.bridge import Channel
 from uoarm.model import Health
 from uoarm_ros2._end import Place
 from uoarm_ros2._sink import TopicSink
-from uoarm_ros2._source import Source
+from uoarm_ros2._source import TopicSource
 
 __all__ = ["Relay", "SameTopic"]
 
@@ -28,7 +28,7 @@ class Relay(Channel):
 
         self._out = TopicSink(_reporting(sink, told), bytes)
         try:
-            self._into = Source(_reporting(source, told), self._out.send, raw=True)
+            self._into = TopicSource(_reporting(source, told), self._out.send, raw=True)
         except BaseException:
             self._out.close()
             raise

@@ -75,15 +75,13 @@ class TopicSink(Sink):
         self._end = _Publisher(place, self.pulse)
         self.blocking = self._end.policies.history == "keep_all"
 
-    def send(self, message: Message) -> None:
+    def _send(self, message: Message) -> None:
         """Publish one message.
 
         Raises:
             MessageError: it does not fit the native type; the text names the field.
-            BridgeError: the channel is closed, also while it sends.
+            BridgeError: the channel was closed while it sends.
         """
-        if self._closed:
-            raise self._gone()
         native = self._write(message)
         publisher = self._end.native
         try:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.bridge import Channel
+from uoarm.bridge import Source
 from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
 from uoarm_ros2._qos import Policies, clashes, for_reading
 
-__all__ = ["Source"]
-
-_DRAIN_SECONDS = 0.05
+__all__ = ["TopicSource"]
 
 
 class _Subscription(End):
@@ -56,7 +54,7 @@ class _Subscription(End):
         )
 
 
-class Source(Channel):
+class TopicSource(Source):
     """One subscription; each message goes to `take` in the station's thread.
 
     With `auto` policies it asks for what the publishers offer, and asks anew when all that are
@@ -72,7 +70,6 @@ class Source(Channel):
         super().__init__(place.endpoint)
         self._place = place
         self._take = take
-        self._busy = False
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause), place.settings.stale_after
         )
@@ -88,7 +85,8 @@ class Source(Channel):
         limit = place.graph.limit(place.settings)
         matched = place.graph.until(lambda: self.closed or self._end.count() > 0, limit)
         self._end.require(limit)
-        if matched and self._end.policies.durability != "transient_local":
+        self.latched = self._end.policies.durability == "transient_local"
+        if matched and not self.latched:
             place.graph.settle(self._end.peers(), place.settle, lambda: self.closed)
 
     def tick(self) -> None:
@@ -101,15 +99,8 @@ class Source(Channel):
 
     def _close(self) -> None:
         self._end.close()
-        # A delivery that has just begun ends first, unless it lasts: it may have asked for this.
-        self._place.graph.until(lambda: not self._busy, _DRAIN_SECONDS)
 
     def _receive(self, native: Any) -> None:
-        if self._closed:
-            return
-        self._busy = True
-        try:
+        if not self._closed:
             self.pulse.beat()
             self._take(native)
-        finally:
-            self._busy = False

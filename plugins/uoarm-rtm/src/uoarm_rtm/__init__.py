@@ -26,7 +26,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             options_schema=BRIDGE_OPTIONS,
             check_endpoint=mistake,
             doctor=_doctor,
-            contract=1,
+            contract=2,
         )
     ]
 

@@ -13,7 +13,9 @@ from uoarm.bridge import (
     Description,
     Discovered,
     Handler,
+    ServiceStructures,
     Sink,
+    Source,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
@@ -40,7 +42,7 @@ from uoarm_rtm._settings import (
     settings_of,
 )
 from uoarm_rtm._sink import InPortSink
-from uoarm_rtm._source import Source
+from uoarm_rtm._source import OutPortSource
 from uoarm_rtm._types import Types
 from uoarm_rtm._watch import Attendance, Watch
 from uoarm_rtm.errors import IdlError
@@ -107,14 +109,15 @@ class RtmBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         del structure  # the data type is in the address, or at the port
         address = address_of(endpoint)
         if address.component == SELF:
             return self._ours().source(endpoint, address.port, address.type, deliver)
         place = self._place(endpoint)
-        source = Source(place, deliver)
-        return self._looked_after(source, source.tick, place)
+        source = OutPortSource(place, deliver)
+        self._looked_after(source, source.tick, place)
+        return source
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
@@ -126,7 +129,10 @@ class RtmBridge(Bridge):
         self._looked_after(sink, sink.tick, place)
         return sink
 
-    def _call(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        del structures  # the interface is in the address, or at the port
         address = address_of(endpoint)
         seconds = min(timeout, self._settings.call_seconds)
         if address.port == LIFECYCLE:
@@ -155,7 +161,10 @@ class RtmBridge(Bridge):
         seconds = self._settings.call_seconds
         return Caller(self._orb, peer, port, interface, offer, operation, seconds)
 
-    def _serve(self, endpoint: Endpoint, handler: Handler) -> Channel:
+    def _serve(
+        self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
+    ) -> Channel:
+        del structures
         address = address_of(endpoint)
         if address.component == SELF:
             interface, operation = self._types.interface(address.type)
@@ -242,12 +251,11 @@ class RtmBridge(Bridge):
             raise BridgeError(text, FailureReason.REFUSED)
         return peer, port
 
-    def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> Channel:
+    def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> None:
         """Have a channel watched, and its component activated when that is asked."""
         self._activate(channel, place.peer, place.settings)
         with self._guard:
             self._ticking[channel] = tick
-        return channel
 
     def _activate(self, channel: Channel, peer: Peer, settings: Settings) -> None:
         """Activate a component for as long as channels ask for it, where that is asked."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from uoarm.bridge import Channel, Delivery, Sink
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_rtm._naming import NamingService
@@ -19,7 +19,7 @@ from uoarm_rtm.component import RtComponent, Sheet
 __all__ = ["Own"]
 
 
-class _OwnSource(Channel):
+class _OwnSource(Source):
     """An InPort of ours: what others write to it is delivered, one message at a time."""
 
     def __init__(
@@ -27,7 +27,7 @@ class _OwnSource(Channel):
     ) -> None:
         super().__init__(endpoint)
         self._own = own
-        self._delivery = Delivery(deliver)
+        self._deliver = deliver
         self._count = 0
         rate = settings_of(endpoint).rate
         self._port = own.component.add_in_port(name, type_id, own.types, self._take, rate)
@@ -38,10 +38,9 @@ class _OwnSource(Channel):
 
     def _take(self, message: Message) -> None:
         self._count += 1
-        self._delivery.give(message)
+        self._deliver(message)
 
     def _close(self) -> None:
-        self._delivery.end()
         self._own.remove(self._port)
 
 
@@ -54,16 +53,8 @@ class _OwnSink(Sink):
         self._count = 0
         self._port = own.component.add_out_port(name, type_id, own.types)
 
-    def send(self, message: Message) -> None:
-        """Write one message; a hung reader with `flush` costs its time limit.
-
-        Raises:
-            MessageError: it does not fit the port's type.
-            BridgeError: the channel is closed.
-        """
-        if self._closed:
-            text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
-            raise BridgeError(text, FailureReason.CLOSED)
+    def _send(self, message: Message) -> None:
+        """Write one message; a hung reader with `flush` costs its time limit."""
         self._port.write(message)
         self._count += 1
 
@@ -128,7 +119,7 @@ class Own:
             self.component.close()
             raise
 
-    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Channel:
+    def source(self, endpoint: Endpoint, name: str, type_id: str, deliver: Deliver) -> Source:
         """Open an InPort of ours."""
         self._free(name)
         return _OwnSource(self, endpoint, name, type_id, deliver)

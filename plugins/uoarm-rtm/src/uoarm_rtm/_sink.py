@@ -75,13 +75,13 @@ class InPortSink(Sink):
             self._buffer = Threaded(self._push, self._policy, push, period)
         self.blocking = self._buffer is None or self._policy.full == "block"
 
-    def send(self, message: Message) -> None:
+    def _send(self, message: Message) -> None:
         """Hand one message to the port.
 
         Raises:
             MessageError: it does not fit the data type; the text names the field.
             BridgeError: the component is gone or refuses the data, our buffer is full, or the
-                channel is closed.
+                channel was closed meanwhile.
             BridgeTimeoutError: the component does not answer in time.
         """
         self._be_open()

@@ -8,7 +8,7 @@ from typing import Any
 
 from omniORB import CORBA
 
-from uoarm.bridge import Channel, Delivery
+from uoarm.bridge import Source
 from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
@@ -21,7 +21,7 @@ from uoarm_rtm._place import Place, Pulse
 from uoarm_rtm._puller import Puller
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
-__all__ = ["Source"]
+__all__ = ["OutPortSource"]
 
 _log = logging.getLogger("uoarm.rtm")
 
@@ -29,7 +29,7 @@ _log = logging.getLogger("uoarm.rtm")
 class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, without annotations
     """What the component's OutPort pushes to."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: OutPortSource) -> None:
         self._source = source
 
     def put(self, data: bytes) -> Any:
@@ -37,7 +37,7 @@ class _Inlet(OpenRTM__POA.InPortCdr):  # type: ignore[misc]  # generated, withou
         return self._source.receive(data)
 
 
-class Source(Channel):
+class OutPortSource(Source):
     """One connector from an OutPort.
 
     Messages are delivered in a thread of the ORB (push), or in one of the channel's own (pull).
@@ -53,7 +53,7 @@ class Source(Channel):
     def __init__(self, place: Place, deliver: Deliver) -> None:
         super().__init__(place.endpoint)
         self._place = place
-        self._delivery = Delivery(deliver)
+        self._deliver = deliver
         self._order = BIG if place.settings.endian == "big" else LITTLE
         self._puller: Puller | None = None
         self._longest = place.seconds
@@ -72,7 +72,7 @@ class Source(Channel):
 
     def receive(self, data: bytes) -> Any:
         """Decode and deliver one message; returns the status to answer."""
-        if self._delivery.ended:
+        if self.closed:
             return OpenRTM.PORT_ERROR
         try:
             message = self._place.codec.decode(data, self._order)
@@ -81,7 +81,7 @@ class Source(Channel):
             self.pulse.tell(Health.DEGRADED, f"{self._place.where}: {error}")
             return OpenRTM.PORT_ERROR
         self.pulse.beat()
-        self._delivery.give(message)
+        self._deliver(message)
         return OpenRTM.PORT_OK
 
     def tick(self) -> None:
@@ -93,7 +93,6 @@ class Source(Channel):
         return self.pulse.facts()
 
     def _close(self) -> None:
-        self._delivery.end()
         if self._puller is not None:
             self._puller.end(self._longest)
         self._withdraw()

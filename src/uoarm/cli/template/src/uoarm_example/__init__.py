@@ -29,6 +29,6 @@ def uoarm_bridge_types() -> list[BridgeType]:
             create=_create,
             options_schema={"type": "object", "properties": {}, "additionalProperties": False},
             check_endpoint=_check_endpoint,
-            contract=1,  # of uoarm.bridge, for which this plugin is written
+            contract=2,  # of uoarm.bridge, for which this plugin is written
         )
     ]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from uoarm.bridge import Bridge, Channel, Delivery, Description, Sink
+from uoarm.bridge import Bridge, Description, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Message, MessageStructure, Options
+from uoarm.model import Deliver, Endpoint, MessageStructure, Options
 from uoarm_example._framework import TOPICS, Bus
 
 __all__ = ["ExampleBridge"]
@@ -24,52 +22,21 @@ class ExampleBridge(Bridge):
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
-    ) -> Channel:
+    ) -> Source:
         del structure
-        delivery = Delivery(deliver)
-        leave = self._bus.subscribe(_topic(endpoint), delivery.give)
-
-        def close() -> None:
-            delivery.end()
-            leave()
-
-        return _Source(endpoint, close)
+        return Source(endpoint, self._bus.subscribe(_topic(endpoint), deliver))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         topic = _topic(endpoint)
-        return _Topic(endpoint, lambda message: self._bus.publish(topic, message))
+        return Sink(
+            endpoint,
+            send=lambda message: self._bus.publish(topic, message),
+            close=lambda: None,  # there is nothing to let go of
+        )
 
     def _close(self) -> None:
         """Nothing to let go of: every channel is closed before."""
-
-
-class _Source(Channel):
-    def __init__(self, endpoint: Endpoint, close: Callable[[], None]) -> None:
-        super().__init__(endpoint)
-        self._leave = close
-
-    def _close(self) -> None:
-        self._leave()
-
-
-class _Topic(Sink):
-    def __init__(self, endpoint: Endpoint, publish: Callable[[Message], None]) -> None:
-        super().__init__(endpoint)
-        self._publish = publish
-
-    def send(self, message: Message) -> None:
-        """Publish one message.
-
-        Raises:
-            BridgeError: the channel is closed.
-        """
-        if self.closed:
-            raise BridgeError(f"{self.endpoint} is closed", FailureReason.CLOSED)
-        self._publish(message)
-
-    def _close(self) -> None:
-        """Nothing to let go of."""
 
 
 def _topic(endpoint: Endpoint) -> str:
