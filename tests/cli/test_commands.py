@@ -87,7 +87,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "7 functions, 1 bridges, no errors" in result.output
+    assert "no errors (functions: 7, bridges: 1)" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:

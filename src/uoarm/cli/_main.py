@@ -59,8 +59,8 @@ def check(file: str, *, as_json: bool) -> None:
         for warning in report.warnings:
             click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)
         if report.robot is not None:
-            count = len(report.robot.functions)
-            click.echo(f"{file}: {count} functions, {len(report.robot.bridges)} bridges, no errors")
+            functions, bridges = len(report.robot.functions), len(report.robot.bridges)
+            click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
     sys.exit(0 if report.robot is not None else CONFIGURATION)
 
 
