@@ -41,7 +41,7 @@ ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
     "_yaml": {"_yaml"},
-    "local": {"local", "bridge", "model", "errors"},
+    "local": {"local", "bridge", "model", "errors", "_mistakes", "_spelling"},
 }
 
 

@@ -27,7 +27,13 @@ from uoarm._mistakes import choose
 from uoarm._resolve import Resolver, StructureCache
 from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
-from uoarm.errors import ResolutionError, UsageError
+from uoarm.errors import (
+    BridgeError,
+    FailureReason,
+    MessageError,
+    ResolutionError,
+    UsageError,
+)
 from uoarm.model import (
     ConnectionState,
     Deliver,
@@ -216,7 +222,7 @@ class RobotManager:
         Raises:
             ResolutionError: no service is available.
             MessageError: the request does not match the structure.
-            BridgeError: the service failed or is gone.
+            BridgeError: the service failed or is gone, or its reply does not match the structure.
             BridgeTimeoutError: no reply in time.
             UsageError: the function is a stream.
         """
@@ -279,7 +285,15 @@ class RobotManager:
             check(message)
         bridge = self._bridges.get(step.component.bridge)
         structures = ServiceStructures(step.structures["request"], step.structures["reply"])
-        return bridge.call(service.endpoint, message, structures, timeout=timeout)
+        reply = bridge.call(service.endpoint, message, structures, timeout=timeout)
+        place = f"the reply of {step.component.name}, which its service broke"
+        check = make_check(step.structures["reply"], ValidationMode.ALWAYS, place)
+        try:
+            if check is not None:
+                check(reply)
+        except MessageError as error:
+            raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
+        return reply
 
     def _resolve(self, name: str, excluded: frozenset[str] = frozenset()) -> Plan:
         """Resolve without what was stale lately; where there is nothing else, with it."""

@@ -80,8 +80,18 @@ def _validator(structure: MessageStructure) -> Validator:
         else:
             yield from each_item(validator, schema, [_plain(item) for item in instance], whole)
 
-    checker = Draft202012Validator.TYPE_CHECKER.redefine(
-        "array", lambda _, value: isinstance(value, list | tuple) or _is_buffer(value)
+    known = Draft202012Validator.TYPE_CHECKER
+
+    def numbers(name: str) -> Callable[[object, object], bool]:
+        return lambda _, value: known.is_type(_plain_number(value), name)
+
+    checker = known.redefine_many(
+        {
+            "array": lambda _, value: isinstance(value, list | tuple) or _is_buffer(value),
+            "integer": numbers("integer"),
+            "number": numbers("number"),
+            "boolean": numbers("boolean"),
+        }
     )
     kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
         Draft202012Validator,
@@ -124,6 +134,11 @@ def _is_buffer(value: object) -> bool:
     if isinstance(value, bytes | bytearray | memoryview):
         return True
     return hasattr(value, "__array_interface__") or hasattr(value, "typecode")
+
+
+def _plain_number(value: object) -> object:
+    """Return a scalar of numpy as the Python number that it stands for, anything else as it is."""
+    return _plain(value) if getattr(value, "ndim", None) == 0 else value
 
 
 def _plain(value: object) -> object:

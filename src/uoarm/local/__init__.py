@@ -1,9 +1,9 @@
 """The built-in `python` bridge: plain Python callables, generators and classes as components."""
 
+from uoarm.local._annotations import HintError, Octets, Range, Shape, UInt8
 from uoarm.local._bridge import PythonBridge, uoarm_bridge_types
-from uoarm.local._hints import HintError, Octets, Range, UInt8, schema_of
-from uoarm.local._instance import Emit
-from uoarm.local._target import structure
+from uoarm.local._hints import schema_of
+from uoarm.local._target import Emit, structure
 
 __all__ = [
     "Emit",
@@ -11,6 +11,7 @@ __all__ = [
     "Octets",
     "PythonBridge",
     "Range",
+    "Shape",
     "UInt8",
     "schema_of",
     "structure",

@@ -21,6 +21,7 @@ from uoarm.bridge import (
     hookimpl,
 )
 from uoarm.local._instance import Instance
+from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._modules import Modules
 from uoarm.local._target import Target, find
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
@@ -28,6 +29,7 @@ from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Op
 __all__ = ["PythonBridge", "uoarm_bridge_types"]
 
 _SOURCE_SECONDS = 0.25
+_HANDLER_SECONDS = 10.0
 _OPTIONS = {
     "type": "object",
     "properties": {
@@ -35,7 +37,12 @@ _OPTIONS = {
             "type": "array",
             "items": {"type": "string"},
             "description": "Folders in which modules are looked for first.",
-        }
+        },
+        "timeout": {
+            "type": "number",
+            "exclusiveMinimum": 0,
+            "description": "Seconds that an `async def` handler may take for a message (10).",
+        },
     },
     "additionalProperties": False,
 }
@@ -55,7 +62,8 @@ class PythonBridge(Bridge):
 
     An endpoint's address is one string, `module:attribute`. All endpoints of one component
     share one instance, made when the first channel opens and closed with the last; that of a
-    service is made at its first call and closed with the bridge.
+    service is made at its first call and closed with the bridge. What is asynchronous runs in one
+    event loop of the bridge and is cancelled when its component closes.
     """
 
     capabilities = Capabilities(call=True)
@@ -64,6 +72,9 @@ class PythonBridge(Bridge):
         super().__init__(name, options)
         path: Any = options.get("path", ())
         self._modules = Modules(path)
+        seconds: Any = options.get("timeout", _HANDLER_SECONDS)
+        self._handler_seconds = float(seconds)
+        self._loop = LoopThread(f"uoarm-{name}-loop")
         self._slots: dict[str, _Slot] = {}
         self._services: dict[str, Endpoint] = {}
         self._sources: WeakSet[threading.Thread] = WeakSet()
@@ -78,19 +89,23 @@ class PythonBridge(Bridge):
         del structure
         target = self._target(endpoint)
         instance = self._enter(endpoint, target)
+        try:
+            source = None if target.takes_messages(endpoint) else instance.source(endpoint)
+        except BaseException:
+            self._leave(endpoint)
+            raise
 
         def leave() -> None:
-            instance.source.remove_listener(channel)
+            if source is not None:
+                source.remove_listener(channel)
             instance.remove_receiver(endpoint.port, channel)
             self._leave(endpoint)
 
         channel = Source(endpoint, leave)
         instance.add_receiver(endpoint.port, channel, deliver)
-        if not target.takes_messages(endpoint):
+        if source is not None:
             try:
-                thread = instance.source.add_listener(
-                    channel, lambda failure: self._ended(channel, failure)
-                )
+                thread = source.add_listener(channel, lambda failure: self._ended(channel, failure))
             except BaseException:
                 leave()
                 raise
@@ -100,18 +115,23 @@ class PythonBridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         instance = self._enter(endpoint, self._target(endpoint))
-        return Sink(endpoint, instance.feed(endpoint), lambda: self._leave(endpoint))
+        try:
+            take = instance.feed(endpoint)
+        except BaseException:
+            self._leave(endpoint)
+            raise
+        return Sink(endpoint, take, lambda: self._leave(endpoint))
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
-        del structures, timeout
+        del structures
         instance = self._enter(endpoint, self._target(endpoint))
         with self._counting:
             is_first = endpoint.component not in self._services
             self._services.setdefault(endpoint.component, endpoint)
         try:
-            return instance.answer(endpoint, message)
+            return instance.answer(endpoint, message, timeout)
         finally:
             if not is_first:  # the first call's use lasts as long as the bridge
                 self._leave(endpoint)
@@ -128,6 +148,7 @@ class PythonBridge(Bridge):
         deadline = time.monotonic() + _SOURCE_SECONDS
         for thread in list(self._sources):
             thread.join(max(0.0, deadline - time.monotonic()))
+        self._loop.close()
 
     def _target(self, endpoint: Endpoint) -> Target:
         return find(endpoint.address, self._modules)
@@ -140,7 +161,8 @@ class PythonBridge(Bridge):
         try:
             with slot.building:
                 if slot.instance is None:
-                    slot.instance = Instance(target, endpoint.parameters)
+                    coroutines = Coroutines(self._loop, self._handler_seconds)
+                    slot.instance = Instance(target, endpoint.parameters, coroutines)
                 return slot.instance
         except BaseException:
             self._leave(endpoint)

@@ -4,42 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import sys
 import types
-import typing
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, TypeAlias, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NewType,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import attrs
-from attrs import frozen
-from typing_extensions import NotRequired, Required
+from typing_extensions import NotRequired, Required, is_typeddict
 
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.local._annotations import HintError, OctetsMark, Range
+from uoarm.local._arrays import array_of, scalar_of
 
-__all__ = ["HintError", "Octets", "Range", "UInt8", "schema_of"]
+__all__ = ["is_enum", "is_model", "is_named_tuple", "is_plain", "is_record", "schema_of"]
 
-
-class HintError(BridgeError):
-    """A type hint that has no message structure."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text, FailureReason.BAD_ENDPOINT)
-
-
-@frozen
-class Range:
-    """Bounds of a number, both included; None where there is none."""
-
-    minimum: float | int | None = None
-    maximum: float | int | None = None
-
-
-@frozen
-class _Octets:
-    """Marks `bytes`, which stand for an array of integers from 0 to 255."""
-
-
-UInt8: TypeAlias = Annotated[int, Range(0, 255)]
-Octets: TypeAlias = Annotated[bytes, _Octets()]
 
 _OCTET_ARRAY: Mapping[str, object] = {
     "type": "array",
@@ -57,6 +43,7 @@ _SIMPLE: Mapping[object, Mapping[str, object]] = {
     None: {"type": "null"},
     types.NoneType: {"type": "null"},
 }
+_BUFFERS = (bytes, bytearray, memoryview)
 _MAX_DEPTH = 32
 
 
@@ -64,21 +51,93 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
     """Return the JSON Schema of a type hint: closed objects, every field required.
 
     Understands bool, int, float, str, bytes, None, Literal, Enum, unions, list, tuple, dict,
-    TypedDict (NotRequired too), dataclasses, attrs classes, and Annotated with `Range`.
+    TypedDict (NotRequired too), dataclasses, attrs classes, NamedTuple, pydantic models, numpy's
+    numbers and `NDArray`, and Annotated with `Range` and `Shape`.
 
     Raises:
         HintError: the hint has no message structure; the text names it.
     """
+    hint = _unwrapped(hint)
     if depth > _MAX_DEPTH:
         raise HintError(f"the type hint {hint!r} is nested too deep or recursive")
-    if hint in _SIMPLE:
+    if _hashable(hint) and hint in _SIMPLE:
         return _SIMPLE[hint]
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+    if is_enum(hint):
         return {"enum": [member.value for member in hint]}
+    if is_model(hint):
+        return _model(hint)
+    numbers = scalar_of(hint) or array_of(hint)
+    if numbers is not None:
+        return numbers.schema
     fields = _fields_of(hint)
     if fields is not None:
         return _object(fields, depth)
     return _generic(hint, depth)
+
+
+def is_plain(hint: Any, depth: int = 0) -> bool:
+    """Say whether a message is already what a hint says of it, with nothing to convert.
+
+    So it is for everything that a hint says nothing of, too. A list of numbers may be a numeric
+    buffer; who wants one kind of these hints `NDArray`.
+    """
+    hint = _unwrapped(hint)
+    if is_enum(hint) or is_record(hint) or any(hint is one for one in _BUFFERS):
+        return False
+    if scalar_of(hint) is not None or array_of(hint) is not None:
+        return False
+    if depth > _MAX_DEPTH:
+        return True  # its structure is refused
+    if is_typeddict(hint):
+        fields = get_type_hints(hint, include_extras=True).values()
+        return all(is_plain(one, depth + 1) for one in fields)
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        is_octets = any(isinstance(note, OctetsMark) for note in arguments[1:])
+        return is_octets or is_plain(arguments[0], depth)
+    if origin in {Required, NotRequired, Union, types.UnionType, list, dict}:
+        return all(is_plain(one, depth + 1) for one in arguments)
+    return origin is not tuple
+
+
+def is_record(kind: Any) -> bool:
+    """Say whether values of a type have named fields, and are no dicts."""
+    if not isinstance(kind, type) or get_origin(kind) is not None:
+        return False
+    return (
+        dataclasses.is_dataclass(kind) or attrs.has(kind) or is_named_tuple(kind) or is_model(kind)
+    )
+
+
+def is_named_tuple(kind: Any) -> bool:
+    """Say whether a type is a NamedTuple: fields by name, as of every other record."""
+    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+
+
+def is_enum(kind: Any) -> bool:
+    """Say whether a type is an enumeration."""
+    return isinstance(kind, type) and issubclass(kind, enum.Enum)
+
+
+def is_model(kind: Any) -> bool:
+    """Say whether a type is a model of pydantic, which its author must have imported."""
+    pydantic = sys.modules.get("pydantic")
+    return pydantic is not None and isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)
+
+
+def _unwrapped(hint: Any) -> Any:
+    """Return what a NewType or a `type` alias stands for."""
+    while True:
+        if isinstance(hint, NewType):
+            hint = hint.__supertype__
+        elif type(hint).__name__ == "TypeAliasType":  # of typing or of typing_extensions
+            hint = hint.__value__
+        else:
+            return hint
+
+
+def _hashable(hint: Any) -> bool:
+    return getattr(hint, "__hash__", None) is not None and get_origin(hint) is not Annotated
 
 
 def _generic(hint: Any, depth: int) -> Mapping[str, object]:
@@ -125,13 +184,18 @@ def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
 
 def _fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
     """Return name to (hint, required) of a record type, None for any other."""
-    if typing.is_typeddict(hint):
+    if is_typeddict(hint):
         hints = get_type_hints(hint, include_extras=True)
         return {name: (one, _is_required(hint, name, one)) for name, one in hints.items()}
-    if isinstance(hint, type) and (dataclasses.is_dataclass(hint) or attrs.has(hint)):
-        hints = get_type_hints(hint, include_extras=True)
-        return {name: (one, True) for name, one in hints.items()}
-    return None
+    if not is_record(hint):
+        return None
+    hints = get_type_hints(hint, include_extras=True)
+    if is_named_tuple(hint):
+        names = list(hint._fields)
+    else:
+        found: Iterable[Any] = attrs.fields(hint) if attrs.has(hint) else dataclasses.fields(hint)
+        names = [one.name for one in found if one.init]
+    return {name: (hints.get(name, Any), True) for name in names}
 
 
 def _is_required(record: Any, name: str, hint: Any) -> bool:
@@ -147,3 +211,31 @@ def _object(fields: Mapping[str, tuple[Any, bool]], depth: int) -> Mapping[str, 
         "required": [name for name, (_, required) in fields.items() if required],
         "additionalProperties": False,
     }
+
+
+def _model(model: Any) -> Mapping[str, object]:
+    """Return pydantic's own schema of a model, without references, closed as other records are."""
+    whole = model.model_json_schema(mode="serialization")
+    definitions = whole.pop("$defs", {})
+    for one in (whole, *definitions.values()):
+        if "properties" in one:
+            one.setdefault("additionalProperties", False)
+            one["required"] = list(one["properties"])
+
+    def inline(part: Any, depth: int) -> Any:
+        if depth > _MAX_DEPTH * 4:
+            raise HintError(f"the type hint {model!r} is nested too deep or recursive")
+        if isinstance(part, list):
+            return [inline(one, depth + 1) for one in part]
+        if not isinstance(part, dict):
+            return part
+        if part.get("format") == "binary":
+            text = f"pydantic writes the octets of {model!r} as text: use a dataclass with Octets"
+            raise HintError(text)
+        if isinstance(part.get("$ref"), str):
+            definition = definitions[part["$ref"].rpartition("/")[2]]
+            part = {**definition, **{key: one for key, one in part.items() if key != "$ref"}}
+        return {key: inline(one, depth + 1) for key, one in part.items()}
+
+    schema: Mapping[str, object] = inline(whole, 0)
+    return schema

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Iterator
-from typing import Any
-
-import attrs
+import inspect
+from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Iterator
+from functools import partial
+from typing import Any, TypeAlias
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.local._convert import plain, reader, writer
+from uoarm.local._loop import Coroutines
 from uoarm.local._source import Source
-from uoarm.local._target import Target
+from uoarm.local._target import Emit, Target
 from uoarm.model import Deliver, Endpoint, Message, Options
 
-__all__ = ["Emit", "Instance"]
+__all__ = ["Instance"]
 
-
-@attrs.frozen
-class Emit:
-    """A message for a named output, for components with several."""
-
-    port: str
-    message: Message
+Write: TypeAlias = Callable[[Any], Message] | None
 
 
 class Instance:
@@ -30,18 +25,31 @@ class Instance:
     Args:
         target: the Python object.
         parameters: handed to a class when it is built, to a function at each call.
+        coroutines: runs what is asynchronous.
+
+    Raises:
+        BridgeError: the parameters do not fit. What a class raises passes through.
     """
 
-    def __init__(self, target: Target, parameters: Options) -> None:
+    def __init__(self, target: Target, parameters: Options, coroutines: Coroutines) -> None:
         self._target = target
-        self._parameters = dict(parameters)
+        self._parameters = target.build_parameters(parameters)
+        self._coroutines = coroutines
         self._receivers: dict[str, tuple[tuple[Hashable, Deliver], ...]] = {}
-        self._source = Source(self._iterator, self._emit, f"uoarm-{target.name}")
+        self._services: dict[str, Callable[[Message, float], Message]] = {}
+        self._source: Source | None = None
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
 
-    @property
-    def source(self) -> Source:
-        """What iterates over the component where it takes no messages."""
+    def source(self, endpoint: Endpoint) -> Source:
+        """Return what iterates over the component, which takes no messages.
+
+        Raises:
+            HintError: the hint of its messages cannot be converted.
+        """
+        if self._source is None:
+            write = writer(self._target.given_hint(endpoint), self._target.name)
+            name = f"uoarm-{self._target.name}"
+            self._source = Source(self._iterator, partial(self._emit, write), name)
         return self._source
 
     def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
@@ -53,67 +61,105 @@ class Instance:
         self._receivers[port] = tuple(one for one in self._receivers[port] if one[0] is not key)
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
-        """Return a function that hands a message to an input and emits what comes back."""
-        handler = self._handler(endpoint)
+        """Return a function that hands a message to an input and emits what comes back.
+
+        Raises:
+            HintError: a hint cannot be converted.
+        """
+        target, handler = self._target, self._handler(endpoint)
+        read = reader(target.taken_hint(endpoint), target.name)
+        write = writer(target.given_hint(endpoint), target.name)
+        kept = self._awaiting(handler)
+        call = kept if read is None else lambda message: kept(read(message))
 
         def take(message: Message) -> None:
-            result = handler(message)
+            result = call(message)
             if result is not None:
-                self._emit_all(result)
+                self._emit_all(write, result)
 
         return take
 
-    def answer(self, endpoint: Endpoint, message: Message) -> Message:
-        """Call a service and return its reply."""
-        return _plain(self._handler(endpoint)(message))
+    def answer(self, endpoint: Endpoint, message: Message, timeout: float) -> Message:
+        """Call a service and return its reply; a coroutine is cancelled after `timeout` seconds."""
+        service = self._services.get(endpoint.port)
+        if service is None:
+            service = self._services[endpoint.port] = self._service(endpoint)
+        return service(message, timeout)
 
     def close(self) -> None:
-        """End the component: stop its source and call its own `close` if it has one."""
-        self._source.stop()
+        """End the component: stop its source, cancel its coroutines and call its own `close`."""
+        if self._source is not None:
+            self._source.stop()
+        self._coroutines.cancel()
         close = getattr(self._object, "close", None)
         if self._target.is_class and callable(close):
-            close()
+            closing = close()
+            if inspect.iscoroutine(closing):
+                self._coroutines.run(f"closing {self._target.name}", closing)
 
-    def _handler(self, endpoint: Endpoint) -> Callable[[Message], Any]:
+    def _service(self, endpoint: Endpoint) -> Callable[[Message, float], Message]:
+        target, handler = self._target, self._handler(endpoint)
+        read = reader(target.taken_hint(endpoint), target.name)
+        write = writer(target.given_hint(endpoint), target.name) or plain
+        is_coroutine = _is(inspect.iscoroutinefunction, handler)
+
+        def answer(message: Message, timeout: float) -> Message:
+            reply = handler(message if read is None else read(message))
+            if is_coroutine:
+                reply = self._coroutines.run(target.name, reply, timeout)
+            return write(reply)
+
+        return answer
+
+    def _handler(self, endpoint: Endpoint) -> Callable[[Any], Any]:
         if self._target.is_class:
             name = "__call__" if endpoint.port == "default" else endpoint.port
-            handler: Callable[[Message], Any] = getattr(self._object, name)
+            handler: Callable[[Any], Any] = getattr(self._object, name)
             return handler
-        if not self._parameters:
-            return self._object  # type: ignore[no-any-return]
-        return lambda message: self._object(message, **self._parameters)
+        return partial(self._object, **self._parameters) if self._parameters else self._object
 
-    def _iterator(self) -> Iterator[Message]:
-        if self._target.is_class:
-            return iter(self._object)
-        made = self._object(**self._parameters)
-        if not isinstance(made, Iterable):
-            text = f"{self._target.name} returned {type(made).__name__}, expected messages"
-            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-        return iter(made)
+    def _awaiting(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Return a handler that waits in its caller's thread for what is asynchronous."""
+        name = self._target.name
+        if _is(inspect.iscoroutinefunction, handler):
+            return lambda value: self._coroutines.run(name, handler(value))
+        if _is(inspect.isasyncgenfunction, handler):
+            return lambda value: self._coroutines.iterate(name, handler(value))
+        return handler
 
-    def _emit_all(self, result: Any) -> None:
+    def _iterator(self) -> Iterator[Any]:
+        made = self._object if self._target.is_class else self._object(**self._parameters)
+        if isinstance(made, Iterable):
+            return iter(made)
+        if hasattr(made, "__aiter__"):
+            messages: AsyncIterator[Any] = aiter(made)
+            return self._coroutines.iterate(self._target.name, messages)
+        if inspect.iscoroutine(made):
+            made.close()
+        text = f"{self._target.name} returned {type(made).__name__}, expected messages"
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+
+    def _emit_all(self, write: Write, result: Any) -> None:
         if isinstance(result, Iterator):
             for message in result:
-                self._emit(message)
+                self._emit(write, message)
         else:
-            self._emit(result)
+            self._emit(write, result)
 
-    def _emit(self, message: Any) -> None:
+    def _emit(self, write: Write, message: Any) -> None:
         port = "default"
         if isinstance(message, Emit):
-            port, message = message.port, message.message
+            port, message, write = message.port, message.message, None
         receivers = self._receivers.get(port)
         if receivers and message is not None:
-            plain = _plain(message)
+            if write is not None:
+                message = write(message)
+            elif message.__class__ is not dict:
+                message = plain(message)
             for _, deliver in receivers:
-                deliver(plain)
+                deliver(message)
 
 
-def _plain(message: Any) -> Message:
-    """Return a record as a dict, anything else as it is."""
-    if attrs.has(type(message)):
-        return attrs.asdict(message)
-    if dataclasses.is_dataclass(message) and not isinstance(message, type):
-        return dataclasses.asdict(message)
-    return message
+def _is(kind: Callable[[Any], bool], handler: Any) -> bool:
+    """Ask about a function, or about how an object is called."""
+    return kind(handler) or kind(getattr(handler, "__call__", None))  # noqa: B004 - the method

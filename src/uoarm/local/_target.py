@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import attrs
 from attrs import frozen
 
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local._hints import HintError, schema_of
+from uoarm.local._annotations import HintError
+from uoarm.local._hints import schema_of
 from uoarm.local._modules import Modules, written_name
-from uoarm.model import Endpoint, MessageStructure, Options, Role, Schema
+from uoarm.local._parameters import build_parameters, parameter_mistakes
+from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Target", "find", "structure"]
+__all__ = ["Emit", "Target", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _DECLARED = "__uoarm_structures__"
+_NOTHING = inspect.Parameter.empty
+
+
+@attrs.frozen
+class Emit:
+    """A message for a named output, for components with several."""
+
+    port: str
+    message: Message
 
 
 def structure(
@@ -50,8 +63,13 @@ class Target:
         """Whether an instance is built for each component."""
         return inspect.isclass(self.value)
 
+    def source_name(self) -> str | None:
+        """Return the name of the method with which a class is a source; None where it is none."""
+        names = ("__iter__", "__aiter__")
+        return next((one for one in names if self._own(one) is not None), None)
+
     def method(self, endpoint: Endpoint) -> Any:
-        """Return the callable behind a port, unbound.
+        """Return the callable behind a port, unbound; None for outputs that other methods feed.
 
         Raises:
             BridgeError: there is none.
@@ -59,10 +77,16 @@ class Target:
         if not self.is_class:
             return self.value
         if endpoint.role is Role.OUTPUT:
-            name = "__iter__" if hasattr(self.value, "__iter__") else "__call__"
-        else:
-            name = "__call__" if endpoint.port == "default" else endpoint.port
-        found = getattr(self.value, name, None)
+            found = self._own(self.source_name() or "__call__")
+            if found is not None or any(
+                inspect.isfunction(one) and not name.startswith("_")
+                for name, one in inspect.getmembers(self.value)
+            ):
+                return found
+            text = f"{self.name} has no method that gives messages: __iter__, __call__ or others"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        name = "__call__" if endpoint.port == "default" else endpoint.port
+        found = self._own(name)
         if found is None:
             text = f"{self.name} has no method {name!r} for the port {endpoint.port!r}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
@@ -72,49 +96,103 @@ class Target:
         """Return the structures of a port, from its declaration or its hints.
 
         Raises:
-            BridgeError: it has no such port, or a hint without a structure.
+            BridgeError: it has no such port, a hint without a structure, or the component's
+                parameters do not fit.
         """
+        self.require_parameters(endpoint.parameters)
         method = self.method(endpoint)
         declared: Mapping[str, Schema] = getattr(self.value, _DECLARED, {})
         declared = {**declared, **getattr(method, _DECLARED, {})}
-        given = endpoint.parameters
+
+        def read(part: str) -> MessageStructure | None:
+            if part in declared:
+                return MessageStructure(declared[part])
+            return None if method is None else self._derived(part, endpoint, _type_hints(method))
+
         if endpoint.role is Role.SERVICE:
-            return Description(
-                request=self._structure(declared.get("request"), method, given, taken=True),
-                reply=self._structure(declared.get("reply"), method, given, taken=False),
-            )
+            return Description(request=read("request"), reply=read("reply"))
         if endpoint.role is Role.INPUT:
-            return Description(self._structure(declared.get("input"), method, given, taken=True))
-        if endpoint.port != "default":
-            return Description()
-        return Description(self._structure(declared.get("output"), method, given, taken=False))
+            return Description(read("input"))
+        return Description(read("output") if endpoint.port == "default" else None)
 
     def takes_messages(self, endpoint: Endpoint) -> bool:
         """Say whether the callable behind a port is called with messages, or is a source."""
-        if self.is_class and endpoint.role is Role.OUTPUT and hasattr(self.value, "__iter__"):
-            return False
+        if self.is_class and endpoint.role is Role.OUTPUT:
+            return self.source_name() is None
         method = self.method(endpoint)
         return message_parameter(method, endpoint.parameters, bound=self.is_class) is not None
 
-    def _structure(
-        self, declared: Schema | None, method: Any, given: Options, *, taken: bool
+    def taken_hint(self, endpoint: Endpoint) -> Any:
+        """Return the hint of what a port takes; `inspect.Parameter.empty` where there is none."""
+        return _hints(self.method(endpoint)).get(self._message_parameter(endpoint), _NOTHING)
+
+    def given_hint(self, endpoint: Endpoint) -> Any:
+        """Return the hint of the messages that a port gives, or that answer what it takes."""
+        method = self.method(endpoint)
+        return _NOTHING if method is None else _return_hint(_hints(method), endpoint.role)
+
+    def parameter_mistakes(self, given: Options) -> dict[str, str]:
+        """Return what is wrong with a component's parameters, by name."""
+        accepted, hints = self._accepted(given)
+        return parameter_mistakes(accepted, hints, given)
+
+    def require_parameters(self, given: Options) -> None:
+        """Refuse parameters that do not fit.
+
+        Raises:
+            BridgeError: with BAD_ENDPOINT; the text names each of them.
+        """
+        wrong = self.parameter_mistakes(given)
+        if wrong:
+            told = "; ".join(f"parameter {name!r}: {what}" for name, what in wrong.items())
+            raise BridgeError(f"{self.name}: {told}", FailureReason.BAD_ENDPOINT)
+
+    def build_parameters(self, given: Options) -> dict[str, Any]:
+        """Return parameters as the values that their hints say.
+
+        Raises:
+            BridgeError: they do not fit.
+        """
+        self.require_parameters(given)
+        return build_parameters(self._accepted(given)[1], given, self.name)
+
+    def _accepted(self, given: Options) -> tuple[dict[str, inspect.Parameter], dict[str, Any]]:
+        """Return the parameters of a component, and their hints."""
+        try:
+            accepted = dict(inspect.signature(self.value).parameters)
+        except ValueError:  # what is written in C may have no signature
+            return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}
+        if not self.is_class:
+            accepted.pop(message_parameter(self.value, given, bound=False) or "", None)
+            return accepted, _hints(self.value)
+        return accepted, _hints(self.value.__init__)
+
+    def _own(self, name: str) -> Any:
+        """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
+        if any(name in vars(one) for one in self.value.__mro__):
+            return getattr(self.value, name, None)
+        return None
+
+    def _derived(
+        self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]
     ) -> MessageStructure | None:
-        if declared is not None:
-            return MessageStructure(declared)
-        hint = self._taken_hint(method, given) if taken else _return_hint(method)
-        if hint is inspect.Parameter.empty:
+        if part in {"input", "request"}:
+            hint = hints.get(self._message_parameter(endpoint), _NOTHING)
+        else:
+            hint = _return_hint(hints, endpoint.role)
+        if hint is _NOTHING:
             return None
         try:
             return MessageStructure(schema_of(hint), native_type=getattr(hint, "__name__", ""))
         except HintError as error:
             raise HintError(f"{self.name}: {error}") from error
 
-    def _taken_hint(self, method: Any, given: Options) -> Any:
-        name = message_parameter(method, given, bound=self.is_class)
+    def _message_parameter(self, endpoint: Endpoint) -> str:
+        name = message_parameter(self.method(endpoint), endpoint.parameters, bound=self.is_class)
         if name is None:
             text = f"{self.name} takes no message: every parameter has a value"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-        return get_type_hints(method, include_extras=True).get(name, inspect.Parameter.empty)
+        return name
 
 
 def find(address: Sequence[str], modules: Modules) -> Target:
@@ -157,15 +235,34 @@ def message_parameter(method: Any, given: Options, *, bound: bool) -> str | None
     return None
 
 
-def _return_hint(method: Any) -> Any:
-    hint = get_type_hints(method, include_extras=True).get("return", inspect.Parameter.empty)
+def _type_hints(method: Any) -> dict[str, Any]:
+    """Return the hints of a callable, also of one whose class says how it is called."""
+    has_own = inspect.isroutine(method) or inspect.isclass(method)
+    return get_type_hints(method if has_own else type(method).__call__, include_extras=True)
+
+
+def _hints(method: Any) -> dict[str, Any]:
+    """Return the hints of a callable; none where one cannot be read, for what is declared."""
+    try:
+        return _type_hints(method)
+    except (NameError, TypeError, AttributeError):
+        return {}
+
+
+def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
+    """Return the hint of one message: of what a generator yields, without `Emit`.
+
+    None is silence, and no message, but for a service, which always replies.
+    """
+    hint = hints.get("return", _NOTHING)
     origin = get_origin(hint)
-    if inspect.isclass(origin) and issubclass(origin, Iterator):
-        return get_args(hint)[0]
-    arguments = get_args(hint)
-    if type(None) in arguments and len(arguments) == 2:  # noqa: PLR2004 - X | None: None is silence
-        return next(one for one in arguments if one is not type(None))
-    return hint
+    if inspect.isclass(origin) and issubclass(origin, Iterator | AsyncIterator):
+        hint = get_args(hint)[0]
+    others = {Emit} if role is Role.SERVICE else {Emit, type(None)}
+    if get_origin(hint) in {Union, UnionType}:
+        messages = tuple(one for one in get_args(hint) if one not in others)
+        return Union[messages] if messages else _NOTHING  # noqa: UP007 - of as many as there are
+    return _NOTHING if hint in others else hint
 
 
 def _import(name: str, modules: Modules) -> Any:

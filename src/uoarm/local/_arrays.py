@@ -1,0 +1,146 @@
+"""Hints of numpy: which numbers in which shape, as a structure and as values.
+
+numpy is never imported here: whoever writes such a hint has done it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from attrs import frozen
+
+from uoarm.local._annotations import HintError, Shape
+
+__all__ = ["NumpyArray", "NumpyScalar", "array_of", "scalar_of"]
+
+_HOW = (
+    "write NDArray[numpy.float32], or another type of integers, floats or truths, and "
+    "Annotated[NDArray[numpy.float32], Shape(480, 640)] where there are several dimensions"
+)
+
+
+@frozen(eq=False)
+class NumpyScalar:
+    """A hint such as `numpy.float32`."""
+
+    dtype: Any
+
+    @property
+    def schema(self) -> Mapping[str, object]:
+        """The structure: a number within the type's range."""
+        numpy = sys.modules["numpy"]
+        if self.dtype.kind == "b":
+            return {"type": "boolean"}
+        if self.dtype.kind == "f":
+            return {"type": "number"}
+        limits = numpy.iinfo(self.dtype)
+        return {"type": "integer", "minimum": int(limits.min), "maximum": int(limits.max)}
+
+    def read(self, value: Any, _: Any = None) -> Any:
+        """Make numpy's scalar of a number."""
+        return self.dtype.type(value)
+
+    def write(self, value: Any) -> Any:
+        """Make a number of numpy's scalar."""
+        return self.dtype.type(value).item()
+
+
+@frozen(eq=False)
+class NumpyArray:
+    """A hint such as `NDArray[numpy.float32]`, with or without a `Shape`."""
+
+    item: NumpyScalar
+    lengths: tuple[int | None, ...]
+
+    @property
+    def schema(self) -> Mapping[str, object]:
+        """The structure: arrays in arrays."""
+        schema = self.item.schema
+        for length in reversed(self.lengths):
+            schema = {"type": "array", "items": schema}
+            if length is not None:
+                schema |= {"minItems": length, "maxItems": length}
+        if len(self.lengths) == 1 and self.item.dtype == "uint8":
+            schema = {**schema, "x-octets": True}
+        return schema
+
+    def read(self, value: Any, _: Any = None) -> Any:
+        """Make an array of lists, octets or a numeric buffer; without a copy where it can be."""
+        numpy = sys.modules["numpy"]
+        if isinstance(value, bytes | bytearray | memoryview):
+            return self._checked(numpy.frombuffer(value, self.item.dtype))
+        return self._checked(numpy.asarray(value, self.item.dtype))
+
+    def write(self, value: Any) -> Any:
+        """Return an array of the type and shape that were promised."""
+        numpy = sys.modules["numpy"]
+        given = numpy.asarray(value)
+        try:
+            cast = given.astype(self.item.dtype, casting="same_kind", copy=False)
+        except TypeError:
+            raise TypeError(f"expected {self}, got numbers of {given.dtype}") from None
+        if cast is not given and cast.dtype.kind in "iu" and not numpy.array_equal(cast, given):
+            raise TypeError(f"expected {self}, got numbers that it cannot hold")
+        return self._checked(cast)
+
+    def _checked(self, array: Any) -> Any:
+        if array.ndim != len(self.lengths) or any(
+            wanted not in {None, found}
+            for wanted, found in zip(self.lengths, array.shape, strict=True)
+        ):
+            raise ValueError(f"expected {self}, got one of the shape {array.shape}")
+        return array
+
+    def __str__(self) -> str:
+        lengths = " x ".join("any" if one is None else str(one) for one in self.lengths)
+        return f"an array of {self.item.dtype}, {lengths}"
+
+
+def scalar_of(hint: Any) -> NumpyScalar | None:
+    """Return what a hint of one of numpy's numbers says; None for any other hint."""
+    numpy = sys.modules.get("numpy")
+    if numpy is None or not isinstance(hint, type) or not issubclass(hint, numpy.generic):
+        return None
+    if hint not in _concrete():
+        raise HintError(f"the type hint {hint!r} has no message structure: {_HOW}")
+    return NumpyScalar(numpy.dtype(hint))
+
+
+def array_of(hint: Any) -> NumpyArray | None:
+    """Return what a hint of an array says; None for any other hint.
+
+    Raises:
+        HintError: it does not say which numbers, or they make no message.
+    """
+    numpy = sys.modules.get("numpy")
+    if numpy is None:
+        return None
+    notes: tuple[Any, ...] = ()
+    if get_origin(hint) is Annotated:
+        hint, *notes = get_args(hint)  # type: ignore[assignment] # a list of notes
+    if hint is not numpy.ndarray and get_origin(hint) is not numpy.ndarray:
+        return None
+    shape, dtype = get_args(hint) or (None, None)
+    inner = get_args(dtype)
+    item = scalar_of(inner[0]) if inner else None
+    if item is None:
+        raise HintError(f"the type hint {hint!r} does not say which numbers: {_HOW}")
+    stated = next((one.lengths for one in notes if isinstance(one, Shape)), None)
+    return NumpyArray(item, _lengths(shape) if stated is None else stated)
+
+
+def _lengths(shape: Any) -> tuple[int | None, ...]:
+    """Return the lengths of `tuple[int, int]`; any that is not so exact is one dimension."""
+    parts = get_args(shape)
+    if not parts or Ellipsis in parts or get_origin(shape) is not tuple:
+        return (None,)
+    return tuple(get_args(one)[0] if get_origin(one) is Literal else None for one in parts)
+
+
+@cache
+def _concrete() -> frozenset[type]:
+    numpy = sys.modules["numpy"]
+    return frozenset(numpy.dtype(code).type for code in "?bBhHiIlLqQefd")

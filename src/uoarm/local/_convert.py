@@ -1,0 +1,223 @@
+"""Messages as the values that hints describe, and back: by cattrs, compiled once for each hint.
+
+cattrs, numpy and pydantic are imported only where a hint needs them. A hint that plain values
+meet as they are (TypedDict of numbers and texts, lists of numbers) has no conversion at all.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.local._annotations import HintError
+from uoarm.local._arrays import array_of, scalar_of
+from uoarm.local._hints import is_enum, is_model, is_named_tuple, is_plain, is_record
+from uoarm.model import Message
+
+if TYPE_CHECKING:
+    from cattrs import Converter
+
+__all__ = ["plain", "reader", "writer"]
+
+
+def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
+    """Return what makes the value that a hint says of a message; None: the message is that.
+
+    Args:
+        hint: a type hint, or `inspect.Parameter.empty`.
+        place: who takes the values, for errors.
+
+    The function raises MessageError, with the path, for a message of another structure.
+
+    Raises:
+        HintError: no such value can be made.
+    """
+    if is_plain(hint):
+        return None
+    from cattrs import transform_error  # noqa: PLC0415 - slow import
+
+    structure = _compiled(hint, _converter().get_structure_hook)
+    name = getattr(hint, "__name__", hint)
+
+    def read(message: Message) -> Any:
+        try:
+            return structure(message, hint)
+        except Exception as error:
+            told = "; ".join(transform_error(error, path="the message", format_exception=_tell))
+            raise MessageError(f"{place} takes {name}: {told}") from error
+
+    return read
+
+
+def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
+    """Return what makes a message of a value that should be as a hint says.
+
+    None where such values are messages already; `plain` then takes what else comes.
+
+    Args:
+        hint: a type hint, or `inspect.Parameter.empty`.
+        place: who gives the values, for errors.
+
+    The function raises BridgeError, which blames the component, for a value of another type.
+
+    Raises:
+        HintError: values of this type make no messages.
+    """
+    if is_plain(hint):
+        return None
+    write = _compiled(hint, _converter().get_unstructure_hook)
+    name = getattr(hint, "__name__", hint)
+    own = hint if is_record(hint) else None
+
+    def unstructure(value: Any) -> Message:
+        try:
+            return write(value) if own is None or value.__class__ is own else plain(value)
+        except Exception as error:
+            text = f"{place} gave something else than {name}: {error}"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
+
+    return unstructure
+
+
+def plain(value: Any) -> Message:
+    """Return an object of a record class, an enumeration or numpy as plain values."""
+    write = _write_of(value.__class__)
+    return value if write is None else write(value)
+
+
+@lru_cache(maxsize=1024)
+def _write_of(kind: type) -> Callable[[Any], Message] | None:
+    if is_record(kind) or is_enum(kind) or scalar_of(kind) is not None:
+        hook: Callable[[Any], Message] = _converter().get_unstructure_hook(kind)
+        return hook
+    return None
+
+
+def _compiled(hint: Any, get_hook: Callable[[Any], Any]) -> Any:
+    try:
+        return get_hook(hint)
+    except Exception as error:
+        text = f"the type hint {hint!r} cannot be converted: {error}"
+        raise HintError(text) from error
+
+
+def _tell(error: BaseException, kind: type | None) -> str:
+    del kind
+    if isinstance(error, KeyError):
+        return f"the field {error.args[0]!r} is missing"
+    found = getattr(error, "errors", None)
+    if callable(found):  # pydantic's, whose text is a page
+        return "; ".join(f"{one['msg']} @ {'.'.join(map(str, one['loc']))}" for one in found())
+    return str(error) or type(error).__name__
+
+
+@cache
+def _converter() -> Converter:
+    """Return the converter of all hints; predicates that were registered last are asked first."""
+    import cattrs  # noqa: PLC0415 - slow import
+    from cattrs import cols, strategies  # noqa: PLC0415
+    from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn  # noqa: PLC0415
+
+    made = cattrs.Converter()
+    for kind in (bool, int, float, str):  # the structures were proven: nothing is coerced
+        made.register_structure_hook(kind, _as_it_is)
+    for octets in (bytes, bytearray, memoryview):
+        made.register_structure_hook(octets, _octets)
+        made.register_unstructure_hook(octets, _same)
+    made.register_unstructure_hook(bool, _truth)
+    made.register_unstructure_hook(int, _integer)
+    made.register_unstructure_hook(float, _number)
+    strategies.configure_union_passthrough(str | bool | int | float | None, made)
+    made.register_structure_hook_factory(
+        is_named_tuple, lambda kind: cols.namedtuple_dict_structure_factory(kind, made)
+    )
+    made.register_unstructure_hook_factory(
+        is_named_tuple, lambda kind: cols.namedtuple_dict_unstructure_factory(kind, made)
+    )
+    made.register_structure_hook_factory(
+        is_model, lambda kind: lambda value, _: kind.model_validate(value)
+    )
+    made.register_unstructure_hook_factory(
+        is_model, lambda _: lambda value: value.model_dump(mode="json", by_alias=True)
+    )
+    made.register_structure_hook_factory(
+        _is_class, lambda kind: make_dict_structure_fn(kind, made, **_annotated(kind, made))
+    )
+    made.register_unstructure_hook_factory(
+        _is_class, lambda kind: make_dict_unstructure_fn(kind, made, **_annotated(kind, made))
+    )
+    made.register_structure_hook_factory(_numbers, lambda hint: _numbers(hint).read)
+    made.register_unstructure_hook_factory(_numbers, lambda hint: _numbers(hint).write)
+    made.register_structure_hook_factory(_is_passed, lambda _: _as_it_is)
+    made.register_unstructure_hook_factory(_is_passed, lambda _: _same)
+    return made
+
+
+def _is_class(kind: Any) -> bool:
+    return is_record(kind) and not is_named_tuple(kind) and not is_model(kind)
+
+
+def _annotated(kind: Any, made: Converter) -> dict[str, Any]:
+    """Return the hooks of fields whose annotations cattrs would not see: those written as text."""
+    from cattrs.gen import override  # noqa: PLC0415 - slow import
+
+    full, bare = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    found: dict[str, Any] = {}
+    for name, hint in full.items():
+        if hint != bare[name]:
+            found[name] = override(
+                struct_hook=made.get_structure_hook(hint),
+                unstruct_hook=made.get_unstructure_hook(hint),
+            )
+    return found
+
+
+def _numbers(hint: Any) -> Any:
+    """Return what a hint of numpy says; None for any other."""
+    return scalar_of(hint) or array_of(hint)
+
+
+def _is_passed(hint: Any) -> bool:
+    return not any(hint is one for one in (bool, int, float, str)) and is_plain(hint)
+
+
+def _as_it_is(value: Any, _: Any) -> Any:
+    return value
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+def _octets(value: Any, kind: Any) -> Any:
+    return value if isinstance(value, kind) else kind(value)
+
+
+def _truth(value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    if type(value).__name__ in {"bool", "bool_"} and hasattr(value, "item"):  # numpy's
+        return bool(value)
+    raise TypeError(f"expected true or false, got {value!r:.60}")
+
+
+def _integer(value: Any) -> int:
+    if value.__class__ is int:
+        return value
+    if isinstance(value, bool):
+        raise TypeError(f"expected an integer, got {value!r}")
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise TypeError(f"expected an integer, got {value!r:.60}") from None
+
+
+def _number(value: Any) -> float:
+    if value.__class__ is float or value.__class__ is int:
+        return value
+    if isinstance(value, bool | str | bytes) or not hasattr(value, "__float__"):
+        raise TypeError(f"expected a number, got {value!r:.60}")
+    return float(value)

@@ -1,0 +1,79 @@
+"""Parameters of components: what was written for them, against their signature and its hints."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm._mistakes import mistakes
+from uoarm._spelling import Speller
+from uoarm.local._annotations import HintError
+from uoarm.local._convert import reader
+from uoarm.local._hints import schema_of
+from uoarm.model import Options
+
+__all__ = ["build_parameters", "parameter_mistakes"]
+
+
+def parameter_mistakes(
+    accepted: Mapping[str, inspect.Parameter], hints: Mapping[str, Any], given: Options
+) -> dict[str, str]:
+    """Return what is wrong with parameters, by name; nothing where they fit.
+
+    Args:
+        accepted: the parameters of a function or class, without the one that takes messages.
+        hints: their type hints; what has none, or one without a structure, takes everything.
+        given: the values in the configuration.
+    """
+    found: dict[str, str] = {}
+    takes_all = any(one.kind is one.VAR_KEYWORD for one in accepted.values())
+    named = {one.name for one in accepted.values() if one.kind in _NAMED}
+    for name, value in given.items():
+        if name in named:
+            wrong = _misfit(value, hints.get(name, inspect.Parameter.empty))
+            if wrong:
+                found[name] = wrong
+        elif not takes_all:
+            close = difflib.get_close_matches(name, named, n=1)
+            known = f"there are {', '.join(sorted(named))}" if named else "it takes none"
+            hint = f"did you mean {close[0]!r}?" if close else known
+            found[name] = f"there is no such parameter: {hint}"
+    for name in sorted(named - given.keys()):
+        if accepted[name].default is inspect.Parameter.empty:
+            found[name] = "it has no value: give it one under `parameters`"
+    return found
+
+
+def build_parameters(hints: Mapping[str, Any], given: Options, place: str) -> dict[str, Any]:
+    """Return the parameters as the values that their hints say.
+
+    Raises:
+        MessageError: a value does not fit its hint.
+    """
+    built: dict[str, Any] = {}
+    for name, value in given.items():
+        read = reader(hints.get(name, Any), f"the parameter {name!r} of {place}")
+        built[name] = value if read is None else read(value)
+    return built
+
+
+_NAMED = {inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY}
+
+
+def _misfit(value: object, hint: Any) -> str:
+    """Return what is wrong with a value, "" where it fits or the hint says nothing."""
+    from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
+
+    try:
+        schema = schema_of(hint)
+    except HintError:
+        return ""
+    speller = Speller()
+    told = [
+        f"{'.'.join(map(str, path))}: {sentence}" if path else sentence
+        for error in Draft202012Validator(schema).iter_errors(value)
+        for path, sentence, _, _ in mistakes(error, speller)
+    ]
+    return "; ".join(told)

@@ -1,0 +1,178 @@
+"""Handlers get and give what their hints say: objects, arrays, numbers of numpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.local import talk, typed_parts
+
+from uoarm import RobotManager
+from uoarm._dataplane import make_check
+from uoarm.config import loads
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.local import HintError, schema_of
+from uoarm.model import MessageStructure, Role, ValidationMode
+from uoarm.testing import patience, same
+
+SCAN = typed_parts.scan_of()
+
+
+@pytest.mark.parametrize("name", ["pass_scan", "ask_scan"])
+def test_a_handler_gets_objects_in_objects_and_gives_plain_values(name: str) -> None:
+    found = talk.through(name, SCAN)[0] if name == "pass_scan" else talk.call(name, SCAN)
+    assert same(found, SCAN)
+    assert type(found["header"]["mode"]) is str
+
+
+def test_a_typed_dict_of_objects_is_made_of_objects() -> None:
+    box = {"scan": SCAN, "count": 1}
+    assert same(talk.through("pass_box", box)[0], box)
+
+
+def test_a_source_gives_objects() -> None:
+    assert same(talk.given("scans")[0], SCAN)
+
+
+def test_a_model_of_pydantic_is_built_and_given() -> None:
+    pytest.importorskip("pydantic")
+    name = "tests.local.model_parts:ask_order"
+    assert talk.call(name, {"amount": 1, "mode": "slow"}) == {"amount": 2, "mode": "slow"}
+    with pytest.raises(MessageError, match="greater than or equal to 0 @ amount"):
+        talk.call(name, {"amount": -1, "mode": "slow"})
+    described: Any = talk.describe(name, Role.SERVICE).request
+    assert described.schema["required"] == ["amount", "mode"]
+    assert described.schema["properties"]["amount"]["minimum"] == 0
+    assert described.schema["properties"]["mode"]["enum"] == ["fast", "slow"]
+    assert described.schema["additionalProperties"] is False
+
+
+def test_structures_are_those_of_the_objects() -> None:
+    structure = talk.describe("pass_scan", Role.INPUT).message
+    assert structure is not None
+    check = make_check(structure, ValidationMode.ALWAYS, "here")
+    assert check is not None
+    check(SCAN)
+    for key, wrong in (("ranges", ["a"]), ("picture", [[1]]), ("points", [[1, 2]])):
+        with pytest.raises(MessageError, match=key):
+            check({**SCAN, key: wrong})
+    schema: Any = structure.schema
+    assert schema["properties"]["ranges"] == {"type": "array", "items": {"type": "number"}}
+    assert schema["required"] == list(SCAN)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"header": {"stamp": 1, "note": None}}, "'mode' is missing @ the message.header"),
+        ({"points": [{"x": 1.0}]}, r"'y' is missing @ the message.points\[0\]"),
+        ({"picture": [[1]]}, "2 x any, got one of the shape .* @ the message.picture"),
+        ({"header": {"stamp": 1, "mode": "fst", "note": None}}, "'fst' is not a valid Mode"),
+    ],
+)
+def test_a_message_of_another_structure_is_refused_with_its_path(change: Any, told: str) -> None:
+    with pytest.raises(MessageError, match=told):
+        talk.call("ask_scan", {**SCAN, **change})
+
+
+@pytest.mark.parametrize("name", ["vague", "very_vague"])
+def test_an_array_of_unknown_numbers_is_refused_with_what_to_write(name: str) -> None:
+    with pytest.raises(HintError, match=r"write NDArray\[numpy.float32\].*Shape\(480, 640\)"):
+        talk.describe(name, Role.INPUT)
+
+
+def test_hints_of_numpy_have_structures() -> None:
+    assert schema_of(np.int16) == {"type": "integer", "minimum": -(2**15), "maximum": 2**15 - 1}
+    assert schema_of(NDArray[np.uint8])["x-octets"] is True
+    nested: Any = schema_of(np.ndarray[tuple[int, int], np.dtype[np.float64]])
+    assert nested["items"] == {"type": "array", "items": {"type": "number"}}
+    for hint in (np.floating, NDArray[np.complex64], np.ndarray):
+        with pytest.raises(HintError, match="write NDArray"):
+            schema_of(hint)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    for name in ("numpy_numbers", "numpy_reals"):
+        structure = talk.describe(name, Role.OUTPUT).message
+        assert structure is not None
+        check = make_check(structure, ValidationMode.ALWAYS, name)
+        assert check is not None
+        check(talk.given(name)[0])
+    counted = talk.given("numpy_count")[0]
+    assert type(counted["value"]) is int
+
+
+@pytest.mark.parametrize("value", [np.float32(0.5), np.array([1]), np.int64(300), np.bool_(True)])
+def test_numbers_of_numpy_are_checked_as_others_are(value: Any) -> None:
+    check = make_check(
+        MessageStructure({"type": "integer", "maximum": 255}), ValidationMode.ALWAYS, "here"
+    )
+    assert check is not None
+    check(np.uint8(255))
+    with pytest.raises(MessageError):
+        check(value)
+
+
+def test_an_object_with_a_wrong_value_is_the_components_fault() -> None:
+    with pytest.raises(BridgeError, match=r"typed_parts:wrong_reply gave .* got 'nine'") as caught:
+        talk.call("wrong_reply", {"value": 1})
+    assert caught.value.reason is FailureReason.BAD_MESSAGE
+
+
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  ask:
+    components:
+      - {name: nine, bridge: python, service: {endpoint: ["tests.local.typed_parts:wrong_number"]}}
+  sum:
+    components:
+      - name: named
+        bridge: python
+        parameters: {factor: 2}
+        inputs:
+          left: {endpoint: ["tests.local.typed_parts:Named"]}
+          right: {endpoint: ["tests.local.typed_parts:Named"]}
+        outputs:
+          sum: {endpoint: ["tests.local.typed_parts:Named"], structure: {type: object}}
+"""
+
+
+def test_a_reply_that_breaks_its_structure_is_an_error_of_the_service() -> None:
+    with (
+        RobotManager(loads(ROBOT)) as robot,
+        pytest.raises(
+            BridgeError, match=r"reply of nine.*value: 'nine' is not .* 'integer'"
+        ) as caught,
+    ):
+        robot.call("ask", {"value": 1}, timeout=patience())
+    assert caught.value.reason is FailureReason.BAD_MESSAGE
+
+
+def test_a_class_with_named_inputs_and_outputs_needs_no_call() -> None:
+    with RobotManager(loads(ROBOT)) as robot, robot.request("sum.sum") as sums:
+        sums.send({"value": 1}, "left")
+        assert sums.get(patience()) == {"value": 2}
+        sums.send({"value": 1}, "right")
+        assert sums.get(patience()) == {"value": -2}
+
+
+def test_nothing_heavy_is_imported_for_plain_components() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys; from tests.local import talk, parts\n"
+        "from uoarm.model import Endpoint, Role\n"
+        "with talk.bridge() as made:\n"
+        "    made.call(Endpoint('p', 'd', Role.SERVICE, ('tests.local.parts:double',)), "
+        "{'value': 1})\n"
+        "print([one for one in ('cattrs', 'numpy', 'pydantic') if one in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
+    )
+    assert done.stdout.strip() == "[]"

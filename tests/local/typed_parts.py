@@ -1,0 +1,237 @@
+"""Components whose messages are objects, and what they are asked to do wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated, Any, NamedTuple, TypedDict
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from uoarm.local import Emit, Octets, Range, Shape
+
+
+class Mode(Enum):
+    FAST = "fast"
+    SLOW = "slow"
+
+
+class Point(NamedTuple):
+    x: float
+    y: float
+
+
+@attrs.frozen
+class Header:
+    stamp: int
+    mode: Mode
+    note: str | None = None
+
+
+@dataclass
+class Scan:
+    header: Header
+    ranges: NDArray[np.float32]
+    points: list[Point]
+    picture: Annotated[NDArray[np.uint8], Shape(2, None)]
+    raw: Octets
+    pair: tuple[int, bool]
+    named: dict[str, Point]
+
+
+class Box(TypedDict):
+    scan: Scan
+    count: int
+
+
+class Number(TypedDict):
+    value: int
+
+
+class Reals(TypedDict):
+    value: float
+    truth: bool
+
+
+@dataclass
+class Count:
+    value: int
+
+
+def scan_of(mode: str = "fast") -> dict[str, Any]:
+    return {
+        "header": {"stamp": 7, "mode": mode, "note": None},
+        "ranges": [0.5, 2.0],
+        "points": [{"x": 1.0, "y": 2.0}],
+        "picture": [[1, 2, 3], [4, 5, 6]],
+        "raw": b"\x01\x02",
+        "pair": [3, True],
+        "named": {"a": {"x": 0.0, "y": 0.5}},
+    }
+
+
+SCAN = Scan(
+    Header(7, Mode.FAST),
+    np.array([0.5, 2.0], np.float32),
+    [Point(1.0, 2.0)],
+    np.array([[1, 2, 3], [4, 5, 6]], np.uint8),
+    b"\x01\x02",
+    (3, True),
+    {"a": Point(0.0, 0.5)},
+)
+
+
+def is_scan(scan: object) -> bool:
+    return (
+        isinstance(scan, Scan)
+        and scan.header == SCAN.header
+        and scan.ranges.dtype == np.float32
+        and scan.ranges.tolist() == [0.5, 2.0]
+        and scan.points == SCAN.points
+        and type(scan.points[0]) is Point
+        and scan.picture.dtype == np.uint8
+        and scan.picture.tolist() == [[1, 2, 3], [4, 5, 6]]
+        and bytes(scan.raw) == b"\x01\x02"
+        and scan.pair == (3, True)
+        and type(scan.named["a"]) is Point
+    )
+
+
+def scans() -> Iterator[Scan]:
+    yield SCAN
+
+
+def pass_scan(scan: Scan) -> Scan:
+    assert is_scan(scan), scan
+    return scan
+
+
+def pass_box(box: Box) -> Box:
+    assert is_scan(box["scan"]), box
+    return box
+
+
+def ask_scan(scan: Scan) -> Scan:
+    return pass_scan(scan)
+
+
+def numpy_numbers() -> Iterator[Number]:
+    yield {"value": np.int64(7)}
+
+
+def numpy_reals() -> Iterator[Reals]:
+    yield {"value": np.float32(0.5), "truth": np.bool_(True)}  # type: ignore[typeddict-item]
+
+
+def numpy_count() -> Iterator[Count]:
+    yield Count(np.int64(7))
+
+
+def wrong_count() -> Iterator[Count]:
+    yield Count("nine")  # type: ignore[arg-type]
+
+
+def wrong_number(asked: Number) -> Number:
+    return {"value": "nine"}  # type: ignore[typeddict-item]
+
+
+def wrong_reply(asked: Number) -> Count:
+    return Count("nine")  # type: ignore[arg-type]
+
+
+def vague(picture: np.ndarray) -> Number:
+    return {"value": picture.ndim}
+
+
+def very_vague(picture: NDArray[Any]) -> Number:
+    return {"value": picture.ndim}
+
+
+class Named:
+    """It has named inputs and named outputs, and nothing else."""
+
+    def __init__(self, factor: Annotated[int, Range(1)] = 1) -> None:
+        self._factor = factor
+
+    def left(self, message: Number) -> Emit:
+        return Emit("sum", {"value": message["value"] * self._factor})
+
+    def right(self, message: Number) -> Iterator[Emit]:
+        yield Emit("sum", {"value": -message["value"] * self._factor})
+
+
+class Limits(NamedTuple):
+    least: float
+    most: float
+
+
+def clip(message: Reals, limits: Limits, *, near: float = 0.5) -> Reals:
+    value = min(max(message["value"], limits.least), limits.most)
+    return {"value": value, "truth": message["truth"]}
+
+
+class Started:
+    """How far asynchronous components got."""
+
+    cancelled = threading.Event()
+    begun = threading.Event()
+    threads: set[str] = set()  # noqa: RUF012 - of all of them
+
+
+async def wait_long(message: Number) -> Number:
+    Started.begun.set()
+    try:
+        await asyncio.Event().wait()
+    except asyncio.CancelledError:
+        Started.cancelled.set()
+        raise
+    return message
+
+
+async def add(message: Number) -> Number:
+    Started.threads.add(threading.current_thread().name)
+    await asyncio.sleep(0)
+    return {"value": message["value"] + 1}
+
+
+async def count_up(message: Number) -> AsyncIterator[Number]:
+    for value in range(message["value"]):
+        await asyncio.sleep(0)
+        yield {"value": value}
+
+
+async def counting() -> AsyncIterator[Count]:
+    for value in range(3):
+        await asyncio.sleep(0)
+        yield Count(value)
+
+
+async def silent_source() -> AsyncIterator[Number]:
+    Started.begun.set()
+    try:
+        await asyncio.Event().wait()
+    except asyncio.CancelledError:
+        Started.cancelled.set()
+        raise
+    yield {"value": 0}
+
+
+class Adder:
+    """Asynchronous in everything, with a state in one thread."""
+
+    def __init__(self, start: int = 0) -> None:
+        self._value = start
+
+    async def __call__(self, message: Number) -> Number:
+        await asyncio.sleep(0)
+        self._value += message["value"]
+        return {"value": self._value}
+
+    async def close(self) -> None:
+        await asyncio.sleep(0)
+        Started.cancelled.set()
