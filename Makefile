@@ -96,7 +96,7 @@ $(VENV)/.demo: pyproject.toml | $(BIN)/python
 
 $(VENV)/.live: pyproject.toml | $(BIN)/python
 	@echo "Installing uoarm with its vision and server packages into $(VENV) (about 210 MB, once) ..."
-	$(BIN)/python -m pip install --progress-bar on -e '.[vision-lbph,vision-dlib,server]'
+	$(BIN)/python -m pip install --progress-bar on -e '.[vision-lbph,vision-dlib,server]' -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
@@ -104,7 +104,7 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	@echo "Installing uoarm, its bridges and the HealthBot's packages into $(VENV) (once) ..."
 	$(BIN)/python -m pip install --progress-bar on \
 	  -e '.[vision-lbph,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
-	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]'
+	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]' -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.core: pyproject.toml | $(BIN)/python

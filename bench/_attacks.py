@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import cbor2
 from attrs import frozen
-from tests.server.hostile import HOSTILE, Hostile
+from tests.server.hostile import HOSTILE, Hostile, many
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
@@ -80,13 +80,19 @@ def answers(made: ClientConnection, count: int, seconds: float = SECONDS) -> str
 
 def inputs(hostile: Hostile) -> Callable[[str], str]:
     def run(url: str) -> str:
-        path = "/rosbridge" if hostile.form == "rosbridge" else "/"
-        with client(url, path=path, binary=hostile.form == "cbor") as made:
+        with client(url, binary=hostile.form == "cbor") as made:
             for frame in hostile.frames():
                 made.send(frame)
             return answers(made, 1, 60)
 
     return run
+
+
+def small_objects(url: str) -> str:
+    with client(url, path="/rosbridge") as made:
+        call = '{"op":"call_service","service":"/anything","id":"h","args":%s}'
+        made.send(call % many('{"a":[]}'))
+        return answers(made, 1, 60)
 
 
 def latch(url: str) -> str:
@@ -221,7 +227,7 @@ ATTACKS: Mapping[str, Attack] = {
     "dimensions": one_input("1", "60,000 dimensions"),
     "huge": one_input("2", "huge dimensions"),
     "lists": one_input("3", "empty lists"),
-    "objects": one_input("3", "small objects to rosbridge"),
+    "objects": Attack("3", "one frame of small objects to rosbridge", small_objects),
     "cbor-lists": one_input("3", "empty lists in CBOR"),
     "latch": Attack("4", "30 latched topics, 4 MB each", latch),
     "data": Attack("5", "4 times 20 x 2 MB for a component that hangs, then gone", data),

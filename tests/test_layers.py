@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ ROOT = Path(uoarm.__file__).parent
 # From the bottom up; a layer may import itself and everything before it.
 LAYERS = [
     {"errors", "_version", "_origin", "_spelling", "_whole_file", "_workers"},
+    {"_plugins"},
     {"_yaml"},
     {"_mistakes"},
     {"schema"},
@@ -111,3 +113,40 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
     assert done.stdout.strip() == "[]"
+
+
+PLUGINS = Path(__file__).parents[1] / "plugins"
+
+
+def _private(source: str) -> set[str]:
+    """Return what a module of a plugin imports of uoarm that is private."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            package, *parts = name.split(".")
+            if package == "uoarm" and any(re.match("_(?!_)", part) for part in parts):
+                found.add(name)
+    return found
+
+
+@pytest.mark.parametrize(
+    "path", sorted(PLUGINS.glob("*/src/**/*.py")), ids=lambda path: str(path.relative_to(PLUGINS))
+)
+def test_a_plugin_imports_what_is_public_only(path: Path) -> None:
+    assert not _private(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["import uoarm._wire", "from uoarm._wire import Form", "from uoarm.server import _feed",
+     "from uoarm.server._feed import Feed", "from uoarm import __version__, _origin"],
+)  # fmt: skip
+def test_private_imports_are_found(line: str) -> None:
+    assert _private(line)
+    assert not _private(line.replace("uoarm", "uoarm_ros2").replace("_origin", "errors"))

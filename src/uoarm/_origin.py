@@ -17,6 +17,8 @@ from attrs import frozen
 __all__ = ["Origin", "install_command", "installed", "origin_of"]
 
 _CORE = "uoarm"
+# An extra that brings another distribution of ours, which pip must not look for on an index.
+_BROUGHT = {(_CORE, "server"): "uoarm-rosbridge"}
 
 
 @frozen
@@ -61,10 +63,18 @@ def origin_of(name: str) -> Origin | None:
 
 def install_command(name: str, extra: str = "") -> str:
     """Return the command that installs a distribution of ours with one of its extras."""
+    wanted = [_argument(name, extra)]
+    brought = _BROUGHT.get((name, extra))
+    if brought is not None and installed(brought) is None and origin_of(brought) is not None:
+        wanted.append(_argument(brought, ""))
+    return f"pip install {' '.join(wanted)}"
+
+
+def _argument(name: str, extra: str) -> str:
     origin = origin_of(name)
     target = name if origin is None else str(origin.path)
     option = "-e " if origin is not None and origin.editable else ""
-    return f"pip install {option}{shlex.quote(f'{target}[{extra}]' if extra else target)}"
+    return f"{option}{shlex.quote(f'{target}[{extra}]' if extra else target)}"
 
 
 def _recorded(found: Distribution) -> Origin | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from uoarm import _origin
 from uoarm.bridge import install_command
 
 
@@ -42,6 +43,17 @@ def test_a_checkout(site: Path, checkout: Path, editable: bool, option: str) -> 
     plugin = checkout / "plugins" / "uoarm-absent"
     assert install_command("uoarm-absent", "x") == f"pip install {option}'{plugin}[x]'"
     assert install_command("uoarm-nowhere") == "pip install uoarm-nowhere"
+
+
+def test_an_extra_that_brings_another_distribution_of_the_same_checkout(
+    site: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(site, {"url": checkout.as_uri(), "dir_info": {"editable": True}})
+    monkeypatch.setattr(_origin, "_BROUGHT", {("uoarm", "server"): "uoarm-absent"})
+    plugin = checkout / "plugins" / "uoarm-absent"
+    both = f"pip install -e '{checkout}[server]' -e '{plugin}'"
+    assert install_command("uoarm", "server") == both
+    assert install_command("uoarm", "hosts") == f"pip install -e '{checkout}[hosts]'"
 
 
 def test_a_wheel_and_those_beside_it(site: Path, tmp_path: Path) -> None:

@@ -38,10 +38,6 @@ from uoarm.model import (
     scan_json,
 )
 from uoarm.server._request_head import RefusedError, read_head
-from uoarm.server.rosbridge._cdr import serialiser
-from uoarm.server.rosbridge._fragments import Fragments
-from uoarm.server.rosbridge._subscription import read_wish
-from uoarm.server.rosbridge._wire import check_fields, read_operation
 
 BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
 _LONGEST_ERROR = 2000
@@ -55,21 +51,6 @@ _STRUCTURE = MessageStructure(
             "rows": {"type": "array", "items": {"type": "array", "items": {"type": "integer"}}},
             "more": {"type": "object", "additionalProperties": {"$ref": "#"}},
         },
-    }
-)
-_LAID_OUT = MessageStructure(
-    {
-        "type": "object",
-        "properties": {
-            "width": {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
-            "name": {"type": "string"},
-            "data": {
-                "type": "array",
-                "items": {"type": "number", "x-float": 64},
-            },
-        },
-        "required": ["width", "name", "data"],
-        "additionalProperties": False,
     }
 )
 
@@ -141,21 +122,6 @@ def _scan(data: bytes) -> None:
         within(json.loads(text), BUDGET)
 
 
-def _rosbridge(data: bytes) -> None:
-    fragments = Fragments(4096)
-    for line in text_of(data).split("\n"):
-        fields = read_operation(line, Spending(BUDGET))
-        within(fields, BUDGET)
-        check_fields(fields, ("op",))
-        read_wish(fields)
-        if fields["op"] == "fragment":
-            check_fields(fields, ("id", "data", "num", "total"))
-            whole = fragments.add(fields)
-            assert 0 <= fragments.octets <= 4096
-            if whole is not None:
-                read_operation(whole, Spending(BUDGET))
-
-
 def _logical(data: bytes) -> None:
     message = orjson.loads(text_of(data))
     reader = TEXT_FORM.reader(_STRUCTURE.schema)
@@ -163,10 +129,6 @@ def _logical(data: bytes) -> None:
     check = make_check(_STRUCTURE, ValidationMode.ALWAYS, "here")
     assert check is not None
     check(reader(message))
-
-
-def _cdr(data: bytes) -> None:
-    serialiser(_LAID_OUT)(orjson.loads(text_of(data)))
 
 
 def _host_frame(data: bytes) -> None:
@@ -231,15 +193,6 @@ _CORE: Mapping[str, Target] = {
     "JSON of the native protocol": Target(_form(TEXT_FORM), (ControlMessageError,), _JSON_SEEDS),
     "CBOR of the native protocol": Target(_form(BINARY_FORM), (ControlMessageError,), _CBOR_SEEDS),
     "scan of JSON against a parser": Target(_scan, (ControlMessageError,), _JSON_SEEDS),
-    "rosbridge with fragments": Target(
-        _rosbridge,
-        (ControlMessageError,),
-        (
-            b'{"op":"publish","topic":"/t","msg":{"a":[1]}}',
-            b'{"op":"subscribe","topic":"/t","throttle_rate":5,"queue_length":2,"compression":"cbor"}',
-            _FRAGMENTS,
-        ),
-    ),
     "text to logical values": Target(
         _logical,
         (MessageError, orjson.JSONDecodeError),
@@ -247,11 +200,6 @@ _CORE: Mapping[str, Target] = {
             b'{"data":"aGVsbG8=","wide":"-9223372036854775808","real":"NaN","rows":[[1,2],["3"]]}',
             b'{"more":{"a":{"more":{"b":{"wide":1}}}}}',
         ),
-    ),
-    "cbor-raw (CDR) from messages": Target(
-        _cdr,
-        (MessageError, orjson.JSONDecodeError),
-        (b'{"width":7,"name":"abc","data":[1,2.5]}',),
     ),
     "control messages of the model": Target(read_control, (ControlMessageError,), _JSON_SEEDS),
     "frames of hosts": Target(
@@ -285,6 +233,60 @@ _CORE: Mapping[str, Target] = {
         ),
     ),
 }
+
+
+def _web() -> Mapping[str, Target]:
+    """Return the decoders of `uoarm-rosbridge`, where it is installed."""
+    if find_spec("uoarm_rosbridge") is None:
+        return {}
+    from uoarm_rosbridge._cdr import serialiser
+    from uoarm_rosbridge._fragments import Fragments
+    from uoarm_rosbridge._subscription import read_wish
+    from uoarm_rosbridge._wire import check_fields, read_operation
+
+    laid_out = MessageStructure(
+        {
+            "type": "object",
+            "properties": {
+                "width": {"type": "integer", "minimum": 0, "maximum": 2**32 - 1},
+                "name": {"type": "string"},
+                "data": {"type": "array", "items": {"type": "number", "x-float": 64}},
+            },
+            "required": ["width", "name", "data"],
+            "additionalProperties": False,
+        }
+    )
+
+    def operations(data: bytes) -> None:
+        fragments = Fragments(4096)
+        for line in text_of(data).split("\n"):
+            fields = read_operation(line, Spending(BUDGET))
+            within(fields, BUDGET)
+            check_fields(fields, ("op",))
+            read_wish(fields)
+            if fields["op"] == "fragment":
+                check_fields(fields, ("id", "data", "num", "total"))
+                whole = fragments.add(fields)
+                assert 0 <= fragments.octets <= 4096
+                if whole is not None:
+                    read_operation(whole, Spending(BUDGET))
+
+    return {
+        "rosbridge with fragments": Target(
+            operations,
+            (ControlMessageError,),
+            (
+                b'{"op":"publish","topic":"/t","msg":{"a":[1]}}',
+                b'{"op":"subscribe","topic":"/t","throttle_rate":5,"queue_length":2,"compression":"cbor"}',
+                _FRAGMENTS,
+            ),
+        ),
+        "cbor-raw (CDR) from messages": Target(
+            lambda data: serialiser(laid_out)(orjson.loads(text_of(data))),
+            (MessageError, orjson.JSONDecodeError),
+            (b'{"width":7,"name":"abc","data":[1,2.5]}',),
+        ),
+    }
 
 
 def _devices() -> Mapping[str, Target]:
@@ -385,4 +387,4 @@ def _openrtm() -> Mapping[str, Target]:
     return {"CDR of OpenRTM": Target(decode, (MessageError,), seeds)}
 
 
-TARGETS: Mapping[str, Target] = {**_CORE, **_devices(), **_openrtm()}
+TARGETS: Mapping[str, Target] = {**_CORE, **_web(), **_devices(), **_openrtm()}

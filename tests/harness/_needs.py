@@ -53,11 +53,18 @@ NEEDS = {
     "records": Need(
         "pip install -e '.[healthbot]'", packages=("httpx", "sqlalchemy", "starlette", "uvicorn")
     ),
-    "ros2": Need("pip install -e 'plugins/uoarm-ros2[dev]'", packages=("rclpy",), systems=ROS),
+    "ros2": Need(
+        "pip install -e plugins/uoarm-rosbridge -e 'plugins/uoarm-ros2[dev]'",
+        packages=("rclpy",),
+        systems=ROS,
+    ),
     "rtm": Need("pip install -e 'plugins/uoarm-rtm[dev]'", packages=("uoarm_rtm", "omniORB")),
     "rocos": Need(
         "pip install -e 'plugins/uoarm-rocos[dev]'",
         packages=("uoarm_rocos", "serial", "espeakng_loader"),
+    ),
+    "rosbridge": Need(
+        "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),
     "chromium": Need(
         "apt install chromium, or Chrome on the PATH",
@@ -73,9 +80,12 @@ MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
+    "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),
+    "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),
     "plugins/uoarm-rtm/tests/*": ("rtm",),
     "plugins/uoarm-rocos/tests/*": ("rocos",),
+    "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
 }
 """What a whole module needs, also for being imported."""
 

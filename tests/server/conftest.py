@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,15 @@ from typing import Any
 import pytest
 from tests.server.proxy import Proxy
 from tests.server.robot import CONFIGURATION, script
-from tests.server.ros import Ros, url
 from tests.server.talk import Talk
 
 from uoarm import RobotManager
 from uoarm.config import loads
 from uoarm.server import Limits, Server, Settings, serve_in_thread
+from uoarm.server.front_end import FrontEnd
 
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
-Enter = Callable[..., Ros]
 Between = Callable[[Server], Proxy]
 
 
@@ -37,9 +36,13 @@ def serve(robot: RobotManager) -> Iterator[Serve]:
     """Start a server; settings and limits by name."""
     with ExitStack() as stack:
 
-        def start(limits: Limits | None = None, **settings: Any) -> Server:
+        def start(
+            limits: Limits | None = None,
+            front_ends: Sequence[FrontEnd] | None = None,
+            **settings: Any,
+        ) -> Server:
             chosen = Settings(port=0, limits=limits or Limits(), **settings)
-            return stack.enter_context(serve_in_thread(robot, chosen))
+            return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
 
         yield start
 
@@ -59,17 +62,6 @@ def talk(server: Server) -> Iterator[Connect]:
             return stack.enter_context(Talk(url, **options))
 
         yield connect
-
-
-@pytest.fixture
-def enter(server: Server) -> Iterator[Enter]:
-    """Connect a rosbridge client to the server."""
-    with ExitStack() as stack:
-
-        def begin() -> Ros:
-            return stack.enter_context(Ros(url(server)))
-
-        yield begin
 
 
 @pytest.fixture

@@ -6,13 +6,12 @@ of any structure.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping
 from typing import Literal, TypeAlias
 
 from attrs import frozen
 
-Form: TypeAlias = Literal["json", "cbor", "rosbridge"]
+Form: TypeAlias = Literal["json", "cbor"]
 Frame: TypeAlias = "str | bytes"
 
 LARGEST = 16_777_216 - 1024
@@ -32,11 +31,6 @@ class Hostile:
     form: Form
     frames: Callable[[], Iterator[Frame]]
     errors: int = 1
-
-    @property
-    def path(self) -> str:
-        """The endpoint."""
-        return "/rosbridge" if self.form == "rosbridge" else "/uoarm"
 
 
 def head(major: int, count: int) -> bytes:
@@ -78,10 +72,6 @@ def resume(waiting: str) -> str:
     return f'{{"op":"Resume","id":"h","jsonMessage":{{"key":"k","waiting":{waiting}}}}}'
 
 
-def ros_call(value: str) -> str:
-    return f'{{"op":"call_service","service":"/anything","id":"h","args":{value}}}'
-
-
 def many(item: str, octets: int = LARGEST) -> str:
     """Return a list as JSON text that is filled with one item."""
     return f"[{','.join([item] * (octets // (len(item) + 1)))}]"
@@ -102,13 +92,6 @@ def rows_in_rows(times: int, sizes: list[int]) -> bytes:
     for _ in range(times):
         value = rows(sizes, b"\x81" + value)
     return value
-
-
-def in_fragments(whole: str, pieces: int) -> Iterator[str]:
-    size = -(-len(whole) // pieces)
-    for place in range(pieces):
-        data = whole[place * size : (place + 1) * size]
-        yield json.dumps({"op": "fragment", "id": "f", "num": place, "total": pieces, "data": data})
 
 
 def _one(form: Form, frame: Callable[[], Frame]) -> Hostile:
@@ -160,11 +143,6 @@ HOSTILE: Mapping[str, Hostile] = {
         "cbor", lambda: cbor_call(b"\xd8\x54" + head(2, LARGEST - 200) + bytes(LARGEST - 200))
     ),
     "lists that claim to be long": _one("cbor", lambda: cbor_call(b"\x9a\x00\xff\xff\xff" * 60)),
-    "empty lists to rosbridge": _one("rosbridge", lambda: ros_call(many("[]"))),
-    "small objects to rosbridge": _one("rosbridge", lambda: ros_call(many('{"a":[]}'))),
-    "empty lists in fragments": Hostile(
-        "rosbridge", lambda: in_fragments(ros_call(many("[]", 8_000_000)), 4)
-    ),
     # Values where a short text is expected: they must not be written out in the error.
     "a list as the op": _one("json", lambda: f'{{"op":{many("1")},"id":"h"}}'),
     "a list as the type": _one(
@@ -174,9 +152,5 @@ HOSTILE: Mapping[str, Hostile] = {
     "many extensions": _one(
         "json",
         lambda: '{"op":"List","id":"h",' + ",".join(f'"x-{one}":1' for one in range(240_000)) + "}",
-    ),
-    "a list as a rosbridge count": _one(
-        "rosbridge",
-        lambda: f'{{"op":"subscribe","topic":"/t","id":"h","throttle_rate":{many("1", 900_000)}}}',
     ),
 }

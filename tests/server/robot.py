@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from typing import Annotated, Any, TypedDict
 
-from uoarm.local import Emit, Range
+from uoarm.local import Range
 from uoarm.testing import patience
 
 CONFIGURATION = """
@@ -57,17 +57,6 @@ functions:
         bridge: python
         input: {endpoint: ["tests.server.robot:hang"]}
         output: {endpoint: ["tests.server.robot:hang"]}
-  navigate:
-    components:
-      - name: walker
-        bridge: python
-        inputs:
-          goal: {endpoint: ["tests.server.robot:Walker"]}
-          cancel: {endpoint: ["tests.server.robot:Walker"]}
-        outputs:
-          status: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
-          feedback: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
-          result: {endpoint: ["tests.server.robot:Walker"], structure: {type: object}}
   missing:
     components:
       - {name: missing, bridge: python, output: {endpoint: ["tests.server.robot:nothing"]}}
@@ -102,10 +91,6 @@ class Many(TypedDict):
     values: list[float]
 
 
-class GoalId(TypedDict):
-    goal_id: str
-
-
 END = object()
 
 
@@ -119,7 +104,6 @@ class Script:
         self._items: dict[str, deque[object]] = {"numbers": deque(), "picture": deque()}
         self._newest: dict[str, object] = {}
         self.started = Counter[str]()
-        self.cancelled: list[str] = []
         self.hanging: list[None] = []
 
     def reset(self) -> None:
@@ -128,7 +112,6 @@ class Script:
             self._items = {name: deque() for name in self._items}
             self._newest.clear()
             self.started.clear()
-            self.cancelled = []
             self.hanging = []
             self._changed.notify_all()
 
@@ -211,46 +194,6 @@ def hang(message: Text) -> Text:
 
 def broken(message: Number) -> Number:
     raise ValueError(f"cannot do {message['value']}")
-
-
-class Walker:
-    """An action: walks as many steps as its goal says; with none it waits to be cancelled.
-
-    Where it is in a hurry, its feedback and result come before the status that accepts the goal.
-    Where it goes far, its steps have numbers that rosbridge cannot write.
-    """
-
-    HURRY, FAR = 7, 8
-
-    def __init__(self) -> None:
-        self._goals = 0
-
-    def __call__(self, message: Number) -> None:
-        """Take nothing: its inputs are goal and cancel."""
-
-    def goal(self, message: Number) -> Iterator[Emit]:
-        steps = message["value"]
-        self._goals += 1
-        goal = {"goal_id": f"goal {self._goals}"}
-        accepted = Emit("status", {**goal, "status": "rejected" if steps < 0 else "accepted"})
-        if steps != self.HURRY:
-            yield accepted
-        for step in range(steps):
-            number = step + (2**70 if steps == self.FAR else 0)
-            yield Emit("feedback", {**goal, "feedback": {"step": number}})
-        if steps > 0:
-            yield Emit("result", {**goal, "status": "succeeded", "result": {"walked": steps}})
-            if steps == self.HURRY:
-                yield accepted
-            yield Emit("status", {**goal, "status": "succeeded"})
-
-    def cancel(self, message: GoalId) -> Iterator[Emit]:
-        script.cancelled.append(message["goal_id"])
-        result = {"walked": 0}
-        yield Emit(
-            "result", {"goal_id": message["goal_id"], "status": "canceled", "result": result}
-        )
-        yield Emit("status", {"goal_id": message["goal_id"], "status": "canceled"})
 
 
 def anything(message: Any) -> Number:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import ssl
 import subprocess
@@ -15,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.server.conftest import Serve
-from tests.server.ros import Ros
 from tests.server.talk import SECONDS, Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
@@ -132,62 +130,6 @@ def test_an_operator_may_kill_what_others_hold(guarded: Server) -> None:
         numbers = viewer.open("numbers")
         operator.ask("Kill", numbers, {"everyone": True})
         assert viewer.next("connection")["jsonMessage"]["state"] == "closed"
-
-
-def test_roles_hold_for_rosbridge_clients_too(guarded: Server) -> None:
-    def at(role: str) -> Ros:
-        return Ros(url(guarded, f"/rosbridge?token={TOKENS[role]}"))
-
-    with pytest.raises(InvalidStatus):
-        Ros(url(guarded, "/rosbridge"))
-    with at("viewer") as viewer, at("driver") as driver:
-        for client, denied in (
-            (viewer, {"op": "publish", "topic": "/uoarm/echo", "msg": {"value": 1}}),
-            (viewer, {"op": "subscribe", "topic": "/uoarm/echo"}),
-            (viewer, {"op": "advertise", "topic": "/chatter", "type": "x"}),
-            (viewer, {"op": "advertise_service", "service": "/half", "type": "x"}),
-            (driver, {"op": "subscribe", "topic": "/uoarm/numbers"}),
-            (driver, {"op": "subscribe", "topic": "/chatter"}),
-        ):
-            assert client.refused(**denied).startswith("denied: "), denied
-        viewer.send(op="call_service", id="1", service="/uoarm/add", args=[1, 2])
-        assert viewer.receive()["result"] is False
-        assert driver.call("/uoarm/add", [1, 2]) == {"value": 3}
-        assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
-
-
-ROSAPI = (
-    "topics", "topics_and_raw_types", "services", "nodes", "topic_type", "topics_for_type",
-    "service_type", "services_for_type", "service_node", "service_providers", "publishers",
-    "subscribers", "node_details", "message_details", "service_request_details",
-    "service_response_details", "get_param", "get_param_names", "has_param", "action_servers",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("service", ROSAPI)
-def test_what_a_role_may_not_see_is_for_rosapi_as_if_it_were_not_there(
-    guarded: Server, service: str
-) -> None:
-    """A name that is hidden and one that nobody has get the same answer."""
-    with Ros(url(guarded, f"/rosbridge?token={TOKENS['operator']}")) as operator:
-        kind = operator.call("/rosapi/topic_type", {"topic": "/uoarm/numbers"})["type"]
-        assert "numbers" in json.dumps(operator.call("/rosapi/topics"))
-        with Ros(url(guarded, f"/rosbridge?token={TOKENS['driver']}")) as driver:
-            hidden, absent = (
-                _ask_rosapi(driver, service, function, kind) for function in ("numbers", "nothing")
-            )
-    assert hidden.replace("numbers", "nothing") == absent
-    assert "picture" not in hidden
-
-
-def _ask_rosapi(client: Ros, service: str, function: str, kind: str) -> str:
-    named = f"/uoarm/{function}"
-    arguments = {
-        "topic": named, "service": named, "node": f"/{function}", "name": named,
-        "type": kind.replace("numbers", function),
-    }  # fmt: skip
-    client.send(op="call_service", id="1", service=f"/rosapi/{service}", args=arguments)
-    return json.dumps(client.receive())
 
 
 def test_a_token_taken_back_ends_its_sessions_without_a_restart(

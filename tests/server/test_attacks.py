@@ -15,8 +15,6 @@ import pytest
 from tests.server.conftest import Serve
 from tests.server.hostile import HOSTILE, Hostile
 from tests.server.robot import script
-from tests.server.ros import Ros
-from tests.server.ros import url as ros_url
 from tests.server.talk import Talk, eventually, frame, open_socket
 from tests.server.test_bounds import resident
 from websockets.frames import Opcode
@@ -35,27 +33,12 @@ def url(server: Server) -> str:
 
 def one(hostile: Hostile) -> Callable[[Server], None]:
     def attack(server: Server) -> None:
-        if hostile.form == "rosbridge":
-            with Ros(ros_url(server)) as client:
-                for sent in hostile.frames():
-                    client.socket.send(sent)
-                client.receive()
-        else:
-            with Talk(url(server), binary=hostile.form == "cbor") as client:
-                for sent in hostile.frames():
-                    client.raw(sent)
-                client.ask("List")
+        with Talk(url(server), binary=hostile.form == "cbor") as client:
+            for sent in hostile.frames():
+                client.raw(sent)
+            client.ask("List")
 
     return attack
-
-
-def latch(server: Server) -> None:
-    with Ros(ros_url(server)) as client:
-        text = "x" * 4_000_000
-        for number in range(30):
-            client.send(op="publish", topic=f"/t{number}", latch=True, msg={"data": text})
-        while client.receive()["op"] != "status":
-            """Until the first is refused."""
 
 
 def data(server: Server) -> None:
@@ -104,8 +87,7 @@ ATTACKS: Mapping[str, Callable[[Server], None]] = {
     "60,000 dimensions": one(HOSTILE["60,000 dimensions"]),
     "huge dimensions": one(HOSTILE["huge dimensions"]),
     "empty lists": one(HOSTILE["empty lists"]),
-    "small objects": one(HOSTILE["small objects to rosbridge"]),
-    "latched topics": latch,
+    "small objects": one(HOSTILE["small objects"]),
     "data for what hangs": data,
     "kills of what hangs": kills,
     "pings": pings,

@@ -19,7 +19,7 @@ from uoarm._wire import BINARY_FORM, TEXT_FORM
 from uoarm.errors import MessageError
 from uoarm.model import Message
 from uoarm.server._encoder import Encoder, takes_long
-from uoarm.server._feed import Feed, Parcel
+from uoarm.server._feed import Envelope, Feed
 from uoarm.server._hop import Hop
 from uoarm.testing import patience
 
@@ -64,15 +64,15 @@ class Reader:
             raise MessageError("it has no form")
         return str(number).encode()
 
-    def prepare(self, parcel: Parcel) -> asyncio.Future[object] | None:
-        return parcel.prepare("one form", self.write, self.encoder)
+    def prepare(self, envelope: Envelope) -> asyncio.Future[object] | None:
+        return envelope.prepare("one form", self.write, self.encoder)
 
-    def offer(self, parcel: Parcel) -> None:
-        self.took.append(int(parcel.written("one form", self.write)))
+    def offer(self, envelope: Envelope) -> None:
+        self.took.append(int(envelope.written("one form", self.write)))
 
-    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
         assert str(error) == "it has no form"
-        self.took.append(parcel.number)
+        self.took.append(envelope.number)
 
     def ended(self, state: str, cause: str) -> None:
         self.took.append(f"{state} {cause}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -12,12 +11,9 @@ from typing import Any, cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.server.conftest import Connect, Enter, Serve
+from tests.server.conftest import Connect, Serve
 from tests.server.robot import script
-from tests.server.ros import Ros
-from tests.server.ros import url as ros_url
-from tests.server.talk import Talk, eventually, frame, open_socket
-from tests.server.test_serving import figures
+from tests.server.talk import Talk, eventually
 
 from uoarm import RobotManager
 from uoarm._control import Connection
@@ -27,7 +23,7 @@ from uoarm.server import Limits, Server
 from uoarm.server._failures import LimitError
 from uoarm.server._hop import Hop
 from uoarm.server._memory import Account, Charge, Held, Memory
-from uoarm.server._sending import Sending
+from uoarm.server._sending import InputSender
 from uoarm.server._workers import BusyError, Workers
 from uoarm.testing import patience
 
@@ -102,25 +98,6 @@ def test_a_client_below_its_share_is_not_refused_because_of_others() -> None:
         other.charge(Held.SENDING, 1)
 
 
-def test_what_is_latched_is_bounded_in_octets_and_goes_with_its_publisher(serve: Serve) -> None:
-    server = serve(Limits(memory_bytes=2_000_000))
-    text = "x" * 400_000
-    with Ros(ros_url(server)) as other:
-        with Ros(ros_url(server)) as hoarder:
-            for number in range(30):
-                topic = {"op": "publish", "topic": f"/t{number}", "latch": True}
-                hoarder.send(**topic, msg={"data": text})
-            refused = [hoarder.receive()["msg"] for _ in range(26)]
-            assert all(one.startswith("limit: ") for one in refused)
-            assert 1_600_000 < server.held_octets < 2_000_000
-            [line] = [one for one in figures(server).splitlines() if '{kind="latched"}' in one]
-            assert 1_600_000 < float(line.split()[1]) < 2_000_000
-            other.send(op="subscribe", topic="/t1")
-            assert other.messages(1) == [{"data": text}]
-            assert server.held_octets < 2_000_000 + 500_000  # and what the other one reads
-        eventually(lambda: server.held_octets == 0, "everything was let go")
-
-
 def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
     serve: Serve, robot: RobotManager
 ) -> None:
@@ -135,7 +112,7 @@ def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
     eventually(lambda: not robot.status().connections, "it is closed")
 
 
-def sending(connection: Any, workers: Workers, account: Account) -> Sending:
+def sending(connection: Any, workers: Workers, account: Account) -> InputSender:
     structure = MessageStructure(schema={"type": "object"})
     component = SimpleNamespace(
         name="it", function="it", inputs=[SimpleNamespace(name="in", source=None)]
@@ -144,7 +121,7 @@ def sending(connection: Any, workers: Workers, account: Account) -> Sending:
     connection.plan = SimpleNamespace(
         provider=SimpleNamespace(component=component, structures={"input.in": structure})
     )
-    return Sending(cast("Connection", connection), TEXT_FORM, workers, account, limit=100)
+    return InputSender(cast("Connection", connection), TEXT_FORM, workers, account, limit=100)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -257,67 +234,6 @@ def test_opening_what_hangs_again_and_again_is_refused_and_takes_bounded_threads
             return bool(client.answer(client.send("Request", "hang"))["op"] == "Reply")
 
     eventually(opens, "it can be had again")
-
-
-def test_a_listener_s_type_binds_no_publisher(enter: Enter) -> None:
-    listener, publisher, late = enter(), enter(), enter()
-    listener.send(op="subscribe", topic="/chatter", type="std_msgs/Wrong")
-    assert listener.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/Wrong"}
-    publisher.send(op="advertise", topic="/chatter", type="std_msgs/String")
-    publisher.send(op="publish", topic="/chatter", msg={"data": "x"})
-    assert listener.messages(1) == [{"data": "x"}]
-    assert late.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/String"}
-    wrong = {"op": "advertise", "topic": "/chatter", "type": "std_msgs/Wrong"}
-    assert "has the type 'std_msgs/String'" in late.refused(**wrong)
-    publisher.send(op="unadvertise", topic="/chatter")
-    publisher.call("/rosapi/get_time", {})
-    late.send(**wrong)
-    assert late.call("/rosapi/topic_type", {"topic": "/chatter"}) == {"type": "std_msgs/Wrong"}
-
-
-def test_a_latched_message_goes_with_the_client_that_published_it(enter: Enter) -> None:
-    one, other, late = enter(), enter(), enter()
-    for publisher in (one, other):
-        publisher.send(op="advertise", topic="/map", type="a/Map", latch=True)
-        publisher.call("/rosapi/get_time", {})
-    one.send(op="publish", topic="/map", msg={"data": 1})
-    one.send(op="unadvertise", topic="/map")
-    one.call("/rosapi/get_time", {})
-    late.send(op="subscribe", topic="/map")
-    late.call("/rosapi/get_time", {})
-    other.send(op="publish", topic="/map", msg={"data": 2})
-    assert late.messages(1) == [{"data": 2}]
-
-
-def test_messages_held_back_for_a_slow_rate_are_bounded_in_octets(serve: Serve) -> None:
-    server = serve(Limits(queue_bytes=500_000))
-    with Ros(ros_url(server)) as listener, Ros(ros_url(server)) as publisher:
-        wish = {"op": "subscribe", "topic": "/t", "throttle_rate": 60_000, "queue_length": 50_000}
-        listener.send(**wish)
-        listener.call("/rosapi/get_time", {})
-        for _ in range(30):
-            publisher.send(op="publish", topic="/t", msg={"data": "x" * 100_000})
-        publisher.call("/rosapi/get_time", {})
-        assert 300_000 < server.held_octets < 700_000
-    eventually(lambda: server.held_octets == 0, "everything was let go")
-
-
-def test_a_provider_that_does_not_read_is_not_cut_off_by_those_who_ask_it(serve: Serve) -> None:
-    server = serve(Limits(queue_bytes=3_000_000, stall_seconds=60, ping_seconds=60))
-    with (
-        open_socket(server.ports[0], "/rosbridge") as provider,
-        Ros(ros_url(server)) as asker,
-        Ros(ros_url(server)) as other,
-    ):
-        offer = {"op": "advertise_service", "service": "/s", "type": "a/S"}
-        provider.sendall(frame(json.dumps(offer).encode()))
-        eventually(lambda: "/s" in asker.call("/rosapi/services", {})["services"], "it is offered")
-        call = {"op": "call_service", "service": "/s", "args": {"data": "x" * 1_000_000}}
-        for number in range(40):
-            asker.send(**call, id=f"s{number}")
-        refused = [asker.receive()["values"] for _ in range(20)]
-        assert any("leaves too much unread" in one for one in refused), refused
-        assert "/s" in other.call("/rosapi/services", {})["services"]
 
 
 def test_a_client_that_goes_leaves_nothing_that_was_asked(serve: Serve) -> None:

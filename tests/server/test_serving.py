@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from tests.server.conftest import Connect, Serve
+from tests.server.lines import LINES
 from tests.server.robot import CONFIGURATION, script
 from tests.server.talk import Talk, frame, open_socket
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError, InvalidStatus
@@ -69,7 +70,7 @@ def test_metrics_count_what_happens(server: Server, talk: Connect) -> None:
 
 
 def test_metrics_count_who_was_refused_on_any_port(serve: Serve) -> None:
-    server = serve(rosbridge_port=0)
+    server = serve(front_ends=[LINES], front_end_ports={"lines": 0})
     for port in server.ports:
         with pytest.raises(InvalidStatus):
             connect(f"ws://127.0.0.1:{port}/", origin=Origin("http://strange.example"))

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 from tests.server.authority import Authority
 from tests.server.conftest import Serve
-from tests.server.ros import Ros
+from tests.server.lines import LINES
 from tests.server.talk import SECONDS, Talk
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
+from websockets.sync.client import connect
 
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server, fingerprint_of, hash_token
@@ -51,7 +52,12 @@ def access(tmp_path: Path) -> Path:
 @pytest.fixture
 def server(serve: Serve, authority: Authority, access: Path) -> Server:
     certificate = authority.issue("server")
-    return serve(access=access, certificate=certificate, client_authority=authority.path)
+    return serve(
+        front_ends=[LINES],
+        access=access,
+        certificate=certificate,
+        client_authority=authority.path,
+    )
 
 
 def url(server: Server, path: str = "/") -> str:
@@ -74,8 +80,12 @@ def test_a_certificate_is_an_identity_with_a_role(server: Server, authority: Aut
     with Talk(url(server), ssl=screen) as client:
         assert client.hello["role"] == "viewer"
         assert client.refused("Call", "add", {"a": 1, "b": 2})["code"] == "denied"
-    with Ros(url(server, "/rosbridge"), ssl=joystick) as client:
-        assert client.call("/uoarm/add", [1, 2]) == {"value": 3}
+    with connect(url(server, "/lines"), ssl=joystick) as lines:
+        lines.send('call add {"a": 1, "b": 2}')
+        assert lines.recv(timeout=SECONDS) == '{"value":3}'
+    with connect(url(server, "/lines"), ssl=screen) as lines:
+        lines.send('call add {"a": 1, "b": 2}')
+        assert str(lines.recv(timeout=SECONDS)).startswith("denied: ")
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])

@@ -19,6 +19,7 @@ from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
+from uoarm_rosbridge._cdr import serialiser
 from websockets.sync.client import connect
 
 from uoarm import RobotManager
@@ -26,7 +27,6 @@ from uoarm._wire import read_binary
 from uoarm.config import loads
 from uoarm.model import Budget, Spending
 from uoarm.server import Settings, serve_in_thread
-from uoarm.server.rosbridge._cdr import serialiser
 from uoarm.testing import patience
 
 SIZE = 921_600

@@ -202,7 +202,7 @@ def test_a_lifecycle_goes_round(bridge: Bridge, at: Endpoint) -> None:
             bridge.call(at, {"action": action})
     except BridgeError as error:
         # One that waits for a key in `on_execute` cannot be deactivated before that returns.
-        assert "it answers RTC_ERROR and is still active" in str(error)  # noqa: PT017 - else it fails
+        assert "it answers RTC_ERROR and is still active" in str(error)
         pytest.skip(str(error))
     wait(lambda: bridge.call(at, {"action": "state"})["state"] == begun)
 

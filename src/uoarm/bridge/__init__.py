@@ -1,6 +1,7 @@
 """The bridge contract: what a framework plugin implements and what the manager may rely on."""
 
 from uoarm._origin import install_command
+from uoarm._plugins import PluginProblem, hookimpl
 from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
 from uoarm.bridge._channel import Channel, Sink, Source
@@ -11,8 +12,8 @@ from uoarm.bridge._description import (
     HealthEvent,
     ServiceStructures,
 )
-from uoarm.bridge._plugin import BridgeType, hookimpl, hookspec
-from uoarm.bridge._registry import PluginProblem, Registry
+from uoarm.bridge._plugin import BridgeType
+from uoarm.bridge._registry import Registry
 
 __all__ = [
     "CONTRACT_VERSION",
@@ -30,7 +31,6 @@ __all__ = [
     "Sink",
     "Source",
     "hookimpl",
-    "hookspec",
     "install_command",
     "reading_endpoint",
 ]

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import pluggy
 from attrs import field, frozen
 from typing_extensions import Self
 
+from uoarm._plugins import hookspec
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.errors import PluginError
 from uoarm.model import Options, Schema
 
-__all__ = ["BridgeType", "hookimpl", "hookspec"]
-
-hookspec = pluggy.HookspecMarker("uoarm")
-hookimpl = pluggy.HookimplMarker("uoarm")
+__all__ = ["BridgeHooks", "BridgeType"]
 
 _CLOSED: Schema = {"type": "object", "additionalProperties": False}
 
@@ -63,7 +60,7 @@ class BridgeType:
         return super().__new__(cls)
 
 
-class _Specification:
+class BridgeHooks:
     """The hooks that a module behind an entry point of group `uoarm.bridges` implements."""
 
     @hookspec
@@ -74,6 +71,3 @@ class _Specification:
         The results of all plugins are put together; names must differ.
         """
         raise NotImplementedError
-
-
-SPECIFICATION = _Specification

@@ -6,32 +6,22 @@ import difflib
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 
-import pluggy
-from attrs import frozen
-
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
+from uoarm._plugins import PluginProblem, values_of
 from uoarm._spelling import Speller
 from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
-from uoarm.bridge._plugin import SPECIFICATION, BridgeType
+from uoarm.bridge._plugin import BridgeHooks, BridgeType
 from uoarm.errors import BridgeError, ConfigurationError, PluginError
 from uoarm.model import BridgeSpec
 
-__all__ = ["PluginProblem", "Registry"]
+__all__ = ["Registry"]
 
 _GROUP = "uoarm.bridges"
 # The extra is what most need: ROS 2 itself, where none is sourced.
 _KNOWN = {"ros2": ("uoarm-ros2", "jazzy"), "rtm": ("uoarm-rtm", ""), "rocos": ("uoarm-rocos", "")}
-
-
-@frozen
-class PluginProblem:
-    """An installed plugin that cannot be used."""
-
-    name: str
-    cause: str
 
 
 class Registry:
@@ -49,7 +39,7 @@ class Registry:
         found = entry_points(group=_GROUP) if points is None else points
         for point in sorted(found, key=lambda point: point.name):
             try:
-                types = _types_of(point)
+                types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
             except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
                 self._problems.append(PluginProblem(point.name, f"{type(error).__name__}: {error}"))
                 continue
@@ -134,19 +124,3 @@ def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
     if told:
         text = f"bridge {spec.name!r}: the plugin {kind.name!r} does not take these options: {told}"
         raise ConfigurationError(text)
-
-
-def _types_of(point: EntryPoint) -> list[BridgeType]:
-    """Load one plugin on its own, so that its mistakes stay its own."""
-    manager = pluggy.PluginManager("uoarm")
-    manager.add_hookspecs(SPECIFICATION)
-    manager.register(point.load(), name=point.name)
-    manager.check_pending()
-    answers: list[list[BridgeType]] = manager.hook.uoarm_bridge_types()
-    types = [kind for answer in answers for kind in answer]
-    if not types:
-        raise PluginError("it implements no uoarm_bridge_types hook")
-    for kind in types:
-        if not isinstance(kind, BridgeType):
-            raise PluginError(f"uoarm_bridge_types returned a {type(kind).__name__}")
-    return types

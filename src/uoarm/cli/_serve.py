@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["serve", "token"]
 
 _USED = 5
+_LAST_PORT = 65_535
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
@@ -26,9 +27,17 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=9080, show_default=True)
 @click.option(
+    "--front-end-port",
+    "front_end_ports",
+    multiple=True,
+    metavar="NAME=PORT",
+    callback=lambda _context, _option, given: [_name_and_port(one) for one in given],
+    help="A further port for the clients of one front end, such as rosbridge=9090.",
+)
+@click.option(
     "--rosbridge-port",
     type=click.IntRange(0, 65535),
-    help="A second port for rosbridge clients, such as 9090.",
+    help="Short for --front-end-port rosbridge=PORT.",
 )
 @click.option("--access", type=_FILE, help="Access file with roles and tokens.")
 @click.option(
@@ -45,16 +54,26 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("--certificate", type=_FILE, help="PEM file of the certificate, for TLS.")
 @click.option("--key", type=_FILE, help="PEM file of its key.")
 @click.option("--client-authority", type=_FILE, help="PEM file that client certificates rest on.")
-def serve(robot: str | None, file: str, tls: str | None, **settings: Any) -> None:
+def serve(
+    robot: str | None,
+    file: str,
+    tls: str | None,
+    front_end_ports: list[tuple[str, int]],
+    rosbridge_port: int | None,
+    **settings: Any,
+) -> None:
     """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM.
 
-    Endpoints: / speaks the native protocol, /rosbridge speaks rosbridge v2; /healthz and
-    /metrics answer over HTTP.
+    Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
+    speaks rosbridge v2. /healthz and /metrics answer over HTTP.
     """
+    ports = dict(front_end_ports)
+    if rosbridge_port is not None:
+        ports["rosbridge"] = rosbridge_port
     with open_robot(robot or file) as manager:
         with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
-        chosen = Settings(own_certificate=tls is not None, **settings)
+        chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
         try:
             run(manager, chosen, lambda server: _say(server, chosen))
         except OSError as error:
@@ -79,14 +98,22 @@ def token(name: str, role: str) -> None:
     click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
 
 
+def _name_and_port(given: str) -> tuple[str, int]:
+    name, _, port = given.partition("=")
+    if not name or not port.isdecimal() or int(port) > _LAST_PORT:
+        raise click.BadParameter(f"expected NAME=PORT, such as rosbridge=9090; got {given!r}")
+    return name, int(port)
+
+
 def _say(server: Server, settings: Settings) -> None:
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 
     s = "s" if settings.secured else ""
     main, *more = (settings.place(port) for port in server.ports)
-    click.echo(f"serving ws{s}://{main}/ and ws{s}://{main}/rosbridge")
-    for place in more:
-        click.echo(f"serving ws{s}://{place}/ for rosbridge clients")
+    paths = ("/", *(one.path for one in server.front_ends))
+    click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}")
+    for name, place in zip(settings.front_end_ports, more, strict=True):
+        click.echo(f"serving ws{s}://{place}/ for {name} clients")
     certificate = settings.certificate_file()
     if certificate is not None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}")

@@ -17,12 +17,13 @@ from uoarm._deadlines import result_within
 from uoarm.model import Spending
 from uoarm.server._address import address_of
 from uoarm.server._admission import Pass
+from uoarm.server._audit import Audit
 from uoarm.server._connection import TurnConnection
 from uoarm.server._intake import Decoder, Pace
 from uoarm.server._limits import Limits
 from uoarm.server._memory import Account
 from uoarm.server._outbox import Outbox
-from uoarm.server._role import Role
+from uoarm.server._role import Operation, Role
 
 __all__ = ["Client", "Session"]
 
@@ -31,7 +32,7 @@ _TURN_SECONDS = 0.001
 
 
 class Session(Protocol):
-    """What a protocol does with a client's frames. Called in the loop's thread; never waits."""
+    """What a protocol does with a client's frames. Called in the loop's thread; must not wait."""
 
     def octets(self, frame: str | bytes) -> int:
         """Return how much `decode` would have to decode, with what came before the frame."""
@@ -41,7 +42,12 @@ class Session(Protocol):
 
         And how many octets of memory its message holds, which `Client.in_hand` says meanwhile.
 
-        Called in any thread, for one frame after the other. Raises nothing.
+        Called in any thread, for one frame after the other. What it, or the action, raises ends the
+        connection: a mistake of the client is to be answered.
+
+        Args:
+            frame: text or octets, at most `Limits.message_bytes`.
+            spending: counts what its message costs, against the budget for one message.
         """
 
     def close(self) -> None:
@@ -59,6 +65,7 @@ class Client:
         limits: bounds.
         decoder: where its frames are decoded.
         account: of what is held for it.
+        audit: hears what it was allowed and denied.
 
     Attributes:
         is_cut: whether the server ended its connection.
@@ -77,6 +84,7 @@ class Client:
         limits: Limits,
         decoder: Decoder,
         account: Account,
+        audit: Audit,
     ) -> None:
         self.identity = identity
         self.shown = shown
@@ -84,6 +92,7 @@ class Client:
         self.limits = limits
         self._decoder = decoder
         self.account = account
+        self._audit = audit
         self.outbox = Outbox(limits.queue_bytes, limits.control_messages, account)
         self.received = 0
         self.sent = 0
@@ -106,6 +115,16 @@ class Client:
     def unread_octets(self) -> int:
         """Octets that arrived and were not read yet."""
         return self._socket.unread_octets
+
+    def require(self, operation: Operation, function: str) -> None:
+        """Refuse what its role does not allow; the audit log has either outcome.
+
+        Raises:
+            DeniedError: it may not.
+        """
+        allowed = self.role.allows(operation, function)
+        self._audit.note(self.identity, self.role, operation, function, allowed=allowed)
+        self.role.require(operation, function)
 
     async def run(self, session: Session, socket: TurnConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""

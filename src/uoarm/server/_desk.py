@@ -13,16 +13,18 @@ from typing import TypeAlias, TypeVar
 from attrs import frozen
 
 from uoarm._control import Connection, RobotManager
+from uoarm._wire import TEXT_FORM, Form
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._encoder import Encoder
 from uoarm.server._feed import Feed
 from uoarm.server._hop import Hop
 from uoarm.server._limits import Limits
-from uoarm.server._memory import Memory
+from uoarm.server._memory import Account, Memory
+from uoarm.server._sending import InputSender
 from uoarm.server._workers import BusyError, Workers
 
-__all__ = ["Desk", "Wanted", "Watcher"]
+__all__ = ["Desk", "FeedKey", "Read", "Watcher"]
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
@@ -36,7 +38,7 @@ _ENDS = frozenset({"closed", "failed"})
 
 
 @frozen
-class Wanted:
+class FeedKey:
     """What makes two requests the same feed.
 
     Attributes:
@@ -74,7 +76,7 @@ class Desk:
         self.hop = Hop(asyncio.get_running_loop())
         self.workers = Workers(limits.workers, self.hop)
         self.encoder = Encoder()
-        self._feeds: dict[Wanted, Feed] = {}
+        self._feeds: dict[FeedKey, Feed] = {}
         self._by_id: dict[str, Feed] = {}
         self._claims: dict[Feed, int] = {}
         self._openings: dict[Feed, asyncio.Task[None]] = {}
@@ -102,7 +104,7 @@ class Desk:
         now = time.monotonic()
         return [(now - heard, event, function) for heard, event, function in self._past]
 
-    async def join(self, wanted: Wanted) -> Feed:
+    async def join(self, wanted: FeedKey) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
 
         Its messages wait until a listener is added.
@@ -138,6 +140,17 @@ class Desk:
             self._forget(feed)
             if feed.connection is not None and not feed.connection.ended:
                 self.kill(feed.connection)
+
+    def sender(
+        self, connection: Connection, account: Account, form: Form = TEXT_FORM
+    ) -> InputSender:
+        """Return what hands a client's messages, which come in a form, to a connection."""
+        limit = self.limits.queue_messages
+        return InputSender(connection, form, self.workers, account, limit=limit)
+
+    def open_account(self) -> Account:
+        """Return an account for what no single client caused. Close it."""
+        return self.memory.open()
 
     def kill(self, connection: Connection) -> asyncio.Future[None]:
         """End a connection in a thread of its own kind; the future has its end.
@@ -238,7 +251,7 @@ class Desk:
         self.workers.close()
         self.encoder.close()
 
-    async def _open(self, wanted: Wanted, feed: Feed) -> None:
+    async def _open(self, wanted: FeedKey, feed: Feed) -> None:
         take = feed.take if wanted.receive else _ignore
         try:
             connection = await self.workers.start(
@@ -291,7 +304,7 @@ class Desk:
 
 
 def _request(
-    robot: RobotManager, wanted: Wanted, take: Callable[[Message], None], timeout: float
+    robot: RobotManager, wanted: FeedKey, take: Callable[[Message], None], timeout: float
 ) -> Connection:
     outputs = robot.resolve(wanted.name).provider.component.outputs
     name = wanted.name

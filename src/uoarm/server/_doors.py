@@ -21,15 +21,17 @@ from uoarm._wire import FORMS
 from uoarm.server._address import address_of, host_of
 from uoarm.server._admission import Admission, Pass
 from uoarm.server._audit import Audit
+from uoarm.server._front_ends import FrontEnds
 from uoarm.server._limits import Limits
 from uoarm.server._metrics import Totals
 from uoarm.server._request_head import RefusedError, RequestHead, read_head
 from uoarm.server._role import Operation
+from uoarm.server.front_end import FrontEnd
 
-__all__ = ["NATIVE_PATHS", "ROSBRIDGE_PATH", "Doors", "Entry"]
+__all__ = ["OWN_PATHS", "Doors", "Entry"]
 
-NATIVE_PATHS = frozenset({"/", "/uoarm"})
-ROSBRIDGE_PATH = "/rosbridge"
+_NATIVE_PATHS = frozenset({"/", "/uoarm"})
+OWN_PATHS = _NATIVE_PATHS | {"/healthz", "/metrics"}
 _VERSIONS = "uoarm.v"
 _TYPES = {
     ".css": "text/css; charset=utf-8",
@@ -57,11 +59,11 @@ class Entry:
 
     Attributes:
         shown: what the client showed.
-        rosbridge: which protocol the path asks for.
+        front_end: whose protocol the path asks for; None: the native one.
     """
 
     shown: Pass
-    rosbridge: bool
+    front_end: FrontEnd | None
 
 
 class Doors:
@@ -75,7 +77,7 @@ class Doors:
         connected: addresses of the clients connected now, shared between ports.
         health: makes the answer of `/healthz`.
         metrics: makes the answer of `/metrics`.
-        only_rosbridge: whether every path is the rosbridge endpoint.
+        others: what other protocols are spoken; a single one has every path for its endpoint.
     """
 
     def __init__(
@@ -88,7 +90,7 @@ class Doors:
         *,
         health: Callable[[], Mapping[str, object]],
         metrics: Callable[[], bytes],
-        only_rosbridge: bool = False,
+        others: FrontEnds | FrontEnd,
     ) -> None:
         self._admission = admission
         self._audit = audit
@@ -97,7 +99,7 @@ class Doors:
         self._connected = connected
         self._health = health
         self._metrics = metrics
-        self._only_rosbridge = only_rosbridge
+        self._others = others
         self._entries: WeakKeyDictionary[ServerConnection, Entry] = WeakKeyDictionary()
 
     def entry(self, connection: ServerConnection) -> Entry:
@@ -109,7 +111,7 @@ class Doors:
         try:
             head = read_head(request)
             self._admission.check_page(head)
-            if not self._only_rosbridge and not head.upgrade:
+            if isinstance(self._others, FrontEnds) and not head.upgrade:
                 return self._page(connection, head)
             self._enter(connection, head)
         except RefusedError as error:
@@ -126,23 +128,26 @@ class Doors:
     ) -> Subprotocol | None:
         """Choose a form; a client that offers none of any version gets JSON of this one.
 
+        On the endpoint of a front end one of its own goes first.
+
         Raises:
             NegotiationError: it speaks other versions of the native protocol only.
         """
-        chosen = next((one for one in offered if one in FORMS), None)
         entry = self._entries.get(connection)
-        if chosen is None and entry is not None and not entry.rosbridge:
+        front_end = None if entry is None else entry.front_end
+        if front_end is not None:
+            own = next((one for one in offered if one in front_end.subprotocols), None)
+            if own is not None:
+                return own
+        chosen = next((one for one in offered if one in FORMS), None)
+        if chosen is None and entry is not None and front_end is None:
             others = [one for one in offered if one.startswith(_VERSIONS)]
             if others:
                 raise NegotiationError(f"this server speaks {', '.join(FORMS)}, not {others[0]}")
         return chosen
 
     def _enter(self, connection: ServerConnection, head: RequestHead) -> None:
-        rosbridge = self._only_rosbridge or head.path == ROSBRIDGE_PATH
-        if not rosbridge and head.path not in NATIVE_PATHS:
-            raise RefusedError(
-                HTTPStatus.NOT_FOUND, f"there is no endpoint here; try / or {ROSBRIDGE_PATH}"
-            )
+        front_end = self._front_end_at(head.path)
         address = host_of(connection)
         if self._connected.total() >= self._limits.connections:
             raise RefusedError(HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected")
@@ -150,7 +155,16 @@ class Doors:
             raise RefusedError(
                 HTTPStatus.TOO_MANY_REQUESTS, "too many clients of this address are connected"
             )
-        self._entries[connection] = Entry(self._shown(connection, head), rosbridge)
+        self._entries[connection] = Entry(self._shown(connection, head), front_end)
+
+    def _front_end_at(self, path: str) -> FrontEnd | None:
+        if not isinstance(self._others, FrontEnds):
+            return self._others
+        front_end = self._others.at(path)
+        if front_end is None and path not in _NATIVE_PATHS:
+            there = " or ".join(["/", *(one.path for one in self._others.usable)])
+            raise RefusedError(HTTPStatus.NOT_FOUND, f"there is no endpoint here; try {there}")
+        return front_end
 
     def _shown(self, connection: ServerConnection, head: RequestHead) -> Pass:
         certificate = connection.transport.get_extra_info("peercert") or {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
@@ -16,8 +17,9 @@ from uoarm.model import Message, message_octets
 from uoarm.server._encoder import Encoder, takes_long
 from uoarm.server._hop import Hop
 
-__all__ = ["Feed", "Listener", "Parcel", "Prepare"]
+__all__ = ["Envelope", "Feed", "Listener", "Prepare"]
 
+_log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
 
 
@@ -26,7 +28,7 @@ Write: TypeAlias = Callable[[int, Message], bytes]
 
 
 @define(eq=False)
-class Parcel:
+class Envelope:
     """One message on its way to all clients; each form is written once.
 
     Attributes:
@@ -102,17 +104,17 @@ class Parcel:
             self._written[key] = error.with_traceback(None)
 
 
-Prepare: TypeAlias = Callable[[Parcel], "asyncio.Future[object] | None"]
+Prepare: TypeAlias = Callable[[Envelope], "asyncio.Future[object] | None"]
 """Begins to write a message beside the loop for a listener; None: it need not wait for that."""
 
 
 class Listener(Protocol):
     """What a client has on a feed. Called in the loop's thread; must not wait."""
 
-    def offer(self, parcel: Parcel) -> None:
+    def offer(self, envelope: Envelope) -> None:
         """Take one message; MessageError when it cannot be written."""
 
-    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
         """Hear that a message could not be written."""
 
     def ended(self, state: str, cause: str) -> None:
@@ -123,15 +125,21 @@ class Feed:
     """The messages of one open connection, fanned out in the loop's thread.
 
     In order: while a long message is being written for somebody, those behind it wait for it.
+    What `Backend.join` returns is open. Only the server calls `take` and `finish`.
 
     Args:
         hop: the way into the loop.
         limit: messages that wait for the loop; then the oldest is lost, as a gap in the numbers.
+
+    Attributes:
+        connection: the one whose messages these are; None until it is open.
+        lost: messages lost before the loop got to them.
+        end: state and cause, once no more will come.
     """
 
     def __init__(self, hop: Hop, limit: int) -> None:
         self._hop = hop
-        self._waiting: deque[Parcel] = deque(maxlen=limit)
+        self._waiting: deque[Envelope] = deque(maxlen=limit)
         self._number = 0
         self._pending = False
         self._is_writing = False
@@ -151,7 +159,7 @@ class Feed:
         self._number += 1
         if len(self._waiting) == self._waiting.maxlen:
             self.lost += 1
-        self._waiting.append(Parcel(self._number, message))
+        self._waiting.append(Envelope(self._number, message))
         if not self._pending:
             self._pending = True
             self._hop.put(self._hand_out)
@@ -166,7 +174,7 @@ class Feed:
         self._listeners[listener] = prepare
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
-            listener.ended(*self.end)
+            _end(listener, *self.end)
         elif self.end is not None:
             self._hand_all()
         elif self._waiting:
@@ -214,7 +222,7 @@ class Feed:
         assert self.end is not None, "nothing is the last before the end"
         self._is_done = True
         for listener in tuple(self._listeners):
-            listener.ended(*self.end)
+            _end(listener, *self.end)
 
     def _can_hand(self) -> bool:
         return bool(self._waiting and self._listeners) and not self._is_writing
@@ -223,27 +231,47 @@ class Feed:
         """Hand out one message, or have it written first; False when none can be handed out."""
         if not self._can_hand():
             return False
-        parcel = self._waiting.popleft()
+        envelope = self._waiting.popleft()
         writing = [
             future
             for prepare in tuple(self._listeners.values())
-            if prepare is not None and (future := prepare(parcel)) is not None
+            if prepare is not None and (future := prepare(envelope)) is not None
         ]
         if writing:
             self._is_writing = True
-            asyncio.gather(*writing).add_done_callback(lambda _: self._written(parcel))
+            asyncio.gather(*writing).add_done_callback(lambda _: self._written(envelope))
             return False
-        self._hand_one(parcel)
+        self._hand_one(envelope)
         return True
 
-    def _written(self, parcel: Parcel) -> None:
+    def _written(self, envelope: Envelope) -> None:
         self._is_writing = False
-        self._hand_one(parcel)
+        self._hand_one(envelope)
         self._hand_out()
 
-    def _hand_one(self, parcel: Parcel) -> None:
+    def _hand_one(self, envelope: Envelope) -> None:
         for listener in tuple(self._listeners):
             try:
-                listener.offer(parcel)
-            except MessageError as error:
-                listener.refuse(parcel, error)
+                _offer(listener, envelope)
+            except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
+                self._drop(listener)
+
+    def _drop(self, listener: Listener) -> None:
+        """Hand a listener that fails nothing more, so that the others go on."""
+        _log.exception("a listener of %s failed", type(listener).__module__)
+        self._listeners.pop(listener, None)
+        _end(listener, "failed", "the server failed; its log says more")
+
+
+def _offer(listener: Listener, envelope: Envelope) -> None:
+    try:
+        listener.offer(envelope)
+    except MessageError as error:
+        listener.refuse(envelope, error)
+
+
+def _end(listener: Listener, state: str, cause: str) -> None:
+    try:
+        listener.ended(state, cause)
+    except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
+        _log.exception("a listener of %s failed", type(listener).__module__)

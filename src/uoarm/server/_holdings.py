@@ -12,13 +12,13 @@ from uoarm._control import Connection
 from uoarm._wire import Form
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.server._desk import Desk, Wanted
+from uoarm.server._desk import Desk, FeedKey
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._feed import Feed
 from uoarm.server._limits import Limits
 from uoarm.server._memory import Account
 from uoarm.server._outbox import Lane, Outbox
-from uoarm.server._sending import Done, Sending
+from uoarm.server._sending import Done, InputSender
 from uoarm.server._stream import Stream
 
 __all__ = ["Holdings", "wanted_by"]
@@ -52,12 +52,12 @@ class Holdings:
         self._limits = limits
         self._on_refused = on_refused
         self._streams: dict[str, Stream] = {}
-        self._sendings: dict[str, Sending] = {}
+        self._sendings: dict[str, InputSender] = {}
         self._ends: deque[tuple[Lane, bytes]] = deque(maxlen=limits.streams)
         self._killing: dict[str, list[Callable[[], None]]] = {}
         self._opening = 0
 
-    async def open(self, wanted: Wanted, options: Mapping[str, Any]) -> Stream:
+    async def open(self, wanted: FeedKey, options: Mapping[str, Any]) -> Stream:
         """Open a function. Its messages wait until `begin`.
 
         Raises:
@@ -98,16 +98,12 @@ class Holdings:
     def send(
         self, stream: Stream, message: Message, port: str | None, done: Done, octets: int
     ) -> None:
-        """Hand one message to an input; raises as `Sending.send`."""
+        """Hand one message to an input; raises as `InputSender.send`."""
         identity = stream.connection.id
         sending = self._sendings.get(identity)
         if sending is None:
-            sending = self._sendings[identity] = Sending(
-                stream.connection,
-                self._form,
-                self._desk.workers,
-                self._account,
-                limit=self._limits.queue_messages,
+            sending = self._sendings[identity] = self._desk.sender(
+                stream.connection, self._account, self._form
             )
         sending.send(message, port, done, octets)
 
@@ -197,9 +193,9 @@ class Holdings:
         return stream
 
 
-def wanted_by(name: str, options: Mapping[str, Any]) -> Wanted:
+def wanted_by(name: str, options: Mapping[str, Any]) -> FeedKey:
     """Return what a Request with these options asks for."""
-    return Wanted(
+    return FeedKey(
         name, ValidationMode(options.get("validate", "off")), options.get("receive", True)
     )
 

@@ -25,7 +25,6 @@ from uoarm.model import (
     to_json,
 )
 from uoarm.server._answers import Answers
-from uoarm.server._audit import Audit
 from uoarm.server._client import Client
 from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
@@ -49,14 +48,13 @@ class NativeSession:
     holds up nothing.
     """
 
-    def __init__(self, client: Client, desk: Desk, form: Form, audit: Audit, lobby: Lobby) -> None:
+    def __init__(self, client: Client, desk: Desk, form: Form, lobby: Lobby) -> None:
         self.form = form.name
         self._client = client
         self._lobby = lobby
         self._answers: Answers | None = None
         self._desk = desk
         self._form = form
-        self._audit = audit
         self._holdings = Holdings(
             desk,
             client.outbox,
@@ -158,7 +156,9 @@ class NativeSession:
     async def _request(self, asked: ControlMessage) -> None:
         options = asked.jsonMessage or {}
         wanted = wanted_by(str(asked.type), options)
-        self._require(Operation.REQUEST if wanted.receive else Operation.SEND, wanted.function)
+        self._client.require(
+            Operation.REQUEST if wanted.receive else Operation.SEND, wanted.function
+        )
         stream = await self._holdings.open(wanted, options)
         plan = stream.connection.plan
         opened = {
@@ -173,7 +173,7 @@ class NativeSession:
 
     async def _call(self, asked: ControlMessage) -> None:
         name = str(asked.type)
-        self._require(Operation.CALL, name)
+        self._client.require(Operation.CALL, name)
         limit = asked.extensions.get("x-timeout", self._client.limits.call_seconds)
         assert isinstance(limit, int | float), "the schema says so"
         read = functools.partial(read_message, self._form)
@@ -183,7 +183,7 @@ class NativeSession:
 
     async def _resolve(self, asked: ControlMessage) -> None:
         name = str(asked.type)
-        self._require(Operation.SEE, name.partition(".")[0])
+        self._client.require(Operation.SEE, name.partition(".")[0])
 
         def act(plan: Plan) -> bytes:
             return self._written(asked, show_plan(plan, self._form))
@@ -226,7 +226,7 @@ class NativeSession:
     def _send(self, asked: ControlMessage) -> None:
         identity, _, port = str(asked.type).partition(".")
         stream = self._holdings.own(identity)
-        self._require(Operation.SEND, stream.connection.plan.function)
+        self._client.require(Operation.SEND, stream.connection.plan.function)
         self._holdings.send(
             stream,
             asked.jsonMessage,
@@ -249,7 +249,7 @@ class NativeSession:
         )
         if connection is None or not seen:
             raise UnknownError(f"there is no connection {asked.type!r:.100}")
-        self._require(Operation.KILL, connection.plan.function)
+        self._client.require(Operation.KILL, connection.plan.function)
         self._begin(asked, self._ended_by(asked, connection))
 
     async def _ended_by(self, asked: ControlMessage, connection: Connection) -> None:
@@ -259,12 +259,6 @@ class NativeSession:
     def _changed(self, event: StatusEvent, function: str) -> None:
         if self._client.role.allows(Operation.SEE, function):
             self._tell({"op": "Status", "type": "change", "jsonMessage": to_json(event)})
-
-    def _require(self, operation: Operation, function: str) -> None:
-        role = self._client.role
-        allowed = role.allows(operation, function)
-        self._audit.note(self._client.identity, role, operation, function, allowed=allowed)
-        role.require(operation, function)
 
     def _hello(self) -> Message:
         return {

@@ -8,6 +8,7 @@ from collections import deque
 
 from attrs import define, field
 
+from uoarm.errors import MessageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server._memory import Account, Charge, Held, Memory
 
@@ -35,11 +36,21 @@ class Lane:
     waiting: deque[tuple[bytes, ...]] = field(factory=deque)
     waiting_bytes: int = 0
     finished: bool = False
+    _refusal: str = field(default="", init=False)
 
     @property
     def length(self) -> int:
         """Messages that may wait."""
         return 1 if self.policy.policy is OverflowPolicy.LATEST else self.policy.length
+
+    def refuse(self, error: MessageError) -> bool:
+        """Count a message that cannot be written as lost; True: the client is to be told why.
+
+        Each reason is told once, and again only after another one.
+        """
+        self.dropped += 1
+        told, self._refusal = self._refusal, str(error)
+        return told != self._refusal
 
 
 class Outbox:

@@ -8,7 +8,7 @@ import functools
 import signal
 import sys
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,6 +16,7 @@ from uoarm._control import RobotManager
 from uoarm.server._listener import NoRoomError
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings
+from uoarm.server.front_end import FrontEnd
 
 __all__ = ["run", "serve_in_thread"]
 
@@ -26,7 +27,11 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def run(
-    robot: RobotManager, settings: Settings, ready: Callable[[Server], None] | None = None
+    robot: RobotManager,
+    settings: Settings,
+    ready: Callable[[Server], None] | None = None,
+    *,
+    front_ends: Iterable[FrontEnd] | None = None,
 ) -> None:
     """Serve until SIGTERM or Ctrl-C, then close properly. Only in the main thread.
 
@@ -37,12 +42,13 @@ def run(
         robot: the manager; it stays open.
         settings: where, and for whom.
         ready: called once it listens.
+        front_ends: as for `Server`.
 
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
         OSError: a port is taken.
     """
-    server = Server(robot, settings)
+    server = Server(robot, settings, front_ends)
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_SECONDS)
     try:
@@ -52,14 +58,21 @@ def run(
 
 
 @contextmanager
-def serve_in_thread(robot: RobotManager, settings: Settings) -> Iterator[Server]:
+def serve_in_thread(
+    robot: RobotManager, settings: Settings, *, front_ends: Iterable[FrontEnd] | None = None
+) -> Iterator[Server]:
     """Serve in a thread of its own while the block runs; the robot stays open after it.
+
+    Args:
+        robot: the manager.
+        settings: where, and for whom.
+        front_ends: as for `Server`.
 
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
         OSError: a port is taken.
     """
-    server = Server(robot, settings)
+    server = Server(robot, settings, front_ends)
     loop = _new_loop()
     stop = asyncio.Event()
     started = threading.Event()

@@ -17,7 +17,7 @@ from uoarm.model import Message, MessageStructure, ValidationMode
 from uoarm.server._memory import Account, Charge, Held
 from uoarm.server._workers import BusyError, Workers
 
-__all__ = ["Sending", "read_message"]
+__all__ = ["InputSender", "read_message"]
 
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
@@ -33,7 +33,7 @@ class _Letter:
     charge: Charge
 
 
-class Sending:
+class InputSender:
     """One client's messages into one connection; all methods in the loop's thread.
 
     Every message is checked against the input's structure: what comes over the network is not

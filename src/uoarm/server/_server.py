@@ -8,7 +8,7 @@ import os
 import secrets
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from functools import cache
 from typing import Any
 
@@ -18,20 +18,22 @@ from websockets.frames import CloseCode
 
 from uoarm._control import RobotManager
 from uoarm._wire import FORMS, TEXT_FORM
+from uoarm.errors import ConfigurationError
 from uoarm.server._address import host_of
 from uoarm.server._admission import Admission
 from uoarm.server._audit import Audit
 from uoarm.server._client import Client, Session
 from uoarm.server._connection import TurnConnection
 from uoarm.server._desk import Desk
-from uoarm.server._doors import Doors
+from uoarm.server._doors import OWN_PATHS, Doors
+from uoarm.server._front_ends import FrontEnds
 from uoarm.server._intake import Decoder
 from uoarm.server._listener import connections_possible, listen
 from uoarm.server._lobby import Lobby
 from uoarm.server._metrics import Metrics, Totals
 from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
-from uoarm.server.rosbridge import Hub, RosbridgeSession
+from uoarm.server.front_end import FrontEnd, MakeSession
 
 __all__ = ["Server"]
 
@@ -47,13 +49,27 @@ class Server:
     Args:
         robot: stays open when the server stops.
         settings: where, and for whom.
+        front_ends: what other protocols are spoken; None: those of all installed plugins, of which
+            one that cannot be used is logged and left out.
 
     Raises:
-        ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
+        ConfigurationError: the settings are not safe, a file of theirs has mistakes, or a front end
+            that has a port cannot be used.
     """
 
-    def __init__(self, robot: RobotManager, settings: Settings) -> None:
+    def __init__(
+        self,
+        robot: RobotManager,
+        settings: Settings,
+        front_ends: Iterable[FrontEnd] | None = None,
+    ) -> None:
         settings.check()
+        self._front_ends = FrontEnds(OWN_PATHS, front_ends)
+        for problem in self._front_ends.problems:
+            _log.warning("the front end %r cannot be used: %s", problem.name, problem.cause)
+        for name in settings.front_end_ports:
+            if self._front_ends.find(name) is None:
+                raise ConfigurationError(self._front_ends.missing(name))
         self._robot = robot
         self._settings = settings
         self._limits = settings.limits
@@ -67,7 +83,7 @@ class Server:
         self._audit = Audit()
         self._decoder = Decoder()
         self._totals = Totals()
-        self._hub = Hub()
+        self._make_session: dict[str, MakeSession] = {}
         self._connected: Counter[str] = Counter()
         self._clients: dict[Client, None] = {}
         self._lobby = Lobby(self._limits, self._end)
@@ -80,8 +96,13 @@ class Server:
 
     @property
     def ports(self) -> tuple[int, ...]:
-        """The ports it listens on: the main one, then that of rosbridge."""
+        """The ports it listens on: the main one, then those of `Settings.front_end_ports`."""
         return tuple(self._ports)
+
+    @property
+    def front_ends(self) -> tuple[FrontEnd, ...]:
+        """What other protocols it speaks."""
+        return self._front_ends.usable
 
     @property
     def held_octets(self) -> int:
@@ -102,10 +123,10 @@ class Server:
         desk = self._desk = Desk(self._robot, self._limits)
         metrics = Metrics(desk, self._totals, lambda: self._clients, self._lobby)
         try:
-            await self._listen(self._settings.port, desk, metrics.text, only_rosbridge=False)
-            if self._settings.rosbridge_port is not None:
-                port = self._settings.rosbridge_port
-                await self._listen(port, desk, metrics.text, only_rosbridge=True)
+            self._start_front_ends(desk)
+            await self._listen(self._settings.port, desk, metrics.text, None)
+            for name, port in self._settings.front_end_ports.items():
+                await self._listen(port, desk, metrics.text, self._front_ends.find(name))
         except BaseException:
             await self.stop()
             raise
@@ -138,8 +159,18 @@ class Server:
         if self._desk is not None:
             await self._desk.close()
 
+    def _start_front_ends(self, desk: Desk) -> None:
+        for one in self._front_ends.usable:
+            try:
+                self._make_session[one.name] = one.start(desk)
+            except Exception as error:
+                if one.name in self._settings.front_end_ports:
+                    raise ConfigurationError(f"{one}: {error}") from error
+                _log.exception("%s did not start, and is left out", one)
+                self._front_ends.drop(one.name, "it did not start")
+
     async def _listen(
-        self, port: int, desk: Desk, metrics: Callable[[], bytes], *, only_rosbridge: bool
+        self, port: int, desk: Desk, metrics: Callable[[], bytes], only: FrontEnd | None
     ) -> None:
         limits = self._limits
         doors = Doors(
@@ -150,7 +181,7 @@ class Server:
             self._connected,
             health=self._health,
             metrics=metrics,
-            only_rosbridge=only_rosbridge,
+            others=only or self._front_ends,
         )
 
         async def handle(socket: ServerConnection) -> None:
@@ -202,9 +233,17 @@ class Server:
             self._limits,
             self._decoder,
             desk.memory.open(),
+            self._audit,
         )
         host = host_of(socket)
-        session = self._session(client, desk, socket, rosbridge=entry.rosbridge)
+        try:
+            session = self._session(client, desk, socket, entry.front_end)
+        except Exception:  # noqa: BLE001 - a front end may raise anything
+            client.account.close()
+            who = entry.front_end or "the native protocol"
+            _log.exception("%s made no session for client %s", who, client.identity)
+            await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
+            return
         self._connected[host] += 1
         self._totals.clients += 1
         self._audit.arrival(client.address, client.identity, role.name)
@@ -222,6 +261,9 @@ class Server:
         self._clients[client] = None
         try:
             await client.run(session, socket)
+        except Exception:  # noqa: BLE001 - a front end may raise anything
+            _log.exception("%s failed for client %s", _module_of(session), client.identity)
+            await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
         finally:
             del self._clients[client]
             if self._lobby.park(client):
@@ -230,18 +272,21 @@ class Server:
                 self._end(client, session)
 
     def _end(self, client: Client, session: Session) -> None:
-        session.close()
+        try:
+            session.close()
+        except Exception:  # noqa: BLE001 - a front end may raise anything
+            _log.exception("%s failed when it was closed", _module_of(session))
         client.account.close()
         self._totals.add(client)
         self._audit.departure(client.identity)
 
     def _session(
-        self, client: Client, desk: Desk, socket: ServerConnection, *, rosbridge: bool
+        self, client: Client, desk: Desk, socket: ServerConnection, front_end: FrontEnd | None
     ) -> Session:
-        if rosbridge:
-            return RosbridgeSession(client, desk, self._hub, self._audit)
+        if front_end is not None:
+            return self._make_session[front_end.name](client)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
-        return NativeSession(client, desk, form, self._audit, self._lobby)
+        return NativeSession(client, desk, form, self._lobby)
 
     async def _look_after_clients(self) -> None:
         """Look after clients that are stuck or whose rights have changed."""
@@ -255,6 +300,11 @@ class Server:
 
     def _health(self) -> dict[str, object]:
         return {"status": "ok", "clients": len(self._clients)}
+
+
+def _module_of(session: Session) -> str:
+    """Return whose session it is, for the log."""
+    return type(session).__module__
 
 
 async def _repeat(action: Callable[[], Awaitable[None]], what: str) -> None:

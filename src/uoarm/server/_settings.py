@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ssl
+from collections.abc import Mapping
 from pathlib import Path
 
 from attrs import field, frozen
@@ -24,7 +25,7 @@ class Settings:
     Attributes:
         host: address to listen on.
         port: 0 for any that is free.
-        rosbridge_port: a second port where every path is the rosbridge endpoint; None: none.
+        front_end_ports: further ports by name of a front end, whose endpoint every path is there.
         access: access file with roles and tokens; needed off loopback.
         origins: origins of web pages that may connect, `*` for all.
         hosts: further names by which the server is reached on loopback.
@@ -37,7 +38,7 @@ class Settings:
 
     host: str = "127.0.0.1"
     port: int = 9080
-    rosbridge_port: int | None = None
+    front_end_ports: Mapping[str, int] = field(factory=dict, hash=False)
     access: Path | None = None
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] = ()

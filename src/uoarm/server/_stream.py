@@ -10,9 +10,8 @@ from uoarm._dataplane import Clock
 from uoarm._wire import Form
 from uoarm.errors import MessageError
 from uoarm.model import QueuePolicy
-from uoarm.server._complaints import Complaints
 from uoarm.server._encoder import Encoder
-from uoarm.server._feed import Feed, Parcel
+from uoarm.server._feed import Envelope, Feed
 from uoarm.server._outbox import Lane, Outbox
 
 __all__ = ["Stream"]
@@ -55,16 +54,16 @@ class Stream:
         self._every = every
         self._clock = clock
         self._due = 0.0
-        self._complaints = Complaints(on_refused)
+        self._on_refused = on_refused
         self._on_end = on_end
 
-    def prepare(self, encoder: Encoder, parcel: Parcel) -> asyncio.Future[object] | None:
+    def prepare(self, encoder: Encoder, envelope: Envelope) -> asyncio.Future[object] | None:
         """Have a long message written beside the loop, unless it comes too soon anyway."""
         if self._every and self._clock() < self._due:
             return None
-        return parcel.prepare(self._key, self._write, encoder)
+        return envelope.prepare(self._key, self._write, encoder)
 
-    def offer(self, parcel: Parcel) -> None:
+    def offer(self, envelope: Envelope) -> None:
         """Take one message unless it comes too soon after the last."""
         if self._every:
             now = self._clock()
@@ -72,12 +71,13 @@ class Stream:
                 self.skipped += 1
                 return
             self._due = now + self._every
-        self._outbox.put(self.lane, parcel.written(self._key, self._write))
+        self._outbox.put(self.lane, envelope.written(self._key, self._write))
 
-    def refuse(self, parcel: Parcel, error: MessageError) -> None:
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
         """Count a message that has no form, and tell why."""
-        del parcel
-        self._complaints.add(self.lane, error)
+        del envelope
+        if self.lane.refuse(error):
+            self._on_refused(error)
 
     def ended(self, state: str, cause: str) -> None:
         """Pass the end on."""

@@ -1,0 +1,231 @@
+"""Actions of one rosbridge client: goals that it sends, and goals of others that it works on."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.errors import (
+    BridgeError,
+    ControlMessageError,
+    FailureReason,
+    MessageError,
+    UsageError,
+)
+from uoarm.model import Message, QueuePolicy, show_value
+from uoarm.server.front_end import (
+    Backend,
+    Charge,
+    Client,
+    Held,
+    Lane,
+    LimitError,
+    Operation,
+    UnknownError,
+    tell_error,
+)
+from uoarm_rosbridge._action_hub import ActionHub
+from uoarm_rosbridge._call_runner import CallRunner
+from uoarm_rosbridge._fragments import fragment_size, split
+from uoarm_rosbridge._goal import Goal, GoalStatus, Runner
+from uoarm_rosbridge._names import Place, find_place
+from uoarm_rosbridge._stream_runner import is_action
+from uoarm_rosbridge._wire import write_ros
+
+__all__ = ["Actions"]
+
+Fields = Mapping[str, Any]
+
+
+@frozen(eq=False)
+class _Sent:
+    place: Place
+    goal: Goal
+    runner: Runner
+    charge: Charge
+
+
+class Actions:
+    """Goals of one client by id, in the loop's thread.
+
+    A function is an action where its component takes goals; a service is one without feedback.
+    Other names are actions between clients.
+
+    Args:
+        client: its limits and its outbox.
+        backend: where functions are opened.
+        hub: where clients meet.
+        fail: tells the client what went wrong with a message of its.
+        ask: sends another client's request; raises BusyError where it leaves too much unread.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        backend: Backend,
+        hub: ActionHub,
+        fail: Callable[[Fields, BaseException], None],
+        ask: Callable[[Fields], None],
+    ) -> None:
+        self._client = client
+        self._backend = backend
+        self._hub = hub
+        self._fail = fail
+        self.tell = ask
+        self._sent: dict[str, _Sent] = {}
+        self._joined: set[str] = set()
+        self._offered: set[str] = set()
+        self._numbers = itertools.count(1)
+
+    def send_goal(self, fields: Fields) -> None:
+        """Begin with a goal; feedback and result come with its id."""
+        identity = fields.get("id") or fields["action"]
+        if identity in self._sent:
+            raise UsageError(f"the goal {identity!r:.200} is under way")
+        if len(self._sent) >= self._client.limits.streams:
+            raise LimitError(f"{self._client.limits.streams} goals are under way already")
+        place = find_place(fields["action"])
+        self._client.require(Operation.CALL, place.right)
+        runner = self._runner(place)
+        charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
+        sent = self._sent[identity] = _Sent(place, self._goal(identity, fields), runner, charge)
+        try:
+            runner.start(sent.goal)
+        except BaseException:
+            self._forget(identity)
+            raise
+
+    def cancel_goal(self, fields: Fields) -> None:
+        """Ask for a goal's end; its result says what became of it."""
+        sent = self._sent.get(fields["id"])
+        if sent is None:
+            raise UnknownError(f"this client has no goal {fields['id']!r:.200} under way")
+
+        def done(error: BaseException | None) -> None:
+            if error is not None:
+                self._fail(fields, error)
+
+        sent.runner.cancel(sent.goal, done)
+
+    def cancel_all(self, place: Place) -> None:
+        """Ask for the end of all goals of this client to one action."""
+        for identity, sent in list(self._sent.items()):
+            if sent.place == place:
+                self.cancel_goal({"op": "cancel_action_goal", "id": identity})
+
+    def advertise(self, fields: Fields) -> None:
+        """Work on goals of other clients from now on."""
+        place = find_place(fields["action"])
+        self._client.require(Operation.SEND, place.right)
+        if place.function:
+            raise UsageError(f"{place.name!r} belongs to the server")
+        if len(self._offered) >= self._client.limits.streams:
+            raise LimitError(f"{self._client.limits.streams} actions are offered already")
+        self._hub.offer(place.name, fields["type"], self)
+        self._offered.add(place.name)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Work on goals of an action no more."""
+        name = find_place(fields["action"]).name
+        if name not in self._offered:
+            raise UsageError(f"this client does not provide {name!r}")
+        self._offered.discard(name)
+        self._hub.withdraw(name, self)
+
+    def take_feedback(self, fields: Fields) -> None:
+        """Pass feedback on to the client that sent the goal."""
+        self._hub.goal(fields["id"], self).feed(fields.get("values"))
+
+    def take_result(self, fields: Fields) -> None:
+        """Pass a result on to the client that sent the goal."""
+        goal = self._hub.goal(fields["id"], self)
+        status = _status(fields.get("status"))
+        self._hub.close_goal(fields["id"])
+        values = fields.get("values")
+        if fields["result"] is True:
+            goal.finish({} if values is None else values, status)
+        else:
+            text = f"the goal ended {status.name.lower()}: {show_value(values, 500)}"
+            goal.fail(BridgeError(text, FailureReason.REFUSED))
+
+    def close(self) -> None:
+        """Give everything back; what this client asked for is cancelled."""
+        for sent in self._sent.values():
+            sent.runner.abandon(sent.goal)
+        self._sent.clear()
+        for function in self._joined:
+            self._hub.leave(function, self)
+        self._hub.forget(self)
+
+    def _runner(self, place: Place) -> Runner:
+        if not place.function:
+            runner = self._hub.runner(place.name)
+            if runner is None:
+                raise UnknownError(f"there is no action {place.name!r:.200}")
+            return runner
+        function = self._backend.robot.config.functions.get(place.function)
+        if function is None or place.port:
+            raise UnknownError(f"there is no function {place.wanted!r:.200}")
+        if any(is_action(one) for one in function.components):
+            self._joined.add(place.function)
+            return self._hub.join(place.function, self._backend, self)
+        return CallRunner(place, self._backend)
+
+    def _goal(self, identity: str, fields: Fields) -> Goal:
+        """Return a goal that answers to the client, feedback and result in their order."""
+        named = {name: fields[name] for name in ("action", "id") if fields.get(name) is not None}
+        lane = Lane(QueuePolicy(self._client.limits.queue_messages), text=True)
+        feedback = {**fields, "op": "action_feedback"}
+
+        def on_feedback(values: Message) -> None:
+            if fields.get("feedback") is True:
+                try:
+                    frame = write_ros({"op": "action_feedback", "values": values, **named})
+                except MessageError as error:
+                    if lane.refuse(error):
+                        self._fail(feedback, error)
+                else:
+                    self._client.outbox.put(lane, *self._split(frame, fields))
+
+        def on_result(values: Message, status: GoalStatus) -> None:
+            try:
+                frame = _result(named, values, status, result=True)
+            except MessageError as error:
+                on_failure(error)
+            else:
+                finish(frame)
+
+        def on_failure(error: BaseException) -> None:
+            finish(_result(named, tell_error(error), GoalStatus.UNKNOWN, result=False))
+
+        def finish(frame: bytes) -> None:
+            self._forget(identity)
+            self._client.outbox.finish(lane, *self._split(frame, fields))
+
+        octets = self._client.in_hand
+        return Goal(fields.get("args"), on_feedback, on_result, on_failure, octets)
+
+    def _forget(self, identity: str) -> None:
+        sent = self._sent.pop(identity, None)
+        if sent is not None:
+            sent.charge.release()
+
+    def _split(self, frame: bytes, fields: Fields) -> list[bytes]:
+        return split(frame, fragment_size(fields), f"uoarm:goal:{next(self._numbers)}")
+
+
+def _status(given: Any) -> GoalStatus:
+    try:
+        return GoalStatus(given)
+    except ValueError:
+        known = ", ".join(f"{one.value} ({one.name.lower()})" for one in GoalStatus)
+        text = f"action_result: status: expected one of {known}, got {show_value(given)}"
+        raise ControlMessageError(text) from None
+
+
+def _result(named: Fields, values: Message, status: GoalStatus, *, result: bool) -> bytes:
+    told = {"op": "action_result", "values": values, "status": int(status), "result": result}
+    return write_ros({**told, **named})

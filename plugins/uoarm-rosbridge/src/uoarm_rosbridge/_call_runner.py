@@ -1,0 +1,57 @@
+"""A service as an action: the goal is its request, the result its reply; there is no feedback."""
+
+from __future__ import annotations
+
+import asyncio
+
+from uoarm.errors import UsageError
+from uoarm.server.front_end import Backend, Done
+from uoarm_rosbridge._arguments import read_arguments
+from uoarm_rosbridge._goal import Goal, GoalStatus
+from uoarm_rosbridge._names import Place
+
+__all__ = ["CallRunner"]
+
+
+class CallRunner:
+    """Calls one function for one client.
+
+    Args:
+        place: the function.
+        backend: where it is called.
+    """
+
+    def __init__(self, place: Place, backend: Backend) -> None:
+        self._place = place
+        self._backend = backend
+        self._tasks: dict[Goal, asyncio.Task[None]] = {}
+
+    def start(self, goal: Goal) -> None:
+        """Call the function."""
+        task = self._tasks[goal] = asyncio.ensure_future(self._call(goal))
+        task.add_done_callback(lambda _: self._tasks.pop(goal, None))
+
+    def cancel(self, goal: Goal, done: Done) -> None:
+        """Refuse: a call runs to its end."""
+        del goal, done
+        raise UsageError(
+            f"{self._place.name} is a call, which cannot be cancelled; its result still comes"
+        )
+
+    def abandon(self, goal: Goal) -> None:
+        """Wait for the reply no more."""
+        if goal in self._tasks:
+            self._tasks[goal].cancel()
+
+    async def _call(self, goal: Goal) -> None:
+        try:
+            reply = await self._backend.call(
+                self._place.wanted,
+                goal.arguments,
+                read_arguments,
+                self._backend.limits.call_seconds,
+            )
+        except Exception as error:  # noqa: BLE001 - told to the one who sent it
+            goal.fail(error)
+        else:
+            goal.finish(reply, GoalStatus.SUCCEEDED)

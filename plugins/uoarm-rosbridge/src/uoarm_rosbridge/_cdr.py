@@ -1,0 +1,184 @@
+"""Messages as ROS 2 serialises them: CDR, version 1 of its plain encoding, in this machine's order.
+
+The layout is read from a structure once, by the same rules by which rosapi describes the type. An
+octet string as in an image is copied once. Source: the Common Data Representation of CORBA 3.3,
+part 2, section 9.3, and the encapsulation header of DDSI-RTPS 2.3, section 10; that a text counts
+its closing zero, that a wide character takes four octets and that a type without fields has one
+octet of zero is what Fast CDR and rosidl do.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from array import array
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+from uoarm.errors import MessageError
+from uoarm.model import Message, MessageStructure
+from uoarm_rosbridge._basic import BASIC, basic_type
+
+__all__ = ["serialiser"]
+
+Put: TypeAlias = "Callable[[bytearray, Any], None]"
+_HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
+_MAX_DEPTH = 64
+_UNFIT = (struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+_count = struct.Struct("=I").pack
+
+
+def serialiser(structure: MessageStructure) -> Callable[[Message], bytearray]:
+    """Return the function that serialises messages of a structure, encapsulation header first.
+
+    It raises MessageError for a message that does not fit.
+
+    Raises:
+        MessageError: the structure has no fixed layout; the text names the field.
+    """
+    put = _record(structure.schema, "the message", 0)
+
+    def serialise(message: Message) -> bytearray:
+        out = bytearray(_HEADER)
+        try:
+            put(out, message)
+        except _UNFIT as error:
+            raise MessageError(f"the message does not fit its structure: {error}") from error
+        return out
+
+    return serialise
+
+
+def _put(schema: object, where: str, depth: int) -> Put:
+    if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
+        raise _loose(where, "anything may stand there")
+    if schema.get("type") == "array":
+        return _listing(schema, where, depth)
+    basic = basic_type(schema)
+    if basic:
+        return _scalar(basic)
+    return _record(schema, where, depth)
+
+
+def _record(schema: object, where: str, depth: int) -> Put:
+    if not isinstance(schema, Mapping) or schema.get("type") != "object":
+        raise _loose(where, "no single type is stated for it")
+    fields: Mapping[str, object] = schema.get("properties", {})
+    always = fields.keys() == set(schema.get("required", ()))
+    if not always or schema.get("additionalProperties") is not False:
+        raise _loose(where, "fields may be absent or added")
+    members = [(name, _put(one, f"{where}.{name}", depth + 1)) for name, one in fields.items()]
+
+    def put(out: bytearray, value: Any) -> None:
+        if not members:
+            out.append(0)
+        for name, member in members:
+            member(out, value[name])
+
+    return put
+
+
+def _scalar(basic: str) -> Put:
+    if basic == "string":
+        return _put_text
+    if basic == "wstring":
+        return _put_wide_text
+    pack, size = struct.Struct(f"={BASIC[basic]}").pack, struct.calcsize(f"={BASIC[basic]}")
+    if size == 1:
+        return lambda out, value: out.extend(pack(value))
+
+    def put(out: bytearray, value: Any) -> None:
+        _align(out, size)
+        out += pack(value)
+
+    return put
+
+
+def _listing(schema: Mapping[str, Any], where: str, depth: int) -> Put:
+    items = schema.get("items")
+    if not isinstance(items, Mapping) or "prefixItems" in schema or items.get("type") == "array":
+        raise _loose(where, "its elements have no single type that ROS has")
+    least, most = schema.get("minItems"), schema.get("maxItems")
+    fixed = least if isinstance(least, int) and least == most else None
+    basic = basic_type(items)
+    if BASIC.get(basic):
+        elements = _block(BASIC[basic])
+    else:
+        elements = _each(_put(items, f"{where}[]", depth + 1))
+
+    def put(out: bytearray, value: Any) -> None:
+        if fixed is None:
+            _align(out, 4)
+            out += _count(len(value))
+        elif len(value) != fixed:
+            raise ValueError(f"{where} has {len(value)} elements, expected {fixed}")
+        if len(value):
+            elements(out, value)
+
+    return put
+
+
+def _each(put: Put) -> Put:
+    def put_all(out: bytearray, values: Any) -> None:
+        for value in values:
+            put(out, value)
+
+    return put_all
+
+
+def _block(code: str) -> Put:
+    """Return what puts an array of numbers: a buffer of theirs as it is, others one by one."""
+    size = struct.calcsize(f"={code}")
+
+    def put(out: bytearray, values: Any) -> None:
+        _align(out, size)
+        octets = _octets(values, code, size)
+        if octets is None:
+            listed = values.tolist() if hasattr(values, "tolist") else list(values)
+            octets = struct.pack(f"={len(listed)}{code}", *listed)
+        out += octets
+
+    return put
+
+
+def _octets(values: Any, code: str, size: int) -> memoryview | bytes | None:
+    """Return what a buffer of the very type consists of, None for anything else."""
+    try:
+        buffer = memoryview(values)
+    except TypeError:
+        return None
+    same = buffer.itemsize == size and _kind(buffer.format) == _kind(code)
+    if not same or buffer.ndim != 1:
+        return None
+    return buffer if buffer.c_contiguous else buffer.tobytes()
+
+
+def _kind(code: str) -> str:
+    """Return whether a format is of signed or unsigned integers, of floats, or another one."""
+    return next((kinds for kinds in ("bhilqn", "BHILQN", "fd") if code in kinds), code)
+
+
+def _put_text(out: bytearray, value: Any) -> None:
+    octets = value.encode()
+    _align(out, 4)
+    out += _count(len(octets) + 1)
+    out += octets
+    out.append(0)
+
+
+def _put_wide_text(out: bytearray, value: Any) -> None:
+    units = array("H", value.encode("utf-16-le" if sys.byteorder == "little" else "utf-16-be"))
+    _align(out, 4)
+    out += _count(len(units))
+    out += array("I", units).tobytes()
+
+
+def _align(out: bytearray, size: int) -> None:
+    """Fill up to a multiple of a size, counted from after the header."""
+    gap = (len(_HEADER) - len(out)) % size
+    if gap:
+        out += bytes(gap)
+
+
+def _loose(where: str, why: str) -> MessageError:
+    return MessageError(f"{where} has no fixed layout ({why}); ask for cbor instead of cbor-raw")

@@ -1,0 +1,262 @@
+"""What clients offer to one another, without any framework behind it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable
+from typing import Protocol
+
+from attrs import define, field
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Message
+from uoarm.server.front_end import (
+    Account,
+    Charge,
+    Envelope,
+    Held,
+    LimitError,
+    Listener,
+    UnknownError,
+)
+from uoarm_rosbridge._action_hub import ActionHub
+
+__all__ = ["Hub", "Provider", "Topic"]
+
+_MOST_TOPICS = 10_000
+
+
+class Provider(Protocol):
+    """A client that provides services."""
+
+    def ask(self, identity: str, service: str, message: Message) -> None:
+        """Send a request to the client; its answer comes to `Hub.answer`."""
+
+
+@define(eq=False)
+class Latched:
+    """The last message of a publisher, kept for listeners that are still to come."""
+
+    envelope: Envelope
+    publisher: object
+    charge: Charge
+    account: Account
+
+    def offer(self, listener: Listener) -> None:
+        """Hand it to a listener; its written forms are kept where the publisher has room."""
+        _offer(listener, self.envelope)
+        self.charge.resize(self.envelope.octets)
+        if not self.account.has_room(0):
+            self.envelope.forget_written()
+            self.charge.resize(self.envelope.octets)
+
+
+@define(eq=False)
+class Topic:
+    """One topic between clients; it lives while someone publishes or listens.
+
+    Attributes:
+        type: as its publishers state it; the first of them decides while any of them stays.
+        wished: as the first listener named it, which binds nobody.
+    """
+
+    name: str
+    type: str = ""
+    wished: str = ""
+    number: int = 0
+    publishers: set[object] = field(factory=set)
+    listeners: dict[Listener, None] = field(factory=dict)
+    latched: Latched | None = None
+
+    def unlatch(self) -> None:
+        """Keep no message for listeners that are still to come."""
+        if self.latched is not None:
+            self.latched.charge.release()
+            self.latched = None
+
+
+class Hub:
+    """All topics and services between the clients of one server, in the loop's thread.
+
+    Attributes:
+        actions: all actions.
+    """
+
+    def __init__(self) -> None:
+        self._topics: dict[str, Topic] = {}
+        self._services: dict[str, tuple[str, Provider]] = {}
+        self._numbers = itertools.count(1)
+        self._waiting: dict[str, tuple[Provider, asyncio.Future[Message]]] = {}
+        self.actions = ActionHub()
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Types by topic."""
+        return {topic.name: topic.type or topic.wished for topic in self._topics.values()}
+
+    @property
+    def services(self) -> dict[str, str]:
+        """Types by service."""
+        return {name: kind for name, (kind, _) in self._services.items()}
+
+    def advertise(self, name: str, kind: str, publisher: object) -> None:
+        """Count a publisher of a topic.
+
+        Raises:
+            MessageError: other publishers of the topic state another type.
+            LimitError: there are too many topics.
+        """
+        topic = self._topic(name)
+        if kind and topic.type and topic.type != kind:
+            self._drop_if_unused(topic)
+            raise MessageError(f"topic {name!r} has the type {topic.type!r}, not {kind!r}")
+        topic.type = topic.type or kind
+        topic.publishers.add(publisher)
+
+    def unadvertise(self, name: str, publisher: object) -> None:
+        """Take a publisher back."""
+        topic = self._topics.get(name)
+        if topic is not None:
+            topic.publishers.discard(publisher)
+            if topic.latched is not None and topic.latched.publisher is publisher:
+                topic.unlatch()
+            if not topic.publishers:
+                topic.type = ""
+            self._drop_if_unused(topic)
+
+    def publish(
+        self,
+        name: str,
+        message: Message,
+        publisher: object,
+        octets: int,
+        latch: Account | None = None,
+    ) -> None:
+        """Hand a message to every listener of a topic.
+
+        Args:
+            name: of the topic.
+            message: an object.
+            publisher: who advertised it.
+            octets: of memory that the message holds.
+            latch: what is charged for keeping the message for those who come; None: it is not kept.
+
+        Raises:
+            LimitError: the publisher has too much memory held; the message went nowhere.
+            BusyError: all clients together have.
+        """
+        topic = self._topic(name)
+        envelope = Envelope(topic.number + 1, message, octets)
+        if latch is not None:
+            before = topic.latched
+            if before is not None and before.publisher is publisher:
+                topic.unlatch()
+            charge = latch.charge(Held.LATCHED, envelope.octets)
+            topic.unlatch()
+            topic.latched = Latched(envelope, publisher, charge, latch)
+        topic.number += 1
+        for listener in tuple(topic.listeners):
+            _offer(listener, envelope)
+
+    def listen(self, name: str, kind: str, listener: Listener) -> None:
+        """Hand a topic's messages to a listener, first the one that is latched.
+
+        Raises:
+            LimitError: there are too many topics.
+        """
+        topic = self._topic(name)
+        topic.wished = topic.wished or kind
+        topic.listeners[listener] = None
+        if topic.latched is not None:
+            topic.latched.offer(listener)
+
+    def leave(self, name: str, listener: Listener) -> None:
+        """Hand a listener no more."""
+        topic = self._topics.get(name)
+        if topic is not None:
+            topic.listeners.pop(listener, None)
+            self._drop_if_unused(topic)
+
+    def provide(self, name: str, kind: str, provider: Provider) -> None:
+        """Let a client answer a service's requests.
+
+        Raises:
+            LimitError: another client does so already.
+        """
+        if name in self._services and self._services[name][1] is not provider:
+            raise LimitError(f"another client provides {name!r}")
+        self._services[name] = (kind, provider)
+
+    def withdraw(self, name: str, provider: Provider) -> None:
+        """Take a service back."""
+        if name in self._services and self._services[name][1] is provider:
+            del self._services[name]
+
+    def forget(self, provider: Provider) -> None:
+        """Take back every service of a client that has gone, and fail what waits for it."""
+        for name in [name for name, (_, one) in self._services.items() if one is provider]:
+            del self._services[name]
+        for one, future in list(self._waiting.values()):
+            if one is provider and not future.done():
+                gone = BridgeError("the client that provides it has gone", FailureReason.CLOSED)
+                future.set_exception(gone)
+
+    def provides(self, name: str) -> bool:
+        """Say whether a client provides a service."""
+        return name in self._services
+
+    async def call(self, name: str, message: Message, timeout: float) -> Message:
+        """Ask the client that provides a service.
+
+        Raises:
+            UnknownError: there is none.
+            BusyError: the client that provides it does not read its requests.
+            BridgeError: it failed, has gone, or did not answer in time.
+        """
+        found = self._services.get(name)
+        if found is None:
+            raise UnknownError(f"there is no service {name!r:.200}")
+        identity = f"uoarm:{name}:{next(self._numbers)}"
+        future: asyncio.Future[Message] = asyncio.get_running_loop().create_future()
+        future.add_done_callback(lambda done: done.cancelled() or done.exception())
+        self._waiting[identity] = (found[1], future)
+        try:
+            found[1].ask(identity, name, message)
+            # Not `wait_for`: it may lose a cancellation before CPython 3.12.
+            await asyncio.wait({future}, timeout=timeout)
+            if not future.done():
+                raise BridgeTimeoutError(f"{name!r} did not answer within {timeout:g} s")
+            return future.result()
+        finally:
+            del self._waiting[identity]
+
+    def answer(self, identity: str, provider: Provider, conclude: Callable[..., None]) -> None:
+        """Take a client's answer; `conclude` sets the future's result or error.
+
+        Raises:
+            UnknownError: nobody waits for it, or another client was asked.
+        """
+        one, future = self._waiting.get(identity, (None, None))
+        if one is not provider or future is None or future.done():
+            raise UnknownError(f"nobody waits for the answer {identity!r:.200}")
+        conclude(future)
+
+    def _topic(self, name: str) -> Topic:
+        topic = self._topics.get(name)
+        if topic is None:
+            if len(self._topics) >= _MOST_TOPICS:
+                raise LimitError(f"there are {_MOST_TOPICS:,} topics already")
+            topic = self._topics[name] = Topic(name)
+        return topic
+
+    def _drop_if_unused(self, topic: Topic) -> None:
+        if not topic.publishers and not topic.listeners:
+            self._topics.pop(topic.name, None)
+
+
+def _offer(listener: Listener, envelope: Envelope) -> None:
+    try:
+        listener.offer(envelope)
+    except MessageError as error:
+        listener.refuse(envelope, error)

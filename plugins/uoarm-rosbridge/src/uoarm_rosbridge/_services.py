@@ -1,0 +1,121 @@
+"""Services of one rosbridge client: those it calls and those it provides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from uoarm.errors import BridgeError, UsageError
+from uoarm.model import Message, show_value
+from uoarm.server.front_end import Backend, Client, LimitError, Operation
+from uoarm_rosbridge._arguments import read_arguments
+from uoarm_rosbridge._fragments import fragment_size
+from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._names import Place, find_place
+from uoarm_rosbridge._rosapi import PREFIX, Rosapi
+
+__all__ = ["Services"]
+
+Fields = Mapping[str, Any]
+_CANCEL = "/_action/cancel_goal"
+
+
+class Services:
+    """Calls and answers of one client, in the loop's thread.
+
+    Args:
+        client: its limits and its rights.
+        backend: where functions are called.
+        hub: where clients call one another.
+        tell: sends one message to the client, in fragments of a size, 0 for none.
+        ask: sends another client's request; raises BusyError where it leaves too much unread.
+        cancel_goals: asks for the end of all the client's goals to an action.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        backend: Backend,
+        hub: Hub,
+        tell: Callable[[Fields, int], None],
+        ask: Callable[[Fields], None],
+        cancel_goals: Callable[[Place], None],
+    ) -> None:
+        self._client = client
+        self._limits = client.limits
+        self._backend = backend
+        self._hub = hub
+        self._tell = tell
+        self._ask = ask
+        self._cancel_goals = cancel_goals
+        self._rosapi = Rosapi(backend, hub, client.role)
+        self._provided: set[str] = set()
+
+    async def call(self, fields: Fields) -> None:
+        """Call a service and send its response."""
+        arguments = fields.get("args")
+        limit, most = fields.get("timeout"), self._limits.call_seconds
+        timeout = min(float(limit), most) if isinstance(limit, int | float) and limit > 0 else most
+        values = await self._answer(str(fields["service"]), arguments, timeout)
+        response = {
+            "op": "service_response",
+            "service": fields["service"],
+            "values": values,
+            "result": True,
+        }
+        if fields.get("id") is not None:
+            response["id"] = fields["id"]
+        self._tell(response, fragment_size(fields))
+
+    def advertise(self, fields: Fields) -> None:
+        """Provide a service to other clients."""
+        place = find_place(fields["service"])
+        self._client.require(Operation.SEND, place.right)
+        if place.function or place.name.startswith(PREFIX):
+            raise UsageError(f"{place.name!r} belongs to the server")
+        if len(self._provided) >= self._limits.streams:
+            raise LimitError(f"{self._limits.streams} services are provided; withdraw one first")
+        self._hub.provide(place.name, fields["type"], self)
+        self._provided.add(place.name)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Provide a service no more."""
+        name = find_place(fields["service"]).name
+        if name not in self._provided:
+            raise UsageError(f"this client does not provide {name!r}")
+        self._provided.discard(name)
+        self._hub.withdraw(name, self)
+
+    def respond(self, fields: Fields) -> None:
+        """Pass on the client's answer to a request."""
+        values = fields.get("values")
+
+        def conclude(future: Any) -> None:
+            if fields["result"] is True:
+                future.set_result({} if values is None else values)
+            else:
+                future.set_exception(BridgeError(f"the service said no: {show_value(values, 500)}"))
+
+        self._hub.answer(str(fields["id"]), self, conclude)
+
+    def ask(self, identity: str, service: str, message: Message) -> None:
+        """Send another client's request to this one, which provides the service."""
+        self._ask({"op": "call_service", "id": identity, "service": service, "args": message})
+
+    def close(self) -> None:
+        """Withdraw everything."""
+        self._hub.forget(self)
+
+    async def _answer(self, service: str, arguments: Message, timeout: float) -> Message:
+        place = find_place(service)
+        if place.name.startswith(PREFIX):
+            given = arguments if isinstance(arguments, dict) else {}
+            return await self._rosapi.call(place.name.removeprefix(PREFIX), given)
+        if place.name.endswith(_CANCEL):
+            self._cancel_goals(find_place(place.name.removesuffix(_CANCEL)))
+            return {"return_code": 0, "goals_canceling": []}
+        self._client.require(Operation.CALL, place.right)
+        if not place.function:
+            given = {} if arguments is None else arguments
+            return await self._hub.call(place.name, given, timeout)
+        return await self._backend.call(place.wanted, arguments, read_arguments, timeout)

@@ -1,0 +1,234 @@
+"""One rosbridge client: each operation, and a status message where something is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import itertools
+import logging
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any
+
+import orjson
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError
+from uoarm.model import Message, Spending, message_octets
+from uoarm.server.front_end import (
+    Backend,
+    BusyError,
+    Charge,
+    Client,
+    Held,
+    LimitError,
+    code_of,
+    tell_error,
+    without_frames,
+)
+from uoarm_rosbridge._actions import Actions
+from uoarm_rosbridge._fragments import Fragments, split
+from uoarm_rosbridge._goal import GoalStatus
+from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._services import Services
+from uoarm_rosbridge._topics import Topics
+from uoarm_rosbridge._wire import check_fields, read_operation, write_ros
+
+__all__ = ["RosbridgeSession"]
+
+_log = logging.getLogger("uoarm.rosbridge")
+_LEVELS = ("info", "warning", "error", "none")
+_ERROR = _LEVELS.index("error")
+_REFUSED = {
+    "png": "png is not taken from clients: send JSON text",
+    "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
+    "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
+}
+_ANSWERED = {
+    "call_service": ("service_response", "service"),
+    "send_action_goal": ("action_result", "action"),
+}
+
+
+@frozen
+class _Operation:
+    needed: tuple[str, ...]
+    act: Callable[[Mapping[str, Any]], Coroutine[Any, Any, None] | None]
+
+
+class RosbridgeSession:
+    """One client that speaks rosbridge v2.
+
+    Operations are begun in the order in which they come; service calls run side by side. What
+    rosbridge answers with silence is answered here with a `status` message of level `error`.
+    """
+
+    def __init__(self, client: Client, backend: Backend, hub: Hub) -> None:
+        self._client = client
+        self._level = _ERROR
+        self._numbers = itertools.count(1)
+        self._fragments = Fragments(2 * client.limits.message_bytes)
+        self._fragments_held = client.account.hold(Held.FRAGMENTS)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._topics = Topics(client, backend, hub, self._fail)
+        self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
+        cancel = self._actions.cancel_all
+        self._services = Services(client, backend, hub, self.tell, self.ask, cancel)
+        topics, services, actions = self._topics, self._services, self._actions
+        self._operations = {
+            "advertise": _Operation(("topic", "type"), topics.advertise),
+            "unadvertise": _Operation(("topic",), topics.unadvertise),
+            "publish": _Operation(("topic", "msg"), topics.publish),
+            "subscribe": _Operation(("topic",), topics.subscribe),
+            "unsubscribe": _Operation(("topic",), topics.unsubscribe),
+            "call_service": _Operation(("service",), services.call),
+            "advertise_service": _Operation(("service", "type"), services.advertise),
+            "unadvertise_service": _Operation(("service",), services.unadvertise),
+            "service_response": _Operation(("id", "result"), services.respond),
+            "send_action_goal": _Operation(("action",), actions.send_goal),
+            "cancel_action_goal": _Operation(("id", "action"), actions.cancel_goal),
+            "advertise_action": _Operation(("action", "type"), actions.advertise),
+            "unadvertise_action": _Operation(("action",), actions.unadvertise),
+            "action_feedback": _Operation(("id", "action", "values"), actions.take_feedback),
+            "action_result": _Operation(("id", "action", "status", "result"), actions.take_result),
+            "set_level": _Operation(("level",), self._set_level),
+            "status": _Operation((), _ignore),
+        }
+
+    def octets(self, frame: str | bytes) -> int:
+        """Return how much there may be to decode, with the fragments that this one may complete."""
+        return len(frame) + self._fragments.octets
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        """Return what acts on one frame, now or later, and how much memory its message holds."""
+        fields: Mapping[str, Any] = {}
+        try:
+            fields = read_operation(frame, spending)
+            whole = self._collect(fields, spending) if fields.get("op") == "fragment" else fields
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            if not isinstance(error, ControlMessageError):
+                _log.exception("a message of client %s", self._client.identity)
+            return functools.partial(self._fail, fields, without_frames(error)), 0
+        return functools.partial(self._handle, whole), message_octets(whole)
+
+    def close(self) -> None:
+        """Give back everything that only this client used."""
+        for task in self._tasks:
+            task.cancel()
+        self._topics.close()
+        self._services.close()
+        self._actions.close()
+
+    def tell(self, message: Mapping[str, Any], size: int = 0) -> None:
+        """Send one message, in fragments of a size; raises MessageError when it has no form."""
+        identity = f"uoarm:{message['op']}:{next(self._numbers)}"
+        for frame in split(write_ros(message), size, identity):
+            self._client.outbox.tell(frame, text=True)
+
+    def ask(self, message: Mapping[str, Any]) -> None:
+        """Send what another client asks of this one.
+
+        Raises:
+            BusyError: this client leaves too much unread; it must not be cut off for that.
+            MessageError: the message has no form.
+        """
+        frame = write_ros(message)
+        if not self._client.outbox.has_room(len(frame)):
+            raise BusyError("the client that provides it leaves too much unread")
+        self._client.outbox.tell(frame, text=True)
+
+    def _handle(self, fields: Mapping[str, Any] | None) -> None:
+        """Act on a message; None: on a fragment that completes none."""
+        self._fragments_held.resize(self._fragments.octets)
+        if fields is None:
+            return
+        try:
+            self._act(fields)
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            self._fail(fields, error)
+
+    def _act(self, fields: Mapping[str, Any]) -> None:
+        op = fields.get("op")
+        if not isinstance(op, str):
+            raise ControlMessageError("the field 'op' is missing or no text")
+        if op in _REFUSED:
+            raise ControlMessageError(_REFUSED[op])
+        operation = self._operations.get(op)
+        if operation is None:
+            known = ", ".join((*self._operations, "fragment"))
+            raise ControlMessageError(f"unknown op {op[:60]!r}; expected one of {known}")
+        check_fields(fields, operation.needed)
+        later = operation.act(fields)
+        if later is not None:
+            self._begin(fields, later)
+
+    def _begin(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
+        try:
+            charge = self._admit()
+        except BaseException:
+            work.close()
+            raise
+        task = asyncio.ensure_future(self._finish(fields, work))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: charge.release())
+
+    def _admit(self) -> Charge:
+        most = self._client.limits.calls
+        if len(self._tasks) >= most:
+            raise LimitError(f"{most} calls are under way; wait for an answer")
+        return self._client.account.charge(Held.ASKED, self._client.in_hand)
+
+    async def _finish(self, fields: Mapping[str, Any], work: Coroutine[Any, Any, None]) -> None:
+        try:
+            await work
+        except Exception as error:  # noqa: BLE001 - every message that is wrong is told
+            self._fail(fields, error)
+
+    def _collect(self, fields: Mapping[str, Any], spending: Spending) -> Mapping[str, Any] | None:
+        """Return the message that this fragment completes."""
+        check_fields(fields, ("id", "data", "num", "total"))
+        text = self._fragments.add(fields)
+        if text is None:
+            return None
+        inner = read_operation(text, spending)
+        if inner.get("op") == "fragment":
+            raise ControlMessageError("fragment: a fragment of fragments")
+        return inner
+
+    def _set_level(self, fields: Mapping[str, Any]) -> None:
+        if fields["level"] not in _LEVELS:
+            raise ControlMessageError(f"set_level: level: expected one of {', '.join(_LEVELS)}")
+        self._level = _LEVELS.index(fields["level"])
+
+    def _fail(self, fields: Mapping[str, Any], error: BaseException) -> None:
+        text = tell_error(error)
+        op = fields.get("op")
+        if isinstance(op, str) and op in _ANSWERED:
+            answer = _failed(fields, *_ANSWERED[op], text)
+            self._client.outbox.tell(answer, text=True)
+        elif self._level <= _ERROR:
+            status = {"op": "status", "level": "error", "msg": f"{code_of(error)}: {text}"}
+            if isinstance(fields.get("id"), str):
+                status["id"] = fields["id"]
+            self._client.outbox.tell(write_ros(status), text=True)
+
+
+def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:
+    """Return the answer to a call or a goal that was not even begun."""
+    name, identity = fields.get(kind), fields.get("id")
+    answer: dict[str, Message] = {
+        "op": op,
+        kind: name if isinstance(name, str) else "",
+        "values": text,
+        "result": False,
+    }
+    if op == "action_result":
+        answer["status"] = int(GoalStatus.UNKNOWN)
+    if isinstance(identity, str):
+        answer["id"] = identity
+    return orjson.dumps(answer)
+
+
+def _ignore(fields: Mapping[str, Any]) -> None:
+    """Take what clients say about themselves."""
+    del fields

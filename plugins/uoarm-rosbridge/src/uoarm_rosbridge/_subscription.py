@@ -1,0 +1,216 @@
+"""One client's subscription to one topic: its rate, its queue, its compression."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError, MessageError
+from uoarm.model import MessageStructure, QueuePolicy
+from uoarm.server.front_end import Client, Envelope, Held, Lane
+from uoarm_rosbridge._fragments import fragment_size, split
+from uoarm_rosbridge._png import write_publish_png
+from uoarm_rosbridge._raw import RawWriter
+from uoarm_rosbridge._wire import write_publish, write_publish_cbor
+
+__all__ = ["Subscription", "Wish", "read_wish"]
+
+_RAW = "cbor-raw"
+_TEXTS = {"none": write_publish, "png": write_publish_png}
+_COMPRESSIONS = (*_TEXTS, "cbor", _RAW)
+_MOST = 100_000
+
+
+@frozen
+class Wish:
+    """What one subscribe message asks for.
+
+    Attributes:
+        every: least seconds between two messages.
+        length: messages kept while the client must not have them yet; 0: only the newest goes.
+        fragment: longest text of one frame in characters; 0: any.
+        compression: `none`, `png`, `cbor` or `cbor-raw`.
+    """
+
+    every: float = 0.0
+    length: int = 0
+    fragment: int = 0
+    compression: str = "none"
+
+
+def read_wish(fields: Mapping[str, Any]) -> Wish:
+    """Return what a subscribe message asks for.
+
+    Raises:
+        ControlMessageError: it asks for a compression that is not served.
+    """
+    compression = fields.get("compression") or "none"
+    if compression not in _COMPRESSIONS:
+        raise ControlMessageError(
+            f"subscribe: compression {compression!r:.60} is not served; "
+            f"use {', '.join(_COMPRESSIONS[:-1])} or {_RAW}"
+        )
+    return Wish(
+        every=float(fields.get("throttle_rate") or 0) / 1000,
+        length=min(int(fields.get("queue_length") or 0), _MOST),
+        fragment=fragment_size(fields),
+        compression=compression,
+    )
+
+
+class Subscription:
+    """Hands a topic's messages to one client, as its wishes together ask.
+
+    Several subscriptions of one client to one topic are one here: the highest rate and the longest
+    queue hold; the compression is that of the first.
+
+    Args:
+        topic: as the client named it.
+        wish: of the first subscribe message.
+        client: who listens.
+        structure: tells what the messages are like, for `cbor-raw`.
+        clock: seconds.
+        on_refused: hears once of each reason for which a message could not be written.
+        on_end: hears why no more will come.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        wish: Wish,
+        client: Client,
+        *,
+        structure: Callable[[], MessageStructure],
+        clock: Callable[[], float],
+        on_refused: Callable[[MessageError], None],
+        on_end: Callable[[str, str], None],
+    ) -> None:
+        self.wishes: dict[str, Wish] = {}
+        self._topic = topic
+        self._outbox = client.outbox
+        self._account = client.account
+        self._clock = clock
+        self._on_refused = on_refused
+        self._on_end = on_end
+        self._due = -math.inf
+        self._held: deque[Envelope] = deque()
+        self._charge = client.account.hold(Held.THROTTLED)
+        self._timer: asyncio.TimerHandle | None = None
+        text = wish.compression in _TEXTS
+        self.lane = Lane(QueuePolicy(client.limits.queue_messages), text=text)
+        self._key = f"ros-{wish.compression}:{topic}"
+        self._raw = RawWriter(topic, structure) if wish.compression == _RAW else None
+        write = _TEXTS.get(wish.compression, write_publish_cbor)
+        self._write = functools.partial(_numberless, self._raw or functools.partial(write, topic))
+        self._every = wish.every
+        self._length = wish.length
+        self._fragment = wish.fragment if text else 0
+
+    def prepare(self) -> None:
+        """Make ready for messages, whose structure is known now.
+
+        Raises:
+            MessageError: they have no form in the compression that was asked for.
+        """
+        if self._raw is not None:
+            self._raw.prepare()
+
+    def wish(self, identity: str, wish: Wish) -> None:
+        """Add or replace a wish."""
+        self.wishes[identity] = wish
+        self._settle()
+
+    def drop(self, identity: str | None) -> bool:
+        """Take a wish back, or all; True when none is left."""
+        if identity is None:
+            self.wishes.clear()
+        else:
+            self.wishes.pop(identity, None)
+        self._settle()
+        return not self.wishes
+
+    def close(self) -> None:
+        """Send nothing more."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._held.clear()
+        self._charge.release()
+        self._outbox.discard(self.lane)
+
+    def offer(self, envelope: Envelope) -> None:
+        """Take one message: to the client, into the hold, or nowhere."""
+        now = self._clock()
+        if now >= self._due and not self._held:
+            self._due = now + self._every
+            self._send(envelope)
+        elif self._length:
+            self._hold(envelope)
+            self._set_timer(now)
+        else:
+            self.lane.dropped += 1
+
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
+        """Count a message that has no form, and tell why."""
+        del envelope
+        if self.lane.refuse(error):
+            self._on_refused(error)
+
+    def ended(self, state: str, cause: str) -> None:
+        """Pass the end on."""
+        self._on_end(state, cause)
+
+    def _settle(self) -> None:
+        wishes = self.wishes.values()
+        self._every = min((one.every for one in wishes), default=0.0)
+        self._length = max((one.length for one in wishes), default=0)
+
+    def _set_timer(self, now: float) -> None:
+        if self._timer is None:
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(max(0.0, self._due - now), self._release)
+
+    def _release(self) -> None:
+        self._timer = None
+        if self._held:
+            now = self._clock()
+            self._due = now + self._every
+            envelope = self._let_go()
+            try:
+                self._send(envelope)
+            except MessageError as error:
+                self.refuse(envelope, error)
+            if self._held:
+                self._set_timer(now)
+
+    def _hold(self, envelope: Envelope) -> None:
+        """Keep a message until it is due; the oldest are lost where there are too many."""
+        self._held.append(envelope)
+        self._charge.resize(self._charge.octets + envelope.message_octets)
+        while len(self._held) > 1 and (
+            len(self._held) > self._length
+            or self._charge.octets > self._outbox.max_bytes
+            or not self._account.has_room(0)
+        ):
+            self._let_go()
+            self.lane.dropped += 1
+
+    def _let_go(self) -> Envelope:
+        envelope = self._held.popleft()
+        self._charge.resize(self._charge.octets - envelope.message_octets)
+        return envelope
+
+    def _send(self, envelope: Envelope) -> None:
+        frame = envelope.written(self._key, self._write)
+        identity = f"uoarm:{self._topic}:{envelope.number}"
+        self._outbox.put(self.lane, *split(frame, self._fragment, identity))
+
+
+def _numberless(write: Callable[[Any], bytes], number: int, message: Any) -> bytes:
+    del number
+    return write(message)

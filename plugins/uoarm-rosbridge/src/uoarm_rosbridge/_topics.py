@@ -1,0 +1,218 @@
+"""Topics of one rosbridge client: those it publishes and those it listens to."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import define
+
+from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
+from uoarm.model import Message, MessageStructure
+from uoarm.server.front_end import Backend, Client, Feed, FeedKey, LimitError, Operation
+from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._names import Place, find_place
+from uoarm_rosbridge._publication import Publication
+from uoarm_rosbridge._subscription import Subscription, Wish, read_wish
+
+__all__ = ["Topics"]
+
+Fields = Mapping[str, Any]
+
+
+@define
+class _Listening:
+    """A subscription and where its messages come from."""
+
+    subscription: Subscription
+    feed: Feed | None = None
+    opening: asyncio.Task[None] | None = None
+
+
+class Topics:
+    """Publications and subscriptions of one client by topic, in the loop's thread.
+
+    Args:
+        client: its limits and its outbox.
+        backend: where functions are opened.
+        hub: where clients publish to one another.
+        fail: tells the client what went wrong with a message of its.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        backend: Backend,
+        hub: Hub,
+        fail: Callable[[Fields, BaseException], None],
+    ) -> None:
+        self._client = client
+        self._backend = backend
+        self._hub = hub
+        self._fail = fail
+        self._publications: dict[str, Publication | None] = {}
+        self._latched: set[str] = set()
+        self._listening: dict[str, _Listening] = {}
+
+    def advertise(self, fields: Fields) -> None:
+        """Open a topic for publishing; a function's input, or a topic between clients."""
+        self._open(find_place(fields["topic"]), fields)
+
+    def unadvertise(self, fields: Fields) -> None:
+        """Close a topic that was advertised, after what was published."""
+        place = find_place(fields["topic"])
+        if place.name not in self._publications:
+            raise UsageError(f"this client does not publish {place.name!r}")
+        publication = self._publications.pop(place.name)
+        self._latched.discard(place.name)
+        if publication is None:
+            self._hub.unadvertise(place.name, self)
+        else:
+            publication.close()
+
+    def publish(self, fields: Fields) -> None:
+        """Publish one message; a topic that was not advertised is opened."""
+        place, message = find_place(fields["topic"]), fields["msg"]
+        if place.name not in self._publications:
+            self._open(place, fields)
+        publication = self._publications[place.name]
+        if publication is None:
+            self._publish_between_clients(place, fields, message)
+        else:
+            done = lambda error: self._done(fields, error)  # noqa: E731
+            publication.publish(message, done, self._client.in_hand)
+
+    def subscribe(self, fields: Fields) -> None:
+        """Listen to a topic, or add a wish to a subscription that there is."""
+        place, wish = find_place(fields["topic"]), read_wish(fields)
+        self._client.require(Operation.REQUEST, place.right)
+        identity = str(fields.get("id") or place.name)
+        listening = self._listening.get(place.name)
+        if listening is None:
+            if len(self._listening) >= self._client.limits.streams:
+                raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
+            listening = self._listen(place, wish, fields)
+        if len(listening.subscription.wishes) >= self._client.limits.streams:
+            raise LimitError(f"{place.name!r} has {self._client.limits.streams} subscriptions")
+        listening.subscription.wish(identity, wish)
+
+    def unsubscribe(self, fields: Fields) -> None:
+        """End one subscription of a topic by its id, or all without one."""
+        place = find_place(fields["topic"])
+        listening = self._listening.get(place.name)
+        if listening is None:
+            raise UsageError(f"this client has not subscribed {place.name!r}")
+        if listening.subscription.drop(fields.get("id")):
+            self._stop(place)
+
+    def close(self) -> None:
+        """Give everything back."""
+        for name, publication in self._publications.items():
+            if publication is None:
+                self._hub.unadvertise(name, self)
+            else:
+                publication.abandon()
+        self._publications.clear()
+        for name in list(self._listening):
+            self._stop(find_place(name))
+
+    def _open(self, place: Place, fields: Fields) -> None:
+        self._client.require(Operation.SEND, place.right)
+        if place.name in self._publications:
+            return
+        if len(self._publications) >= self._client.limits.streams:
+            raise LimitError(f"{self._client.limits.streams} topics are published already")
+        if place.function:
+            if place.function not in self._backend.robot.config.functions:
+                raise UsageError(f"there is no function {place.function!r}")
+            failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
+            account = self._client.account
+            self._publications[place.name] = Publication(place, self._backend, account, failed)
+        else:
+            self._hub.advertise(place.name, str(fields.get("type") or ""), self)
+            self._publications[place.name] = None
+        if fields.get("latch") is True:
+            self._latched.add(place.name)
+
+    def _publish_between_clients(self, place: Place, fields: Fields, message: Message) -> None:
+        if not isinstance(message, dict):
+            raise ControlMessageError("publish: msg: expected an object")
+        latch = fields.get("latch") is True or place.name in self._latched
+        account = self._client.account if latch else None
+        self._hub.publish(place.name, message, self, self._client.in_hand, account)
+
+    def _publication_failed(self, place: Place, fields: Fields, error: BaseException) -> None:
+        self._publications.pop(place.name, None)
+        self._fail(fields, error)
+
+    def _listen(self, place: Place, wish: Wish, fields: Fields) -> _Listening:
+        subscription = Subscription(
+            place.name if fields["topic"].startswith("/") else fields["topic"],
+            wish,
+            self._client,
+            structure=lambda: _structure_of(place, listening.feed),
+            clock=time.monotonic,
+            on_refused=lambda error: self._fail(fields, error),
+            on_end=lambda state, cause: self._ended(place, fields, f"{state}: {cause or 'killed'}"),
+        )
+        listening = _Listening(subscription)
+        if not place.function:
+            subscription.prepare()
+        self._listening[place.name] = listening
+        if place.function:
+            listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
+        else:
+            self._hub.listen(place.name, str(fields.get("type") or ""), subscription)
+        return listening
+
+    async def _join(self, place: Place, listening: _Listening, fields: Fields) -> None:
+        try:
+            feed = await self._backend.join(FeedKey(place.wanted))
+        except Exception as error:  # noqa: BLE001 - told to the one who listens
+            self._listening.pop(place.name, None)
+            self._fail(fields, error)
+            return
+        listening.feed, listening.opening = feed, None
+        try:
+            listening.subscription.prepare()
+        except MessageError as error:
+            self._stop(place)
+            self._fail(fields, error)
+            return
+        feed.add(listening.subscription)
+
+    def _ended(self, place: Place, fields: Fields, how: str) -> None:
+        if place.name in self._listening:
+            self._stop(place)
+            self._fail(fields, UoarmError(f"{place.name} has {how}"))
+
+    def _stop(self, place: Place) -> None:
+        listening = self._listening.pop(place.name)
+        listening.subscription.close()
+        if not place.function:
+            self._hub.leave(place.name, listening.subscription)
+        elif listening.opening is not None:
+            listening.opening.cancel()
+        elif listening.feed is not None:
+            listening.feed.remove(listening.subscription)
+            self._backend.leave(listening.feed)
+
+    def _done(self, fields: Fields, error: BaseException | None) -> None:
+        if error is not None:
+            self._fail(fields, error)
+
+
+def _structure_of(place: Place, feed: Feed | None) -> MessageStructure:
+    if feed is None or feed.connection is None:
+        raise MessageError(
+            f"{place.name}: messages between clients have no stated structure; "
+            "ask for cbor instead of cbor-raw"
+        )
+    provider = feed.connection.plan.provider
+    port = place.port or next((one.name for one in provider.component.outputs), "")
+    structure = provider.structures.get(f"output.{port}")
+    if structure is None:
+        raise MessageError(f"{place.name}: the function has no output {port!r}")
+    return structure

@@ -1,0 +1,69 @@
+"""A robot of plain Python components, and servers before it; everything is on loopback."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
+
+from components import CONFIGURATION, script
+from ros import Enter, Ros, Serve, url
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.server import Limits, Server, Settings, serve_in_thread
+
+# On a machine with other work everything is slow, which is no fault of what is drawn.
+_RELAXED = (HealthCheck.too_slow,)
+settings.register_profile(
+    "rosbridge-short",
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=_RELAXED,
+    derandomize=True,
+)
+settings.register_profile(
+    "rosbridge-long", max_examples=2000, deadline=None, suppress_health_check=_RELAXED
+)
+settings.load_profile(f"rosbridge-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    script.reset()
+    manager = RobotManager(loads(CONFIGURATION, origin=str(Path(__file__).parent / "robot.yaml")))
+    yield manager
+    script.release()
+    manager.close()
+
+
+@pytest.fixture
+def serve(robot: RobotManager) -> Iterator[Serve]:
+    """Start a server; settings and limits by name."""
+    with ExitStack() as stack:
+
+        def start(limits: Limits | None = None, **more: Any) -> Server:
+            chosen = Settings(port=0, limits=limits or Limits(), **more)
+            return stack.enter_context(serve_in_thread(robot, chosen))
+
+        yield start
+
+
+@pytest.fixture
+def server(serve: Serve) -> Server:
+    return serve()
+
+
+@pytest.fixture
+def enter(server: Server) -> Iterator[Enter]:
+    """Connect a client to the server."""
+    with ExitStack() as stack:
+        yield lambda: stack.enter_context(Ros(url(server)))

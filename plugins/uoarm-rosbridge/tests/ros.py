@@ -1,0 +1,119 @@
+"""A bare rosbridge client for tests, and what they wait for."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from typing_extensions import Self
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import ClientConnection, connect
+
+from uoarm import RobotManager
+from uoarm.model import Budget, ConnectionState, Spending
+from uoarm.server import Server
+from uoarm.server.front_end import read_binary
+from uoarm.testing import patience, wait
+
+__all__ = ["Enter", "Ros", "Serve", "end", "eventually", "frame", "open_socket", "opened", "url"]
+
+SECONDS = patience()
+
+
+def url(server: Server, path: str = "/rosbridge") -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}{path}"
+
+
+class Ros:
+    """A bare rosbridge client: sends what it is told, returns what comes."""
+
+    def __init__(self, url: str, **options: Any) -> None:
+        self._open = ExitStack()
+        self.socket: ClientConnection = self._open.enter_context(
+            connect(url, max_size=None, **options)
+        )
+
+    def send(self, **fields: object) -> None:
+        self.socket.send(json.dumps(fields))
+
+    def receive(self) -> dict[str, Any]:
+        frame = self.socket.recv(timeout=SECONDS)
+        if isinstance(frame, bytes):
+            told = read_binary(frame, Spending(Budget()))
+        else:
+            told = json.loads(frame)
+        assert isinstance(told, dict)
+        return told
+
+    def call(self, service: str, args: object = None) -> Any:
+        self.send(op="call_service", id="c", service=service, args=args)
+        response = self.receive()
+        assert (response["op"], response["id"], response["result"]) == (
+            "service_response", "c", True,
+        ), response  # fmt: skip
+        return response["values"]
+
+    def refused(self, **fields: object) -> str:
+        self.send(**fields)
+        status = self.receive()
+        assert (status["op"], status["level"]) == ("status", "error")
+        assert status.get("id") == fields.get("id")
+        message: str = status["msg"]
+        return message
+
+    def messages(self, count: int) -> list[Any]:
+        told = [self.receive() for _ in range(count)]
+        assert {one["op"] for one in told} == {"publish"}
+        return [one["msg"] for one in told]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._open.close()
+
+
+Serve = Callable[..., Server]
+Enter = Callable[[], Ros]
+
+
+def eventually(condition: Callable[[], object], what: str) -> None:
+    """Wait until something is so; fail with its name when it does not come about."""
+    wait(condition, f"never: {what}")
+
+
+def opened(robot: RobotManager, count: int) -> None:
+    """Wait until so many connections run, and no others are there."""
+
+    def all_run() -> bool:
+        states = [one.state for one in robot.status().connections]
+        return states == [ConnectionState.RUNNING] * count
+
+    eventually(all_run, f"{count} are open")
+
+
+def end(robot: RobotManager) -> None:
+    """End the first connection, as the application may."""
+    robot.connections()[0].kill()
+
+
+def open_socket(port: int) -> socket.socket:
+    """Return a socket after its handshake, without anything that would read from it."""
+    plain = socket.create_connection(("127.0.0.1", port), timeout=patience())
+    plain.sendall(
+        f"GET /rosbridge HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    answer = b""
+    while b"\r\n\r\n" not in answer:
+        answer += plain.recv(1)
+    assert answer.startswith(b"HTTP/1.1 101")
+    return plain
+
+
+def frame(data: bytes, opcode: Opcode = Opcode.TEXT) -> bytes:
+    return Frame(opcode, data).serialize(mask=True)

@@ -1,0 +1,106 @@
+"""What a client may do: roles hold for topics, services and what rosapi shows."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import pytest
+from ros import Ros, Serve, url
+from websockets.exceptions import InvalidStatus
+
+from uoarm.server import Server, hash_token, make_token
+
+ACCESS = """
+version: 1
+roles:
+  viewer: {{see: ["*"], request: ["num*"]}}
+  driver: {{see: ["echo"], request: ["echo"], send: ["echo"], call: ["add"]}}
+  operator: {{see: ["*"], kill: ["numbers"]}}
+tokens:
+  - {{name: screen, role: viewer, sha256: {viewer}}}
+  - {{name: pad, role: driver, sha256: {driver}}}
+  - {{name: desk, role: operator, sha256: {operator}}}
+"""
+TOKENS = {name: make_token() for name in ("viewer", "driver", "operator")}
+
+
+@pytest.fixture
+def guarded(serve: Serve, tmp_path: Path) -> Server:
+    path = tmp_path / "access.yaml"
+    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
+    path.write_text(ACCESS.format(**hashes), encoding="utf-8")
+    return serve(access=path)
+
+
+def at(server: Server, role: str) -> Ros:
+    return Ros(url(server, f"/rosbridge?token={TOKENS[role]}"))
+
+
+def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
+    with pytest.raises(InvalidStatus):
+        Ros(url(guarded, "/rosbridge"))
+    with at(guarded, "viewer") as viewer, at(guarded, "driver") as driver:
+        for client, denied in (
+            (viewer, {"op": "publish", "topic": "/uoarm/echo", "msg": {"value": 1}}),
+            (viewer, {"op": "subscribe", "topic": "/uoarm/echo"}),
+            (viewer, {"op": "advertise", "topic": "/chatter", "type": "x"}),
+            (viewer, {"op": "advertise_service", "service": "/half", "type": "x"}),
+            (driver, {"op": "subscribe", "topic": "/uoarm/numbers"}),
+            (driver, {"op": "subscribe", "topic": "/chatter"}),
+        ):
+            assert client.refused(**denied).startswith("denied: "), denied
+        viewer.send(op="call_service", id="1", service="/uoarm/add", args=[1, 2])
+        assert viewer.receive()["result"] is False
+        assert driver.call("/uoarm/add", [1, 2]) == {"value": 3}
+        assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
+
+
+ROSAPI = (
+    "topics", "topics_and_raw_types", "services", "nodes", "topic_type", "topics_for_type",
+    "service_type", "services_for_type", "service_node", "service_providers", "publishers",
+    "subscribers", "node_details", "message_details", "service_request_details",
+    "service_response_details", "get_param", "get_param_names", "has_param", "action_servers",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("service", ROSAPI)
+def test_what_a_role_may_not_see_is_for_rosapi_as_if_it_were_not_there(
+    guarded: Server, service: str
+) -> None:
+    """A name that is hidden and one that nobody has get the same answer."""
+    with at(guarded, "operator") as operator:
+        kind = operator.call("/rosapi/topic_type", {"topic": "/uoarm/numbers"})["type"]
+        assert "numbers" in json.dumps(operator.call("/rosapi/topics"))
+        with at(guarded, "driver") as driver:
+            hidden, absent = (
+                _ask_rosapi(driver, service, function, kind) for function in ("numbers", "nothing")
+            )
+    assert hidden.replace("numbers", "nothing") == absent
+    assert "picture" not in hidden
+
+
+def _ask_rosapi(client: Ros, service: str, function: str, kind: str) -> str:
+    named = f"/uoarm/{function}"
+    arguments = {
+        "topic": named, "service": named, "node": f"/{function}", "name": named,
+        "type": kind.replace("numbers", function),
+    }  # fmt: skip
+    client.send(op="call_service", id="1", service=f"/rosapi/{service}", args=arguments)
+    return json.dumps(client.receive())
+
+
+def test_what_is_denied_is_in_the_audit_log(
+    guarded: Server, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO, "uoarm.audit"), at(guarded, "viewer") as viewer:
+        viewer.refused(op="publish", topic="/uoarm/echo", msg={"value": 1})
+        viewer.refused(op="advertise", topic="/chatter", type="x")
+    told = [json.loads(one.message) for one in caplog.records if one.name == "uoarm.audit"]
+    denied = [
+        (one["role"], one["operation"], one["function"])
+        for one in told
+        if one.get("allowed") is False
+    ]
+    assert denied == [("viewer", "send", "echo"), ("viewer", "send", "/chatter")]

@@ -1,0 +1,115 @@
+"""Each hostile input has one plain error for an answer; beside it others are served."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from ros import Ros, Serve, eventually, url
+
+from uoarm.server import Limits, Server
+
+LARGEST = 16_777_216 - 1024
+"""Octets of the longest frame, which a server takes with its settings as they come."""
+MEMORY = 50_000_000
+CPU_SECONDS = 0.2
+"""Of the loop, during one call: a hundred times what a call costs, a tenth of what these took."""
+
+
+def call(value: str) -> str:
+    return f'{{"op":"call_service","service":"/anything","id":"h","args":{value}}}'
+
+
+def many(item: str, octets: int = LARGEST) -> str:
+    """Return a list as JSON text that is filled with one item."""
+    return f"[{','.join([item] * (octets // (len(item) + 1)))}]"
+
+
+def in_fragments(whole: str, pieces: int) -> Iterator[str]:
+    size = -(-len(whole) // pieces)
+    for place in range(pieces):
+        data = whole[place * size : (place + 1) * size]
+        yield json.dumps({"op": "fragment", "id": "f", "num": place, "total": pieces, "data": data})
+
+
+HOSTILE: Mapping[str, Callable[[], Iterator[str]]] = {
+    "empty lists": lambda: iter([call(many("[]"))]),
+    "small objects": lambda: iter([call(many('{"a":[]}'))]),
+    "empty lists in fragments": lambda: in_fragments(call(many("[]", 8_000_000)), 4),
+    # A value where a short text is expected: it must not be written out in the error.
+    "a list as a count": lambda: iter(
+        [f'{{"op":"subscribe","topic":"/t","id":"h","throttle_rate":{many("1", 900_000)}}}']
+    ),
+}
+
+
+@pytest.mark.parametrize("frames", HOSTILE.values(), ids=HOSTILE.keys())
+def test_it_is_refused_and_the_session_goes_on(
+    server: Server, frames: Callable[[], Iterator[str]]
+) -> None:
+    with Ros(url(server)) as client:
+        for frame in frames():
+            client.socket.send(frame)
+        client.send(op="call_service", service="/rosapi/get_time", id="last")
+        told = [client.receive() for _ in range(2)]
+    assert [one["op"] for one in told] == ["status", "service_response"]
+    assert told[-1]["result"] is True
+    assert all(len(json.dumps(one)) < 600 for one in told)
+
+
+def resident() -> int:
+    """Return the bytes of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def small_objects(server: Server) -> None:
+    with Ros(url(server)) as client:
+        for frame in HOSTILE["small objects"]():
+            client.socket.send(frame)
+        client.receive()
+
+
+def latch(server: Server) -> None:
+    with Ros(url(server)) as client:
+        text = "x" * 4_000_000
+        for number in range(30):
+            client.send(op="publish", topic=f"/t{number}", latch=True, msg={"data": text})
+        while client.receive()["op"] != "status":
+            """Until the first is refused."""
+
+
+@pytest.mark.parametrize("attack", [small_objects, latch])
+def test_a_well_behaved_client_is_served_beside_it(
+    serve: Serve, attack: Callable[[Server], None]
+) -> None:
+    server = serve(Limits(memory_bytes=MEMORY))
+    [loop] = [thread for thread in threading.enumerate() if thread.name == "uoarm-serve"]
+    clock = time.pthread_getcpuclockid(loop.ident or 0)
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            attack(server)
+        except BaseException as error:  # noqa: BLE001 - shown by the test
+            failures.append(error)
+
+    with Ros(url(server)) as caller:
+        caller.call("/uoarm/add", [1, 2])
+        before, held, costs = resident(), 0, []
+        attacking = threading.Thread(target=run, daemon=True)
+        attacking.start()
+        while attacking.is_alive():
+            start = time.clock_gettime(clock)
+            assert caller.call("/uoarm/add", [1, 2]) == {"value": 3}
+            costs.append(time.clock_gettime(clock) - start)
+            held = max(held, server.held_octets)
+    assert not failures
+    assert max(costs) < CPU_SECONDS
+    assert held <= MEMORY
+    eventually(lambda: server.held_octets == 0, "everything was let go")
+    eventually(lambda: resident() < before + 4 * MEMORY, "memory is given back")

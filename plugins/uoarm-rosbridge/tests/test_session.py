@@ -1,0 +1,480 @@
+"""The rosbridge endpoint, message by message: what rosbridge_suite does in silence is told here."""
+
+from __future__ import annotations
+
+import base64
+import gc
+import json
+from contextlib import suppress
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+from components import END, script
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ros import Enter, Ros, Serve, end, eventually, opened, url
+from uoarm_rosbridge._fragments import Fragments
+from uoarm_rosbridge._publication import Publication
+
+from uoarm import RobotManager
+from uoarm.errors import ControlMessageError
+from uoarm.server import Limits, Server
+
+
+def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", topic="/uoarm/doubled", type="any/Type")
+    opened(robot, 1)
+    script.put({"value": 1}, {"value": 2})
+    assert client.receive() == {"op": "publish", "topic": "/uoarm/doubled", "msg": {"value": 2}}
+    assert client.messages(1) == [{"value": 4}]
+    client.send(op="unsubscribe", topic="/uoarm/doubled")
+    opened(robot, 0)
+
+
+def test_octets_are_base64_and_wide_integers_numbers(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", topic="/uoarm/picture")
+    opened(robot, 1)
+    script.put({"width": 2**60, "data": b"\x00\xff"})
+    assert client.messages(1) == [{"width": 2**60, "data": base64.b64encode(b"\x00\xff").decode()}]
+
+
+def test_cbor_where_it_is_asked_for(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", topic="/uoarm/picture", compression="cbor")
+    opened(robot, 1)
+    script.put({"width": 1, "data": bytes(5000)})
+    assert client.messages(1) == [{"width": 1, "data": bytes(5000)}]
+
+
+def unpacked(told: dict[str, Any]) -> Any:
+    cv2 = pytest.importorskip("cv2")
+    assert told["op"] == "png"
+    octets = np.frombuffer(base64.b64decode(told["data"]), np.uint8)
+    picture = cv2.imdecode(octets, cv2.IMREAD_COLOR)
+    assert picture is not None
+    return json.loads(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).tobytes())
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 3, 100, 50_000])
+def test_png_where_it_is_asked_for(enter: Enter, robot: RobotManager, size: int) -> None:
+    client = enter()
+    client.send(op="subscribe", topic="/uoarm/picture", compression="png")
+    opened(robot, 1)
+    script.put({"width": 2**60, "data": bytes(size)})
+    message = {"width": 2**60, "data": base64.b64encode(bytes(size)).decode()}
+    assert unpacked(client.receive()) == {
+        "op": "publish", "topic": "/uoarm/picture", "msg": message,
+    }  # fmt: skip
+
+
+def test_a_function_s_input_is_a_topic(enter: Enter, robot: RobotManager) -> None:
+    client, other = enter(), enter()
+    other.send(op="subscribe", topic="/uoarm/echo")
+    opened(robot, 1)
+    client.send(op="advertise", topic="/uoarm/echo", type="any/Type")
+    for value in range(50):
+        client.send(op="publish", topic="/uoarm/echo", msg={"value": value})
+    assert [one["value"] for one in other.messages(50)] == list(range(50))
+
+
+def test_what_was_published_before_unadvertise_arrives(enter: Enter, robot: RobotManager) -> None:
+    listener, client = enter(), enter()
+    listener.send(op="subscribe", topic="/uoarm/echo")
+    opened(robot, 1)
+    client.send(op="publish", topic="/uoarm/echo", msg={"value": 7})
+    client.send(op="unadvertise", topic="/uoarm/echo")
+    assert listener.messages(1) == [{"value": 7}]
+    opened(robot, 1)
+
+
+@pytest.mark.parametrize("value", [300, -1, "x", None])
+def test_what_does_not_fit_is_refused_and_not_wrapped(enter: Enter, value: object) -> None:
+    text = enter().refused(op="publish", id="p1", topic="/uoarm/echo", msg={"value": value})
+    assert text.startswith("message: ")
+    assert "value" in text
+
+
+def test_a_function_is_a_service(enter: Enter) -> None:
+    client = enter()
+    assert client.call("/uoarm/add", {"a": 1, "b": 2}) == {"value": 3}
+    assert client.call("/uoarm/add", [4, 5]) == {"value": 9}
+
+
+@pytest.mark.parametrize(
+    ("service", "args", "said"),
+    [
+        ("/uoarm/broken", {"value": 3}, "cannot do 3"),
+        ("/uoarm/add", {"a": "x", "b": 1}, "expected a number"),
+        ("/uoarm/nothing", {}, "nothing"),
+        ("/uoarm/numbers", {}, "a stream, not a service"),
+        ("/elsewhere", {}, "there is no service"),
+        ("/rosapi/fly", {}, "no service 'fly'"),
+        ("/rosapi/get_param", {"name": "x"}, "no parameters"),
+        ("", {}, "is no name"),
+    ],
+)
+def test_a_call_that_fails_has_a_response(
+    enter: Enter, service: str, args: object, said: str
+) -> None:
+    client = enter()
+    client.send(op="call_service", id="7", service=service, args=args)
+    response = client.receive()
+    assert (response["op"], response["id"], response["result"]) == ("service_response", "7", False)
+    assert said in response["values"]
+
+
+def test_a_slow_call_holds_up_nothing(enter: Enter) -> None:
+    client = enter()
+    client.send(op="call_service", id="slow", service="/uoarm/slow", args={"value": 1})
+    assert client.call("/uoarm/add", [1, 1]) == {"value": 2}
+    script.gate.set()
+    assert client.receive()["id"] == "slow"
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        ("42", "expected an object"),
+        ("{{{", "not JSON"),
+        ('{"x": ' * 5000, "nested"),
+        ("{}", "'op' is missing"),
+        ('{"op": 5}', "'op' is missing"),
+        ('{"op": "dance"}', "unknown op 'dance'"),
+        ('{"op": "publish", "topic": "/t"}', "'msg' is missing"),
+        ('{"op": "subscribe", "topic": 5}', "topic: expected a text"),
+        ('{"op": "subscribe", "topic": "/t", "throttle_rate": -1}', "throttle_rate"),
+        ('{"op": "subscribe", "topic": "/t", "compression": "zip"}', "'zip' is not served"),
+        ('{"op": "subscribe", "topic": "/a b"}', "no name"),
+        ('{"op": "png", "data": ""}', "png is not taken"),
+        ('{"op": "auth", "mac": "x"}', "show a token in the handshake"),
+        ('{"op": "cancel_action_goal", "action": "/a", "id": "1"}', "no goal '1' under way"),
+        ('{"op": "unadvertise_action", "action": "/a"}', "does not provide"),
+        ('{"op": "advertise_action", "action": "/uoarm/add", "type": "x"}', "belongs to"),
+        ('{"op": "action_feedback", "action": "/a", "id": "1", "values": {}}', "works on no goal"),
+        (
+            '{"op": "action_result", "action": "/a", "id": "1", "status": 4, "result": true}',
+            "works on no goal",
+        ),
+        ('{"op": "unsubscribe", "topic": "/t"}', "has not subscribed"),
+        ('{"op": "unadvertise", "topic": "/t"}', "does not publish"),
+        ('{"op": "unadvertise_service", "service": "/t"}', "does not provide"),
+        ('{"op": "service_response", "id": "1", "result": true}', "nobody waits"),
+        ('{"op": "set_level", "level": "loud"}', "expected one of info"),
+        ('{"op": "subscribe", "topic": "/uoarm/nothing"}', "nothing"),
+        ('{"op": "advertise", "topic": "/uoarm/nothing", "type": "x"}', "no function"),
+        ('{"op": "advertise_service", "service": "/uoarm/add", "type": "x"}', "belongs to"),
+        (b"\x80\x04", "a binary frame"),
+    ],
+)
+def test_every_mistake_is_told(enter: Enter, frame: str | bytes, said: str) -> None:
+    client = enter()
+    client.socket.send(frame)
+    status = client.receive()
+    assert (status["op"], status["level"]) == ("status", "error")
+    assert said in status["msg"]
+    assert client.call("/rosapi/get_time")["time"]["secs"] > 0
+
+
+def test_a_client_can_ask_not_to_be_told(enter: Enter) -> None:
+    client = enter()
+    client.send(op="set_level", level="none")
+    client.send(op="dance")
+    assert client.call("/rosapi/has_param", {"name": "x"}) == {"exists": False}
+
+
+def test_clients_publish_to_one_another(enter: Enter) -> None:
+    speaker, listener, late = enter(), enter(), enter()
+    listener.send(op="subscribe", topic="/chatter", type="std_msgs/String")
+    listener.call("/rosapi/topics")
+    speaker.send(op="advertise", topic="/chatter", type="std_msgs/String", latch=True)
+    speaker.send(op="publish", topic="/chatter", msg={"data": "hello"})
+    assert listener.messages(1) == [{"data": "hello"}]
+    late.send(op="subscribe", topic="/chatter")
+    assert late.messages(1) == [{"data": "hello"}]
+    assert "/chatter" in late.call("/rosapi/topics")["topics"]
+    assert late.refused(op="advertise", topic="/chatter", type="x/Y").startswith("message: ")
+    speaker.send(op="unadvertise", topic="/chatter")
+    speaker.call("/rosapi/topics")
+    after = enter()
+    after.send(op="subscribe", topic="/chatter")
+    assert "/chatter" in after.call("/rosapi/topics")["topics"]
+
+
+def test_clients_provide_services_to_one_another(enter: Enter) -> None:
+    provider, caller, rival = enter(), enter(), enter()
+    provider.send(op="advertise_service", service="/half", type="x/Half")
+    assert "/half" in provider.call("/rosapi/services")["services"]
+    caller.send(op="call_service", id="1", service="/half", args={"x": 4})
+    request = provider.receive()
+    assert (request["op"], request["args"]) == ("call_service", {"x": 4})
+    forged = rival.refused(op="service_response", id=request["id"], result=True, values={})
+    assert "nobody waits" in forged
+    assert "another client" in rival.refused(op="advertise_service", service="/half", type="y")
+    provider.send(
+        op="service_response", id=request["id"], service="/half", values={"x": 2}, result=True
+    )
+    assert caller.receive()["values"] == {"x": 2}
+
+
+def test_a_provider_that_goes_fails_those_who_wait(server: Server) -> None:
+    with Ros(url(server)) as caller:
+        with Ros(url(server)) as provider:
+            provider.send(op="advertise_service", service="/half", type="x/Half")
+            provider.call("/rosapi/services")
+            caller.send(op="call_service", id="1", service="/half")
+            provider.receive()
+        response = caller.receive()
+        assert response["result"] is False
+        assert "has gone" in response["values"]
+        assert "/half" not in caller.call("/rosapi/services")["services"]
+
+
+def test_throttling_without_a_queue_drops_and_with_one_keeps(
+    enter: Enter, robot: RobotManager
+) -> None:
+    dropping, keeping = enter(), enter()
+    dropping.send(op="subscribe", topic="/uoarm/numbers", throttle_rate=3_600_000)
+    keeping.send(op="subscribe", topic="/uoarm/numbers", throttle_rate=20, queue_length=2)
+    opened(robot, 1)
+    keeping.call("/rosapi/topics")
+    dropping.call("/rosapi/topics")
+    script.put(*({"value": value} for value in range(10)))
+    assert keeping.messages(3) == [{"value": 0}, {"value": 8}, {"value": 9}]
+    assert dropping.messages(1) == [{"value": 0}]
+    dropping.send(op="set_level", level="none")
+    assert dropping.call("/rosapi/get_param_names") == {"names": []}
+
+
+def test_subscriptions_end_by_id(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", id="a", topic="/uoarm/numbers")
+    client.send(op="subscribe", id="b", topic="/uoarm/numbers")
+    opened(robot, 1)
+    client.send(op="unsubscribe", id="a", topic="/uoarm/numbers")
+    client.call("/rosapi/topics")
+    script.put({"value": 1})
+    assert client.messages(1) == [{"value": 1}]
+    client.send(op="unsubscribe", id="b", topic="/uoarm/numbers")
+    opened(robot, 0)
+
+
+def test_fragments_both_ways(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", topic="/uoarm/picture", fragment_size=100)
+    opened(robot, 1)
+    script.put({"width": 1, "data": bytes(300)})
+    pieces = [client.receive()]
+    pieces += [client.receive() for _ in range(pieces[0]["total"] - 1)]
+    assert all(len(one["data"]) <= 100 for one in pieces)
+    assert [one["num"] for one in pieces] == list(range(len(pieces)))
+    whole = json.loads("".join(one["data"] for one in pieces))
+    assert len(base64.b64decode(whole["msg"]["data"])) == 300
+    text = json.dumps({"op": "call_service", "id": "f", "service": "/uoarm/add", "args": [1, 2]})
+    halves = [text[:20], text[20:]]
+    for number in (1, 0):
+        client.send(op="fragment", id="x", data=halves[number], num=number, total=2)
+    assert client.receive()["values"] == {"value": 3}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"op": "call_service", "service": "/uoarm/add", "args": [1, 2]},
+        {"op": "send_action_goal", "action": "/uoarm/add", "args": [1, 2]},
+    ],
+)
+def test_an_answer_comes_in_fragments(enter: Enter, fields: dict[str, Any]) -> None:
+    client = enter()
+    client.send(id="x" * 300, fragment_size=100, **fields)
+    pieces = [client.receive()]
+    pieces += [client.receive() for _ in range(pieces[0]["total"] - 1)]
+    assert len(pieces) > 3
+    assert {one["id"] for one in pieces} == {pieces[0]["id"]}
+    whole = json.loads("".join(one["data"] for one in pieces))
+    assert (whole["id"], whole["values"]) == ("x" * 300, {"value": 3})
+
+
+def test_the_level_of_status_messages_can_be_set_back(enter: Enter) -> None:
+    client = enter()
+    client.send(op="set_level", level="none")
+    client.send(op="dance")
+    client.send(op="set_level", level="warning")
+    assert "unknown op" in client.refused(op="dance", id="second")
+
+
+def test_the_end_of_a_function_is_told(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="subscribe", id="s", topic="/uoarm/numbers")
+    opened(robot, 1)
+    script.put({"value": 1}, END)
+    assert client.messages(1) == [{"value": 1}]
+    status = client.receive()
+    assert status["id"] == "s"
+    assert "finished" in status["msg"]
+
+
+@pytest.mark.parametrize("op", ["subscribe", "publish"])
+def test_an_opening_that_fails_as_nobody_foresaw_is_told(
+    enter: Enter, robot: RobotManager, monkeypatch: pytest.MonkeyPatch, op: str
+) -> None:
+    def fail(*asked: object, **options: object) -> NoReturn:
+        raise ValueError("a mistake of a bridge")
+
+    monkeypatch.setattr(robot, "request", fail)
+    text = enter().refused(op=op, id="1", topic="/uoarm/echo", msg={"value": 1})
+    assert text == "internal: the server failed; its log says more"
+
+
+def test_an_input_whose_function_ended_leaves_nothing(enter: Enter, robot: RobotManager) -> None:
+    client = enter()
+    client.send(op="publish", topic="/uoarm/echo", msg={"value": 1})
+    opened(robot, 1)
+    end(robot)
+    told = client.receive()["msg"]
+    if told.startswith("closed: "):  # the message itself, where it was still on its way
+        told = client.receive()["msg"]
+    assert "/uoarm/echo has closed" in told
+    eventually(lambda: not publications(), "the publication is gone")
+
+
+def publications() -> list[object]:
+    gc.collect()
+    return [one for one in gc.get_objects() if isinstance(one, Publication)]
+
+
+def test_rosapi_shows_functions_and_components(enter: Enter) -> None:
+    client = enter()
+    topics = client.call("/rosapi/topics")
+    found = dict(zip(topics["topics"], topics["types"], strict=True))
+    assert found["/uoarm/numbers"] == "Number"
+    assert client.call("/rosapi/topic_type", {"topic": "/uoarm/numbers"}) == {"type": "Number"}
+    assert "/uoarm/numbers" in client.call("/rosapi/topics_for_type", {"type": "Number"})["topics"]
+    assert "/uoarm/add" in client.call("/rosapi/services")["services"]
+    assert client.call("/rosapi/service_type", {"service": "/uoarm/add"}) == {"type": "Pair"}
+    assert "/adder" in client.call("/rosapi/nodes")["nodes"]
+    details = client.call("/rosapi/node_details", {"node": "/echo"})
+    assert details["subscribing"] == details["publishing"] == ["/uoarm/echo"]
+    assert client.call("/rosapi/publishers", {"topic": "/uoarm/numbers"}) == {
+        "publishers": ["/numbers"]
+    }
+    raw = client.call("/rosapi/topics_and_raw_types")
+    text = dict(zip(raw["topics"], raw["typedefs_full_text"], strict=True))["/uoarm/picture"]
+    assert text == "int64 width\nuint8[] data\n"
+    for name in ("/uoarm/add", "Pair"):
+        providers = client.call("/rosapi/service_providers", {"service": name})["providers"]
+        assert providers == ["/adder"]
+    assert client.call("/rosapi/get_ros_version")["version"] == 2
+    default = client.call("/rosapi/get_param", {"name": "x", "default_value": "7"})
+    assert default == {"value": "7"}
+    picture = client.call("/rosapi/message_details", {"type": "Picture"})["typedefs"][0]
+    assert picture["fieldnames"] == ["width", "data"]
+    assert picture["fieldtypes"] == ["int64", "uint8"]
+    assert picture["fieldarraylen"] == [-1, 0]
+    request = client.call("/rosapi/service_request_details", {"type": "Pair"})["typedefs"][0]
+    assert request["fieldtypes"] == ["float64", "float64"]
+
+
+def test_its_own_port_serves_rosbridge_on_every_path(serve: Serve) -> None:
+    server = serve(front_end_ports={"rosbridge": 0})
+    with Ros(f"ws://127.0.0.1:{server.ports[1]}/") as client:
+        assert client.call("/uoarm/add", [1, 2]) == {"value": 3}
+
+
+def test_a_client_that_goes_leaves_nothing(server: Server, robot: RobotManager) -> None:
+    with Ros(url(server)) as client:
+        client.send(op="subscribe", topic="/uoarm/numbers")
+        client.send(op="subscribe", topic="/chatter")
+        client.send(op="advertise", topic="/uoarm/echo", type="x")
+        client.send(op="advertise", topic="/talk", type="x")
+        opened(robot, 2)
+    opened(robot, 0)
+    with Ros(url(server)) as other:
+        eventually(
+            lambda: not {"/chatter", "/talk"} & set(other.call("/rosapi/topics")["topics"]),
+            "its topics are gone",
+        )
+
+
+def test_topics_are_limited(serve: Serve) -> None:
+    server = serve(Limits(streams=1))
+    with Ros(url(server)) as client:
+        client.send(op="subscribe", topic="/a")
+        assert client.refused(op="subscribe", topic="/b").startswith("limit: ")
+
+
+piece = st.fixed_dictionaries(
+    {
+        "id": st.sampled_from(["a", "b"]),
+        "data": st.text(max_size=5) | st.none(),
+        "num": st.integers(-1, 4) | st.floats(0, 3),
+        "total": st.integers(-1, 5),
+    }
+)
+
+
+@given(st.lists(piece, max_size=30))
+def test_no_fragments_at_all_break_the_collector(pieces: list[dict[str, Any]]) -> None:
+    fragments = Fragments(700)
+    for one in pieces:
+        with suppress(ControlMessageError):
+            fragments.add(one)
+        assert 0 <= fragments.octets <= 700
+
+
+def test_unfinished_messages_are_bounded_in_memory_and_counted_until_they_are_whole() -> None:
+    fragments = Fragments(10_000)
+    for place in range(60):
+        fragments.add({"id": "a", "data": "", "num": place, "total": 1000})
+    with pytest.raises(ControlMessageError, match="10,000 octets wait"):
+        fragments.add({"id": "a", "data": "x" * 5000, "num": 60, "total": 1000})
+    assert fragments.octets == 0
+    assert fragments.add({"id": "b", "data": "x", "num": 1, "total": 2}) is None
+    assert fragments.octets > 0
+    assert fragments.add({"id": "b", "data": "y", "num": 0, "total": 2}) == "yx"
+    assert fragments.octets == 0
+
+
+names = st.sampled_from(["/uoarm/numbers", "/t", "/uoarm/add", "/uoarm/navigate", "/uoarm/"])
+wild = st.dictionaries(
+    st.sampled_from(["id", "topic", "service", "action", "status", "feedback", "type", "msg",
+                     "args", "values", "result", "level", "throttle_rate",
+                     "queue_length", "fragment_size", "compression", "latch"]),
+    st.none() | st.booleans() | st.integers(-5, 5) | st.text(max_size=5)
+    | names | st.lists(st.integers(0, 3), max_size=2)
+    | st.dictionaries(st.just("value"), st.integers()),
+    max_size=6,
+)  # fmt: skip
+likely = st.fixed_dictionaries(
+    {},
+    optional={
+        "topic": names,
+        "compression": st.sampled_from(["none", "png", "cbor", "cbor-raw"]),
+        "msg": st.dictionaries(st.sampled_from(["value", "x"]), st.integers()),
+    },
+)
+operation = st.sampled_from(
+    ["advertise", "unadvertise", "publish", "subscribe", "unsubscribe", "call_service",
+     "advertise_service", "unadvertise_service", "service_response", "fragment", "status",
+     "send_action_goal", "cancel_action_goal", "advertise_action", "unadvertise_action",
+     "action_feedback", "action_result"]
+)  # fmt: skip
+
+
+# The server's thread makes random ping payloads while hypothesis draws in this one.
+@pytest.mark.filterwarnings("ignore:Do not use the .random. module")
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(steps=st.lists(st.tuples(operation, wild, likely), max_size=6))
+def test_no_operations_at_all_break_the_endpoint(
+    server: Server, steps: list[tuple[str, dict[str, Any], dict[str, Any]]]
+) -> None:
+    with Ros(url(server)) as client:
+        for op, fields, more in steps:
+            client.send(**{**fields, **more, "op": op})
+        client.send(op="call_service", id="last one", service="/rosapi/get_time")
+        told = client.receive()
+        while told.get("id") != "last one":
+            assert "its log says more" not in str(told)
+            told = client.receive()

@@ -1,0 +1,266 @@
+"""The contract of front ends: what serves another protocol on the same robot, over WebSocket.
+
+A front end gets the manager, the forms of messages, the rights of each client and the limits that
+hold for it. The server does the rest: TLS, tokens, origins, bounds of connections and rates, pings,
+and the writing of what waits. Everything here is called in the thread of the server's loop, and
+must not wait, unless it says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol, TypeAlias
+
+from attrs import Attribute, field, frozen
+
+from uoarm._control import Connection, RobotManager
+from uoarm._plugins import hookimpl, hookspec
+from uoarm._wire import (
+    BINARY_FORM,
+    TEXT_FORM,
+    Form,
+    dump_parts,
+    read_binary,
+    read_text,
+    write_binary,
+)
+from uoarm.model import Message, MessageStructure, Plan
+from uoarm.server._client import Session
+from uoarm.server._desk import FeedKey, Read
+from uoarm.server._failures import LimitError, UnknownError, code_of, tell_error, without_frames
+from uoarm.server._feed import Envelope, Feed, Listener
+from uoarm.server._limits import Limits
+from uoarm.server._memory import Account, Charge, Held
+from uoarm.server._outbox import Lane
+from uoarm.server._role import DeniedError, Operation, Role
+from uoarm.server._sending import Done, InputSender, read_message
+from uoarm.server._workers import BusyError
+
+__all__ = [
+    "BINARY_FORM",
+    "CONTRACT_VERSION",
+    "TEXT_FORM",
+    "Account",
+    "Backend",
+    "BusyError",
+    "Charge",
+    "Client",
+    "DeniedError",
+    "Done",
+    "Envelope",
+    "Feed",
+    "FeedKey",
+    "Form",
+    "FrontEnd",
+    "Held",
+    "InputSender",
+    "Lane",
+    "LimitError",
+    "Listener",
+    "MakeSession",
+    "Operation",
+    "Outbox",
+    "Role",
+    "Session",
+    "UnknownError",
+    "code_of",
+    "dump_parts",
+    "hookimpl",
+    "read_binary",
+    "read_message",
+    "read_text",
+    "tell_error",
+    "without_frames",
+    "write_binary",
+]
+
+CONTRACT_VERSION = 1
+"""Of the contract of this module; that of bridges has a number of its own."""
+
+
+class Outbox(Protocol):
+    """Frames that wait to be written to one client.
+
+    A reply never waits behind data. Where a client reads too little, data is dropped, the oldest of
+    the stream that holds most, and counted; a client that leaves too many replies is cut off.
+    """
+
+    @property
+    def max_bytes(self) -> int:
+        """Octets of data that may wait, and as many of replies."""
+
+    def has_room(self, size: int) -> bool:
+        """Say whether a reply of so many octets can be added without cutting the client off."""
+
+    def tell(self, frame: bytes, *, text: bool) -> None:
+        """Add a reply or an event as a text or a binary frame; it is never dropped."""
+
+    def put(self, lane: Lane, *frames: bytes) -> None:
+        """Add one data message of a stream; several frames are its pieces, sent or dropped whole.
+
+        Older messages of the stream are dropped as its policy says.
+        """
+
+    def finish(self, lane: Lane, *frames: bytes) -> None:
+        """Add the last message of a stream, after all that waits of it; it is never dropped."""
+
+    def discard(self, lane: Lane) -> None:
+        """Forget what waits of a stream. Idempotent."""
+
+
+class Client(Protocol):
+    """One client that was let in, for its session.
+
+    Its role cannot change: a client whose rights change is asked to connect again.
+    """
+
+    @property
+    def identity(self) -> str:
+        """Name of the session, as the audit log has it."""
+
+    @property
+    def address(self) -> str:
+        """Host and port of the client, as logs have it."""
+
+    @property
+    def role(self) -> Role:
+        """Its rights."""
+
+    @property
+    def limits(self) -> Limits:
+        """What it may use."""
+
+    @property
+    def account(self) -> Account:
+        """Of the memory that is held for it; everything is released when it goes."""
+
+    @property
+    def outbox(self) -> Outbox:
+        """What waits to be written to it."""
+
+    @property
+    def in_hand(self) -> int:
+        """Octets of memory that the message holds which is being acted on."""
+
+    def require(self, operation: Operation, function: str) -> None:
+        """Refuse what its role does not allow; the audit log has either outcome.
+
+        Args:
+            operation: what it wants to do.
+            function: with what, as the patterns of the access file name it.
+
+        Raises:
+            DeniedError: it may not.
+        """
+
+
+class Backend(Protocol):
+    """The robot behind all clients of one server, whatever protocol they speak."""
+
+    @property
+    def robot(self) -> RobotManager:
+        """The manager. Its calls that wait must not be made in the loop: see `call`, `join`."""
+
+    @property
+    def limits(self) -> Limits:
+        """Bounds of what clients use."""
+
+    async def join(self, wanted: FeedKey) -> Feed:
+        """Return the open feed of a function, opening it for the first who asks.
+
+        Its messages wait until a listener is added. Give it back with `leave`, once for each call.
+
+        Raises:
+            BusyError: every worker is taken, or earlier connections to it are being closed still.
+            UoarmError: as `RobotManager.request`.
+        """
+
+    def leave(self, feed: Feed) -> None:
+        """Give a feed back; the last one closes its connection, without waiting."""
+
+    def sender(self, connection: Connection, account: Account) -> InputSender:
+        """Return what hands a client's messages, in the form of JSON text, to a connection.
+
+        Args:
+            connection: of a feed that is open.
+            account: charged for what is on its way.
+        """
+
+    async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:
+        """Call a service.
+
+        Args:
+            name: of the function.
+            message: the request as it came.
+            read: makes its logical value by the service's structure, in a worker.
+            timeout: seconds; `Limits.call_seconds` holds as well.
+
+        Raises:
+            UsageError: the function is a stream.
+            BusyError: every worker is taken.
+            UoarmError: as `RobotManager.call`.
+        """
+
+    async def resolve(self, name: str) -> Plan:
+        """Find a plan; raises as `RobotManager.resolve`, and BusyError."""
+
+    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
+        """Return structures by port, such as `output.default`; of what nothing provides, none."""
+
+    def open_account(self) -> Account:
+        """Return an account for what no single client caused. Close it."""
+
+
+MakeSession: TypeAlias = "Callable[[Client], Session]"
+"""Makes the session of a client that has come."""
+
+
+def _is_path(front_end: FrontEnd, attribute: Attribute[str], value: str) -> None:
+    del front_end, attribute
+    if (
+        not value.startswith("/")
+        or value != value.strip()
+        or set(value) & set("?#")
+        or value == "/"
+    ):
+        raise ValueError(f"path: expected one such as '/name', got {value!r}")
+
+
+@frozen
+class FrontEnd:
+    """A protocol that clients of a server may speak.
+
+    Attributes:
+        name: by which settings and logs name it.
+        summary: one line for people.
+        path: of its endpoint, `/name`; what the server has itself it keeps.
+        start: called once when a server starts, in its loop; returns what makes the session of a
+            client. What is common to all clients of the protocol belongs to it.
+        subprotocols: WebSocket subprotocols that it speaks, of which the client's first choice is
+            taken. With none, or where the client offers none of them, there is no subprotocol.
+        contract: the version of this contract that it was written for: a number that stands in
+            its source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
+    """
+
+    name: str
+    summary: str
+    path: str = field(validator=_is_path)
+    start: Callable[[Backend], MakeSession]
+    subprotocols: tuple[str, ...] = ()
+    contract: int = field(kw_only=True)
+
+    def __str__(self) -> str:
+        """Return how it is named to people."""
+        return f"the front end {self.name!r}"
+
+
+class FrontEndHooks:
+    """The hooks that a module behind an entry point of group `uoarm.front_ends` implements."""
+
+    @hookspec
+    def uoarm_front_ends(self) -> list[FrontEnd]:
+        """Return the front ends of this plugin.
+
+        Called once when a server is made. Names and paths must differ from those of all others.
+        """
+        raise NotImplementedError

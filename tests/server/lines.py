@@ -1,0 +1,139 @@
+"""A front end that no distribution ships: lines of text, one a frame.
+
+`call NAME JSON` calls a service; `open NAME` sends what a function emits; `raise` fails.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import json
+from collections.abc import Callable
+
+from uoarm.errors import ControlMessageError, MessageError, UoarmError
+from uoarm.model import QueuePolicy, Spending
+from uoarm.server.front_end import (
+    TEXT_FORM,
+    Backend,
+    Client,
+    Envelope,
+    Feed,
+    FeedKey,
+    FrontEnd,
+    Held,
+    Lane,
+    MakeSession,
+    Operation,
+    Session,
+    code_of,
+    hookimpl,
+    read_message,
+    read_text,
+    tell_error,
+)
+
+__all__ = ["LINES", "uoarm_front_ends"]
+
+
+class Lines:
+    """One client."""
+
+    def __init__(self, client: Client, backend: Backend) -> None:
+        self._client = client
+        self._backend = backend
+        self._lane = Lane(QueuePolicy(client.limits.queue_messages), text=True)
+        self._feed: Feed | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def octets(self, frame: str | bytes) -> int:
+        return len(frame)
+
+    def decode(self, frame: str | bytes, spending: Spending) -> tuple[Callable[[], None], int]:
+        try:
+            verb, name, text = [*str(frame).split(" ", 2), "", ""][:3]
+            message = read_text(text, spending) if text else None
+        except ControlMessageError as error:
+            return functools.partial(self._fail, error), 0
+        if verb == "decode-raise":
+            raise ValueError("a mistake of this front end")
+        return functools.partial(self._act, verb, name, message), len(frame)
+
+    def close(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        if self._feed is not None:
+            self._feed.remove(self)
+            self._backend.leave(self._feed)
+
+    def offer(self, envelope: Envelope) -> None:
+        if envelope.message == {"value": 13}:
+            raise ValueError("a mistake of this front end")
+        self._client.outbox.put(self._lane, envelope.written("lines", _write))
+
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
+        if self._lane.refuse(error):
+            self._fail(error)
+
+    def ended(self, state: str, cause: str) -> None:
+        self._client.outbox.finish(self._lane, f"ended {state}".encode())
+
+    def _act(self, verb: str, name: str, message: object) -> None:
+        if verb == "raise":
+            raise ValueError("a mistake of this front end")
+        try:
+            charge = self._client.account.charge(Held.ASKED, self._client.in_hand)
+        except UoarmError as error:
+            self._fail(error)
+            return
+        task = asyncio.ensure_future(self._call(name, message) if message else self._open(name))
+        self._tasks.add(task)
+        task.add_done_callback(lambda _: charge.release())
+
+    async def _call(self, name: str, message: object) -> None:
+        try:
+            self._client.require(Operation.CALL, name)
+            read = functools.partial(read_message, TEXT_FORM)
+            reply = await self._backend.call(name, message, read, self._client.limits.call_seconds)
+        except Exception as error:  # noqa: BLE001 - told to the client
+            self._fail(error)
+        else:
+            self._client.outbox.tell(TEXT_FORM.write(reply), text=True)
+
+    async def _open(self, name: str) -> None:
+        try:
+            self._client.require(Operation.REQUEST, name)
+            self._feed = await self._backend.join(FeedKey(name))
+        except Exception as error:  # noqa: BLE001 - told to the client
+            self._fail(error)
+        else:
+            self._client.outbox.tell(b"open", text=True)
+            self._feed.add(self)
+
+    def _fail(self, error: BaseException) -> None:
+        self._client.outbox.tell(f"{code_of(error)}: {tell_error(error)}".encode(), text=True)
+
+
+def _write(number: int, message: object) -> bytes:
+    return f"{number} {json.dumps(message)}".encode()
+
+
+def _start(backend: Backend) -> MakeSession:
+    def make_session(client: Client) -> Session:
+        return Lines(client, backend)
+
+    return make_session
+
+
+LINES = FrontEnd(
+    name="lines",
+    summary="lines of text",
+    path="/lines",
+    start=_start,
+    subprotocols=("lines.v2", "lines.v1"),
+    contract=1,
+)
+
+
+@hookimpl
+def uoarm_front_ends() -> list[FrontEnd]:
+    return [LINES]
