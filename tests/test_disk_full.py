@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -97,6 +98,20 @@ def test_output_without_room_is_an_error_of_one_line(tmp_path: Path, command: li
         )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr == "Error: nothing more can be written: No space left on device\n"
+
+
+def test_a_module_that_is_imported_meanwhile_leaves_no_half_of_its_bytecode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "imported_meanwhile.py").write_text("numbers = [1, 2, 3] + list(range(100))\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with full_after(20):
+        importlib.import_module("imported_meanwhile")
+        subprocess.run(
+            [sys.executable, "-c", "import imported_meanwhile"], cwd=tmp_path, check=True
+        )
+    assert [one.name for one in tmp_path.iterdir()] == ["imported_meanwhile.py"]
+    del sys.modules["imported_meanwhile"]
 
 
 @given(st.binary(max_size=2000), st.binary(max_size=2000), st.integers(0, 2000))

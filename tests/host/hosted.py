@@ -37,6 +37,10 @@ def slow(value: int) -> int:
     time.sleep(0.05)
     return value
 
+def never(value: int) -> int:
+    time.sleep(100_000)
+    return value
+
 def die(value: int) -> int:
     os._exit(value)
 

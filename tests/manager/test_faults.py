@@ -12,7 +12,17 @@ from uoarm import RobotManager, UoarmError
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.errors import BridgeTimeoutError, ResolutionError
-from uoarm.testing import Background, Census, MemoryBridge, hanging, lying, patience, raising, wait
+from uoarm.testing import (
+    Background,
+    Census,
+    MemoryBridge,
+    hanging,
+    lying,
+    patience,
+    raising,
+    slowness,
+    wait,
+)
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -80,8 +90,10 @@ def test_a_request_fails_whole_and_the_next_one_works(
         if not used:
             scene.works()
         else:
+            # What hangs is given up in this time, with all steps before it.
+            limit = 0.5 * slowness() if fault == "hangs" else patience()
             with pytest.raises(UoarmError) as caught:
-                scene.robot.request("filter", timeout=0.3)
+                scene.robot.request("filter", timeout=limit)
             assert side in str(caught.value)
             expected = BridgeTimeoutError if fault == "hangs" else UoarmError
             assert isinstance(caught.value, expected)

@@ -22,7 +22,7 @@ from uoarm import (
 )
 from uoarm._control._live import LiveComponent
 from uoarm.model import ConnectionState, StatusMap, Step
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
 Make = Callable[[str], RobotManager]
 HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
@@ -138,7 +138,7 @@ def test_an_error_while_opening_rolls_everything_back(make_robot: Make) -> None:
 def test_a_bridge_that_hangs_while_opening_is_given_up_and_named(make_robot: Make) -> None:
     robot = make_robot(HEAD + source() + step("wanted", "Slow", "narrow"))
     with pytest.raises(BridgeTimeoutError, match=r"opening .*wanted"):
-        robot.request("wanted", timeout=0.2)
+        robot.request("wanted", timeout=0.5 * slowness())
     assert not robot.status().connections
     with robot.request("narrow") as other:
         stage.script.put({"value": 5})
@@ -220,7 +220,7 @@ def test_a_service_is_called_checked_and_timed(make_robot: Make) -> None:
     with pytest.raises(MessageError, match="value"):
         robot.call("greet", {"value": 300})
     with pytest.raises(BridgeTimeoutError, match="calling"):
-        robot.call("hang", {"value": 1}, timeout=0.1)
+        robot.call("hang", {"value": 1}, timeout=0.5 * slowness())
 
 
 def test_nothing_is_admitted_after_close(make_robot: Make) -> None:

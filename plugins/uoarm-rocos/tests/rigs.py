@@ -16,10 +16,11 @@ from uoarm_rocos.simulate import End, Faults, Model, ProfileServer, PtyEnd, Simu
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.model import BridgeSpec, Endpoint, Health, Role
 
-__all__ = ["Events", "bridged", "endpoint", "running", "served"]
+__all__ = ["Events", "bridged", "endpoint", "running", "served", "unplugged_by"]
 
 ROLES = {"output": Role.OUTPUT, "input": Role.INPUT, "service": Role.SERVICE}
-QUICK = {"wait": 2.0, "backoff": [0.02, 0.1]}
+# `describe` waits five seconds itself, and is to say what became of the device.
+QUICK = {"wait": 4.0, "backoff": [0.02, 0.1]}
 
 
 def endpoint(device: str, api: str, role: str = "output") -> Endpoint:
@@ -83,6 +84,21 @@ def running(device: Simulated, end: End, faults: Faults | None = None) -> Iterat
         stop.set()
         thread.join(LIMIT)
         assert not thread.is_alive()
+
+
+def unplugged_by(end: End, pulled: threading.Event) -> End:
+    """The same end, whose cable is out and in again, once, each time that the event is set."""
+    read = end.read
+
+    def read_unless_pulled(timeout: float) -> bytes | None:
+        if not pulled.is_set():
+            return read(timeout)
+        pulled.clear()
+        end.cut()
+        return None
+
+    end.read = read_unless_pulled  # type: ignore[method-assign] # of this end alone
+    return end
 
 
 @contextmanager

@@ -17,10 +17,11 @@ from uoarm_rocos._device import Device
 from uoarm_rocos._errors import LineError
 from uoarm_rocos.simulate import Faults, Robot
 
-from uoarm._control import RobotManager
+from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, MessageStructure
+from uoarm.testing import slowness
 
 ANY = MessageStructure(True)
 ROBOT_XML = Path(uoarm_rocos.__file__).parent / "simulate" / "robot.xml"
@@ -120,8 +121,9 @@ def test_a_late_call_is_given_up_and_the_device_is_told() -> None:
     model = Robot()
     with served(model) as url, bridged(robot={"url": url}) as (bridge, _):
         drive = endpoint("robot", "driveStraight", "service")
+        bridge.describe(drive)  # the device is there
         with pytest.raises(BridgeTimeoutError):
-            bridge.call(drive, {"distance": 5, "speed": 0.01}, timeout=0.3)
+            bridge.call(drive, {"distance": 5, "speed": 0.01}, timeout=slowness())
         echo = endpoint("robot", "echo", "service")
         assert bridge.call(echo, {"text": "alive"}) == {"text": "alive"}
 
@@ -193,7 +195,9 @@ def test_frames_lost_and_damaged_on_a_serial_line_are_counted_and_survived() -> 
         opened = None
         while opened is None:  # the answer to `open` itself may be what is lost
             try:
-                opened = bridge.open_source(endpoint("robot", "odometry"), ANY, got, timeout=1)
+                opened = bridge.open_source(
+                    endpoint("robot", "odometry"), ANY, got, timeout=slowness()
+                )
             except BridgeError:
                 continue
         for _ in range(60):

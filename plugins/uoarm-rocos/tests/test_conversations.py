@@ -26,6 +26,7 @@ from uoarm_rocos._profile import ProfileDevice
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
+from uoarm.testing import slowness
 
 ECHO = endpoint("robot", "echo", "service")
 ODOMETRY = endpoint("robot", "odometry")
@@ -62,8 +63,9 @@ def test_a_call_that_is_given_up_is_closed_and_its_late_result_harms_nobody() ->
         device.say(lambda seq: Result(seq, again.id, again.values))
 
     def call(bridge: Bridge) -> object:
+        bridge.describe(ECHO)  # the device is there
         with pytest.raises(BridgeTimeoutError):
-            bridge.call(ECHO, {"text": "one"}, timeout=0.3)
+            bridge.call(ECHO, {"text": "one"}, timeout=slowness())
         return bridge.call(ECHO, {"text": "two"}, timeout=LIMIT)
 
     assert answering(script, call) == {"text": "two"}
@@ -130,7 +132,7 @@ def test_a_device_of_another_profile_says_so() -> None:
 
 def test_the_host_numbers_what_it_says() -> None:
     def script(device: Scripted) -> None:
-        device.begin(heartbeat=0.5)
+        device.begin(heartbeat=2.0)
         asked = device.hear(Call)
         assert isinstance(asked, Call)
         assert asked.seq == 1

@@ -6,12 +6,13 @@ import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
+from typing import Any
 
 import pytest
 from attrs import evolve
 from lines import LIMIT, PseudoTerminal, listening
-from rigs import Events, bridged, endpoint, running
+from rigs import Events, bridged, endpoint, running, unplugged_by
 from uoarm_rocos._catalogue import Catalogue
 from uoarm_rocos._codec import XmlCodec
 from uoarm_rocos._errors import LineError
@@ -22,7 +23,7 @@ from uoarm_rocos._messages import Call, CatalogueMessage, Data, Describe, Open, 
 from uoarm_rocos._profile import Timing
 from uoarm_rocos._transport import Transport
 from uoarm_rocos.devices._monitor import Monitor
-from uoarm_rocos.simulate import Faults, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
+from uoarm_rocos.simulate import Job, ProfileServer, PtyEnd, Robot, TcpEnd, robot_catalogue
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, MessageStructure
@@ -51,12 +52,13 @@ def server(catalogue: Catalogue | None = None) -> ProfileServer:
 
 
 def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
-    got = Events()
+    got, pulled = Events(), Event()
     with (
-        running(server(), TcpEnd(), Faults(disconnect=0.3)) as url,
+        running(server(), unplugged_by(TcpEnd(), pulled)) as url,
         bridged(robot={"url": url}) as (bridge, events),
     ):
         source = bridge.open_source(ODOMETRY, ANY, got)
+        pulled.set()
         lost = events.until(lambda one: one.channel is source)
         assert lost.health is Health.DEGRADED
         assert "closed the connection" in lost.cause
@@ -70,7 +72,7 @@ def test_a_device_that_comes_back_goes_on_with_its_flows() -> None:
 def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> None:
     with ExitStack() as stack:
         with running(server(), TcpEnd()) as url:
-            robot: dict[str, object] = {"url": url, "grace": 0.3, "wait": 0.3}
+            robot: dict[str, object] = {"url": url, "grace": 0.3}
             bridge, events = stack.enter_context(bridged(robot=robot))
             source = bridge.open_source(ODOMETRY, ANY, Events())
             bridge.describe(ECHO)
@@ -85,8 +87,17 @@ def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> No
 
 
 def test_a_call_under_way_fails_at_once_when_the_cable_is_out() -> None:
+    pulled = Event()
+
+    class Driving(Robot):
+        """Has its cable pulled out when it begins to drive."""
+
+        def call(self, api: str, values: dict[str, Any], now: float) -> dict[str, Any] | Job:
+            pulled.set()
+            return super().call(api, values, now)
+
     with (
-        running(server(), TcpEnd(), Faults(disconnect=0.3)) as url,
+        running(ProfileServer(Driving(), LengthFramer), unplugged_by(TcpEnd(), pulled)) as url,
         bridged(robot={"url": url}) as (bridge, _),
     ):
         drive = endpoint("robot", "driveStraight", "service")
@@ -124,14 +135,15 @@ def test_another_catalogue_after_reconnecting_is_refused_with_the_difference() -
 
 def test_a_serial_device_may_be_unplugged_and_plugged_in_elsewhere(tmp_path: Path) -> None:
     link = str(tmp_path / "robot-port")
-    got = Events()
+    got, pulled = Events(), Event()
     device = ProfileServer(Robot(), StuffedFramer)
     with (
-        running(device, PtyEnd(link), Faults(disconnect=0.5)) as url,
+        running(device, unplugged_by(PtyEnd(link), pulled)) as url,
         bridged(robot={"url": url}) as (bridge, events),
     ):
         assert url == link
         source = bridge.open_source(ODOMETRY, ANY, got)
+        pulled.set()
         assert events.until(lambda one: one.channel is source).health is Health.DEGRADED
         assert events.until(lambda one: one.channel is source).health is Health.OK
 
@@ -208,7 +220,7 @@ def test_silence_of_a_flow_degrades_it_and_then_loses_it() -> None:
 
 
 def test_a_device_without_a_heartbeat_is_dropped() -> None:
-    with scripted(heartbeat=0.5) as (device, _, events):
+    with scripted(heartbeat=1.0) as (device, _, events):
         lost = events.until(lambda one: one.channel and "line" in one.cause)
         assert "said nothing for" in lost.cause
         with suppress(OSError):

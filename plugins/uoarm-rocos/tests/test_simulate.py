@@ -139,6 +139,19 @@ def test_delayed_frames_come_later_and_in_order() -> None:
     assert [frame[0] for frame in end.frames] == list(range(10))
 
 
+def test_the_cable_is_pulled_out_when_asked_and_put_in_again() -> None:
+    _, way, _ = sent_with(Faults(disconnect=2.5), 1)
+    assert not way.cut_due(2.4)
+    assert way.cut_due(2.5)
+    device, end = _Numbered(), TcpEnd()
+    where = ("127.0.0.1", int(end.where.rpartition(":")[2]))
+    with running(device, end, Faults(disconnect=0.0)):
+        for _ in range(2):
+            with socket.create_connection(where, LIMIT) as host:
+                assert host.recv(1) == b""
+    assert device.hosts == 2
+
+
 class _Numbered:
     """Answers every host with its number."""
 

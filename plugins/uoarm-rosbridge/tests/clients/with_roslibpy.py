@@ -16,6 +16,7 @@ SECONDS = patience()
 
 
 def main(url: str) -> None:
+    roslibpy.set_rosapi_timeout(SECONDS)  # its own limit is three seconds
     ros = roslibpy.Ros(url)
     ros.run(timeout=SECONDS)
     look_around(ros)
@@ -25,7 +26,7 @@ def main(url: str) -> None:
     provide(ros)
     fail(ros)
     send_goals(ros)
-    ros.close()
+    ros.close(timeout=SECONDS)
     print("done")  # noqa: T201 - the test waits for it
 
 
