@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from attrs import field, frozen
 from typing_extensions import Self
@@ -36,6 +36,9 @@ class BridgeType:
             `uoarm check` warns of loops. None: the framework has no topics. Imports no middleware.
         doctor: returns facts about the environment, name to finding, for `uoarm doctor`; raises
             PluginError, with what to install, where no bridge can be made in it.
+        check_parameters: takes an address, the parameters of its component and the options of the
+            bridge; returns what is wrong, by the parameter's name. For `uoarm check`, which gives
+            it ten seconds; unlike the others it may import what it asks about.
         contract: the contract version that the plugin was written for: a number that stands in
             its source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
     """
@@ -47,6 +50,7 @@ class BridgeType:
     check_endpoint: Callable[[tuple[str, ...], Options], str] | None = None
     doctor: Callable[[], dict[str, str]] | None = None
     topic: Callable[[tuple[str, ...], Options], str] | None = None
+    check_parameters: Callable[[tuple[str, ...], Options, Options], Mapping[str, str]] | None = None
     contract: int = field(kw_only=True)
 
     def __new__(cls, *given: object, **named: object) -> Self:

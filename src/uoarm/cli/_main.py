@@ -48,9 +48,12 @@ def main() -> None:
 @click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
 @json_option
 def check(file: str, *, as_json: bool) -> None:
-    """Say everything that is wrong with a configuration FILE."""
+    """Say everything that is wrong with a configuration FILE.
+
+    Python components that run in this environment are imported, to check their parameters.
+    """
     _say_that_it_takes_a_while(file)
-    report = inspect(file, Registry().types)
+    report = inspect(file, Registry().types, parameters=True)
     if as_json:
         print_json({"problems": report.problems, "warnings": report.warnings})
     else:

@@ -25,7 +25,7 @@ from uoarm.model import (
     Service,
 )
 
-__all__ = ["build"]
+__all__ = ["bridge_options", "build"]
 
 
 def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
@@ -57,14 +57,20 @@ def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, An
 
 def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
     plugin = value.get("plugin", name)
-    options = dict(value.get("options", {}))
     host = value.get("host", False)
     elsewhere = isinstance(host, dict) and "machine" in host
-    if plugin == "python" and "path" not in options and origin and not elsewhere:
-        options["path"] = [str(FilePath(origin).resolve().parent)]
+    options = bridge_options(plugin, value.get("options", {}), "" if elsewhere else origin)
     if isinstance(host, bool):
         return BridgeSpec(name, plugin, options, {} if host else None)
     return BridgeSpec(name, plugin, options, host)
+
+
+def bridge_options(plugin: str, written: Mapping[str, Any], origin: str) -> dict[str, Any]:
+    """Return the options of a bridge; modules of Python are found beside the file."""
+    options = dict(written)
+    if plugin == "python" and "path" not in options and origin:
+        options["path"] = [str(FilePath(origin).resolve().parent)]
+    return options
 
 
 def _function(name: str, value: Mapping[str, Any]) -> Function:

@@ -84,12 +84,21 @@ def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
     return _report(read(text, origin), origin, types).require()
 
 
-def inspect(path: str | PathLike[str], types: Types = _NO_TYPES) -> Report:
-    """Read a configuration file and report on it without raising."""
-    return _report(read_file(Path(path)), str(path), types)
+def inspect(
+    path: str | PathLike[str], types: Types = _NO_TYPES, *, parameters: bool = False
+) -> Report:
+    """Read a configuration file and report on it without raising.
+
+    Args:
+        path: the file.
+        types: bridge types, to check options and endpoints with.
+        parameters: whether parameters are checked with the components, too. That imports Python
+            components that run in this environment, each within ten seconds.
+    """
+    return _report(read_file(Path(path)), str(path), types, parameters=parameters)
 
 
-def _report(document: Document, file: str, types: Types) -> Report:
+def _report(document: Document, file: str, types: Types, *, parameters: bool = False) -> Report:
     if not document.whole:
         return Report(None, _sorted(document.problems))
     if document.value is None and not document.problems:
@@ -97,16 +106,18 @@ def _report(document: Document, file: str, types: Types) -> Report:
         return Report(
             None, (Problem(place=_START, path="$", sentence=sentence, hint=hint, file=file),)
         )
-    return _judge(document, file, types)
+    return _judge(document, file, types, parameters=parameters)
 
 
-def _judge(document: Document, file: str, types: Types) -> Report:
+def _judge(document: Document, file: str, types: Types, *, parameters: bool) -> Report:
     speller = Speller()
     shape = ShapeChecker(document, file, speller)
     meaning = MeaningChecker(document, file, speller)
     meaning.run()
     plugins = PluginChecker(document, file, speller, types)
     found = [*shape.problems(), *meaning.problems, *plugins.problems()]
+    if parameters and not document.problems:
+        found.extend(plugins.parameter_problems())
     for path, structure in meaning.structures():
         found.extend(shape.structure_problems(structure, path))
     told = {problem.place for problem in document.problems}

@@ -6,15 +6,19 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from uoarm import _bounded
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
+from uoarm.config._build import bridge_options
 from uoarm.config._loops import Topic, feedback_loops
 from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components
 
 __all__ = ["PluginChecker"]
+
+_PARAMETER_SECONDS = 10.0
 
 
 class PluginChecker:
@@ -50,6 +54,52 @@ class PluginChecker:
                 kind, _ = self._bridges[bridge]
                 for port in (*component.inputs(), *component.outputs(), *component.services()):
                     yield from self._endpoint_problems(kind, port.value, port.path)
+
+    def parameter_problems(self) -> Iterator[Problem]:
+        """Yield every mistake in the parameters of components that run in this environment.
+
+        Imports those of Python, each within ten seconds. What cannot be asked is passed over, as
+        it is for a bridge whose plugin is not installed.
+        """
+        for component in components(self._document.value):
+            bridge, given = component.text("bridge"), component.value.get("parameters", {})
+            kind, options = self._bridges.get(bridge or "", (None, None))
+            if kind is None or kind.check_parameters is None or self._is_hosted(bridge):
+                continue
+            ports = (*component.inputs(), *component.outputs(), *component.services())
+            address = ports[0].value.get("endpoint") if ports else None
+            if not isinstance(address, list) or not isinstance(given, dict):
+                continue
+            if not isinstance(options, dict):
+                continue
+            wrong = self._wrong(kind, tuple(map(str, address)), given, options)
+            for name, sentence in wrong.items():
+                is_written = name in given
+                path = (*component.path, "parameters", name) if is_written else component.path
+                told = sentence if is_written else f"the parameter {name}: {sentence}"
+                yield self._problem(path, told, at_key=is_written)
+
+    def _is_hosted(self, bridge: str | None) -> bool:
+        host = self._hosts.get(bridge or "")
+        return host is not None and host is not False
+
+    def _wrong(
+        self,
+        kind: BridgeType,
+        address: tuple[str, ...],
+        given: Mapping[str, Any],
+        options: Mapping[str, Any],
+    ) -> Mapping[str, str]:
+        assert kind.check_parameters is not None, "the caller looked"
+        check, known = kind.check_parameters, bridge_options(kind.name, options, self._file)
+        try:
+            return _bounded.run(
+                f"looking at the parameters of {address}",
+                _PARAMETER_SECONDS,
+                lambda: check(address, given, known),
+            )
+        except (Exception, SystemExit):  # noqa: BLE001 - a component may raise anything
+            return {}
 
     def warnings(self) -> Iterator[Problem]:
         """Yield what the file may hold and should not."""

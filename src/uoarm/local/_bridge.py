@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from typing import Any
 from weakref import WeakSet
 
@@ -193,6 +194,13 @@ def _check_endpoint(address: tuple[str, ...], options: Options) -> str:
     return ""
 
 
+def _check_parameters(
+    address: tuple[str, ...], parameters: Options, options: Options
+) -> Mapping[str, str]:
+    path: Any = options.get("path", ())
+    return find(address, Modules(path)).parameter_mistakes(parameters)
+
+
 @hookimpl
 def uoarm_bridge_types() -> list[BridgeType]:
     """Return the built-in bridge type."""
@@ -203,6 +211,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             create=PythonBridge,
             options_schema=_OPTIONS,
             check_endpoint=_check_endpoint,
+            check_parameters=_check_parameters,
             contract=2,
         )
     ]
