@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from itertools import count
@@ -13,7 +14,9 @@ from tests.schema._hostile import HOSTILE, chain, rows
 from tests.schema._reference import Reference
 
 from uoarm.schema import Budget, check
+from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import BudgetError
+from uoarm.schema._explain import find_losses
 from uoarm.schema._meter import Meter
 
 PATIENT = 1_000.0
@@ -57,6 +60,52 @@ def test_a_long_counterexample_is_built_when_asked_for() -> None:
     assert built[1:] == [[0, 0]] * 29_999 or len(built) == 30_000
     assert Reference(producer).accepts(built)
     assert not Reference(consumer).accepts(built)
+
+
+def deep_object(levels: int) -> dict[str, object]:
+    """A schema whose messages have more levels than its text."""
+    defs: dict[str, object] = {f"d{levels}": ANY}
+    for n in range(levels):
+        inner = {"a": {"$ref": f"#/$defs/d{n + 1}"}}
+        defs[f"d{n}"] = {"type": "object", "properties": inner, "required": ["a"]}
+    return {"$defs": defs, "$ref": "#/$defs/d0"}
+
+
+@pytest.mark.parametrize("levels", [200, 1_500])
+def test_a_deep_counterexample_is_told_in_a_form_that_json_can_write(levels: int) -> None:
+    verdict = check(deep_object(levels), {"type": "string"})
+    assert verdict.incompatible
+    assert verdict.abridged is (levels > 250)
+    assert len(json.dumps(verdict.to_dict())) < 10_000
+    built = verdict.build_counterexample()
+    for _ in range(levels):
+        built = built["a"]
+    assert built == 0
+
+
+def losing(fields: int) -> tuple[Any, Any]:
+    """Fields that the consumer does not know, and as many patterns to find them by."""
+    ours = {"properties": {f"f{n}": {"type": "integer"} for n in range(fields)}}
+    theirs = {"properties": {"x": {}}, "patternProperties": {f"^g{n}$": {} for n in range(4)}}
+    return {"type": "object", **ours}, {"type": "object", **theirs}
+
+
+def test_what_is_lost_is_told_within_the_budget() -> None:
+    """Less of it is told where the budget ends; what was proven stays."""
+    whole = check(*losing(200))
+    assert whole.compatible
+    assert len(whole.losses) == 200
+    pool = Pool(Meter(10**6, PATIENT, 10**9))
+    producer, consumer = (Document(one, pool).root for one in losing(200))
+    for steps, octets in ((500, 10**9), (10**6, 30_000)):
+        assert 0 < len(find_losses(producer, consumer, Meter(steps, PATIENT, octets))) < 200
+    assert not find_losses(producer, consumer, Meter(0, PATIENT, 10**9))
+
+
+def test_what_is_lost_is_told_beside_patterns_that_are_not_decided() -> None:
+    one = {"properties": {"a": ANY}, "patternProperties": {"(?<=a)b": ANY}}
+    assert check({"allOf": [one], "properties": {"a": ANY}}, one).compatible
+    assert check(one, one).compatible
 
 
 def test_a_short_one_is_there_at_once() -> None:
@@ -129,8 +178,8 @@ FLAT = """
 import sys
 from tests.schema._hostile import HOSTILE, deep
 from uoarm.schema import Budget, check
-nested = "(?:a" * 6 + ")" * 6
-looks = "(?=a" * 3 + ")" * 3
+nested = "(?:a" * 400 + ")" * 400
+looks = "(?=a" * 8 + ")" * 8
 pairs = {name: make() for name, make in HOSTILE.items()}
 pairs["groups"] = {"pattern": nested}, {"pattern": nested + "b"}
 pairs["looks"] = {"pattern": looks}, {"pattern": looks + "b"}

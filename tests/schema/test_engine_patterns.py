@@ -109,14 +109,29 @@ def test_an_escape_means_its_character(pattern: str, text: str) -> None:
     assert not found_in(pattern, "")
 
 
-@pytest.mark.parametrize("groups", [99, 100])
-def test_groups_may_be_nested_a_hundred_times(groups: int) -> None:
+@pytest.mark.parametrize("groups", [99, 100, 400])
+def test_groups_may_be_nested_however_deep(groups: int) -> None:
+    pattern = f"^{'(a)' * 150}{'(' * groups}b{')' * groups}{{2}}$"
+    assert found_in(pattern, "a" * 150 + "bb")
+    assert not found_in(pattern, "a" * 150 + "b")
+
+
+def test_looks_ahead_may_be_nested_eight_times() -> None:
     """Those that were closed before do not count."""
-    pattern = f"^{'(a)' * 150}{'(' * groups}b{')' * groups}$"
-    if groups < 100:
-        assert found_in(pattern, "a" * 150 + "b")
-    else:
-        assert check({"type": "string"}, {"pattern": pattern}).undecided is not None
+    nested = "^(?=a)(?=a)" + "(?=a" * 8 + ")" * 8
+    assert found_in(nested, "a" * 8)
+    assert not found_in(nested, "a" * 7)
+    deeper = {"pattern": "(?=a" * 9 + ")" * 9}
+    assert answer(check({"type": "string"}, deeper)) == "undecided"
+
+
+def test_a_repeated_part_is_repeated_whole() -> None:
+    pattern = r"^(?:x(?=[yz](?!q))(?:[yz]|w\b){2}|-){2,3}$"
+    for text, found in (
+        ("xyz-", True), ("xyzxzy", True), ("xyz", False), ("xy-", False), ("xyq-", False),
+        ("xyzxwy", False), ("---", True), ("----", False), ("xyw-", True), ("xyz-xzz", True),
+    ):  # fmt: skip
+        assert found_in(pattern, text) is found is bool(re.search(pattern, text)), text
 
 
 def test_a_look_ahead_excludes_one_word() -> None:

@@ -65,7 +65,7 @@ def check(
         result = Unknown(str(error))
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)
-    return Verdict(compatible=True, losses=find_losses(made, taken), disputed_patterns=disputed)
+    return Verdict(compatible=True, losses=find_losses(made, taken, meter), disputed_patterns=disputed)
 
 
 def _are_same(one: object, other: object) -> bool:

@@ -69,7 +69,7 @@ class Judgements:
     """Answers of `accepts` for values that stay as they are, and alive, as long as this."""
 
     def __init__(self, spend: Callable[[int], None]) -> None:
-        self._spend = spend
+        self.spend = spend
         self.key_of = Keys(spend).of
         self._known: dict[tuple[int, int, bool], tuple[bool | OutOfScopeError, Marks | None]] = {}
 
@@ -86,7 +86,7 @@ class Judgements:
         if known is None:
             if is_composite(value) or not _is_plain(node):
                 return None
-            self._spend(1)
+            self.spend(1)
             return self._plain_rules(node, value)
         answer, marked = known
         if isinstance(answer, OutOfScopeError):
@@ -103,7 +103,7 @@ class Judgements:
 
     def _valid(self, question: Question) -> Answer:
         node, value, marks = question
-        self._spend(1)
+        self.spend(1)
         if node.never:
             return False
         if node.unsupported:
@@ -140,7 +140,7 @@ class Judgements:
             return (
                 node.min_length <= len(value)
                 and (node.max_length is None or len(value) <= node.max_length)
-                and (node.pattern is None or _found(node.pattern, value, self._spend))
+                and (node.pattern is None or _found(node.pattern, value, self.spend))
             )
         return True
 
@@ -152,7 +152,7 @@ class Judgements:
             return False
         if node.prefix or node.items is not None:
             for start, item, count in runs_of(value):
-                self._spend(1)
+                self.spend(1)
                 for position in kinds_of_position(node, start, count):
                     for rule in item_rules(node, position):
                         if not (yield rule, item, None):
@@ -163,7 +163,7 @@ class Judgements:
         if node.contains is not None:
             hits = 0
             for start, item, count in runs_of(value):
-                self._spend(1)
+                self.spend(1)
                 if (yield node.contains, item, None):
                     hits += count
                     if marks is not None:
@@ -183,7 +183,7 @@ class Judgements:
         for name, needed in node.dependent_required:
             if name in value and any(one not in value for one in needed):
                 return False
-        self._spend((count + len(node.required)) // 16)
+        self.spend((count + len(node.required)) // 16)
         for name, item in value.items():
             if node.names is not None and not (yield node.names, name, None):
                 return False

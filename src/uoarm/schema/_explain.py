@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any, TypeAlias
 
 from attrs import frozen
@@ -11,6 +12,7 @@ from attrs import frozen
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._evaluate import Judgements, member_rules
 from uoarm.schema._failures import failures
+from uoarm.schema._meter import Meter
 from uoarm.schema._node import Node
 from uoarm.schema._repeated import Repeated, runs_of
 from uoarm.schema._verdict import Loss, Reason
@@ -25,6 +27,8 @@ _MAX_REASONS = 5
 _MAX_NAMES = 20
 _MAX_PAIRS = 5_000
 _EXACT_INTEGERS = 2**53
+_OF_PAIR, _OF_LOSS = 200, 300
+"""About the octets of two schemas that wait to be compared, and of a loss without its texts."""
 
 
 def explain(
@@ -52,9 +56,18 @@ def explain(
     return tuple(reasons), found[0][1] if found else message
 
 
-def find_losses(producer: Node, consumer: Node) -> tuple[Loss, ...]:
-    """Return what is accepted but not kept whole, field by field where fields are plain."""
+def find_losses(producer: Node, consumer: Node, meter: Meter) -> tuple[Loss, ...]:
+    """Return what is accepted but not kept whole, field by field where fields are plain.
+
+    What the budget does not reach for is left out: the verdict stands without it.
+    """
     losses: list[Loss] = []
+    with meter.part("what is not kept whole"), suppress(BudgetError):
+        _gather_losses(producer, consumer, losses, meter)
+    return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
+
+
+def _gather_losses(producer: Node, consumer: Node, losses: list[Loss], meter: Meter) -> None:
     waiting: list[tuple[Node, Node, Path]] = [(producer, consumer, ())]
     seen: set[tuple[int, int]] = set()
     while waiting and len(seen) < _MAX_PAIRS:
@@ -62,20 +75,31 @@ def find_losses(producer: Node, consumer: Node) -> tuple[Loss, ...]:
         if (one.number, other.number) in seen:
             continue
         seen.add((one.number, other.number))
+        meter.spend()
+        meter.hold(_OF_PAIR)
         if one.reference is not None:
             waiting.append((one.target(), other, path))
         if other.reference is not None:
             waiting.append((one, other.target(), path))
-        losses.extend(_losses_here(one, other, path))
+        _keep(losses, _losses_here(one, other, path), meter)
         for name, child in one.properties.items():
-            rules = member_rules(other, name)
+            meter.spend(1 + len(other.patterns))
+            try:
+                rules = member_rules(other, name)
+            except OutOfScopeError:
+                continue
             waiting.extend((child, rule, (*path, name)) for rule in rules)
             if not rules and other.properties:
                 sentence = f"the consumer does not know the field {name!r} and ignores it"
-                losses.append(Loss(write_path((*path, name)), "ignored", sentence))
+                _keep(losses, [Loss(write_path((*path, name)), "ignored", sentence)], meter)
         if one.items is not None and other.items is not None:
             waiting.append((one.items, other.items, (*path, "*")))
-    return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
+
+
+def _keep(losses: list[Loss], more: list[Loss], meter: Meter) -> None:
+    for loss in more:
+        meter.hold(_OF_LOSS + len(loss.path) + len(loss.sentence))
+        losses.append(loss)
 
 
 def write_path(path: Path) -> str:

@@ -36,7 +36,7 @@ def failures(
         if keyword == "rules":
             deeper = [
                 (child, item, (*path, *step))
-                for child, item, step in _direct_parts(one, part)
+                for child, item, step in _direct_parts(one, part, judgements)
                 if not child.never and not judgements.accepts(child, item)
             ]
         if deeper:
@@ -46,16 +46,21 @@ def failures(
     return found
 
 
-def _direct_parts(node: Node, value: Any) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
+def _direct_parts(
+    node: Node, value: Any, judgements: Judgements
+) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
     parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [(one, value, ()) for one in node.all_of]
     if node.reference is not None:
         parts.append((node.target(), value, ()))
     if kind_of(value) == "array":
         for start, item, count in runs_of(value):
+            judgements.spend(1)
             for n in kinds_of_position(node, start, count):
                 parts += [(rule, item, (n,)) for rule in item_rules(node, n)]
     elif isinstance(value, Mapping):
-        parts += [(rule, value[k], (k,)) for k in value for rule in member_rules(node, k)]
+        for name, item in value.items():
+            judgements.spend(1 + len(node.patterns))
+            parts += [(rule, item, (name,)) for rule in member_rules(node, name)]
     return parts
 
 

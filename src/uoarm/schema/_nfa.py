@@ -46,6 +46,19 @@ class Nfa:
         self.edges.append([])
         return len(self.always) - 1
 
+    def copy(self, start: int, size: int) -> None:
+        """Add a copy of some states in a row, of which no edge leads to another.
+
+        A look ahead is shared by the copies.
+        """
+        at = len(self.always) - start
+        for one in range(start, start + size):
+            self.state()
+            self.always[-1].extend(to + at for to in self.always[one])
+            self.asserts[-1].extend((kind, to + at) for kind, to in self.asserts[one])
+            self.looks[-1].extend((sign, inner, to + at) for sign, inner, to in self.looks[one])
+            self.edges[-1].extend((chars, to + at) for chars, to in self.edges[one])
+
     def parts(self) -> Iterator[Nfa]:
         """Yield this automaton and all that it looks ahead with."""
         waiting = [self]

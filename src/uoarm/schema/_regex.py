@@ -12,6 +12,8 @@ from __future__ import annotations
 import re
 from typing import TypeAlias
 
+from attrs import define
+
 from uoarm.schema._charsets import ANY, CLASSES, DOT, CharSet, complement, union
 from uoarm.schema._kept import Kept
 from uoarm.schema._nfa import MalformedPatternError, Nfa, UnsupportedPatternError
@@ -22,6 +24,8 @@ __all__ = ["compile_pattern", "is_disputed"]
 _MAX_REPEAT = 1000
 _MAX_DIGITS = 9  # int() refuses thousands of them
 _MAX_ATOMS = 50_000
+_MAX_LOOKS = 8
+"""Looks ahead within one another: each is walked by one that is called by the one around it."""
 _COUNT = re.compile(r"\{([0-9]+)(,([0-9]*))?\}")
 _UP_TO = re.compile(r"\{,[0-9]*\}")
 _NAME = re.compile(r"[A-Za-z_$][A-Za-z0-9_$]*(?=>)")
@@ -46,9 +50,7 @@ def _compile(pattern: str) -> Nfa:
         raise UnsupportedPatternError("it has half a surrogate pair")
     parser = _Parser(pattern)
     nfa = parser.nfa
-    first, last = parser.alternation()
-    if parser.at < len(pattern):
-        raise MalformedPatternError(f"unbalanced ) in {pattern!r}")
+    first, last = parser.read()
     if parser.unicode and parser.lenient:
         raise UnsupportedPatternError("it is written half for the u flag and half without it")
     before = nfa.state()
@@ -80,8 +82,26 @@ def _finish(nfa: Nfa, first: int, last: int) -> None:
     nfa.first, nfa.last = first, after
 
 
+@define
+class _Group:
+    """A group that is being read: its ends, and those of its alternative so far.
+
+    `start` is where it begins in the text, `mark` the number of states before it. A look ahead has
+    its sign, and the automaton around it.
+    """
+
+    start: int
+    mark: int
+    first: int
+    last: int
+    begin: int
+    end: int
+    sign: bool | None = None
+    around: Nfa | None = None
+
+
 class _Parser:
-    """Recursive descent over one pattern; depth is bounded.
+    """Reads one pattern, with a stack of its own for the groups.
 
     `unicode` says that the pattern has what only the `u` flag gives a meaning, `lenient` that it
     has what only goes without the flag.
@@ -91,50 +111,101 @@ class _Parser:
         self.text = pattern
         self.at = 0
         self.nfa = Nfa()
-        self._depth = 0
-        self._classes: dict[int, tuple[CharSet, int]] = {}
+        self._groups: list[_Group] = []
+        self._looks = 0
         self._atoms = 0
-        self._names: dict[str, int] = {}
+        self._names: set[str] = set()
         self.unicode = any(ord(char) > _LAST_OF_16_BITS for char in self.text)
         self.lenient = False
 
-    def alternation(self) -> Piece:
-        self._depth += 1
-        if self._depth > 100:  # noqa: PLR2004 - groups within groups
-            raise UnsupportedPatternError("groups are nested too deep")
+    def read(self) -> Piece:
+        """Return the first and last state of the whole pattern."""
+        self._open(0, 0)
+        while self.at < len(self.text):
+            start, mark = self.at, len(self.nfa.always)
+            char = self.text[start]
+            self.at += 1
+            if char == "|":
+                self._end_alternative()
+                group = self._groups[-1]
+                group.begin = group.end = self.nfa.state()
+            elif char == "(":
+                self._enter_group(start, mark)
+            elif char == ")":
+                if len(self._groups) == 1:
+                    raise MalformedPatternError(f"unbalanced ) in {self.text!r}")
+                self._append(*self._close())
+            else:
+                self._append(start, mark, *self._atom(char))
+        if len(self._groups) > 1:
+            raise MalformedPatternError(f"a group is not closed in {self.text!r}")
+        self._end_alternative()
+        return self._groups[0].first, self._groups[0].last
+
+    def _open(self, start: int, mark: int) -> _Group:
+        state = self.nfa.state
+        first, last, begin = state(), state(), state()
+        self._groups.append(_Group(start, mark, first, last, begin, begin))
+        return self._groups[-1]
+
+    def _enter_group(self, start: int, mark: int) -> None:
+        self._count()
+        sign: bool | None = None
+        if self._take("?"):
+            if self._take("<"):
+                if self.text[self.at : self.at + 1] in {"=", "!"}:
+                    raise UnsupportedPatternError("it looks behind")
+                self._name()
+            elif self._take("="):
+                sign = True
+            elif self._take("!"):
+                sign = False
+            elif not self._take(":"):
+                raise UnsupportedPatternError("a group of an unknown kind")
+        if sign is None:
+            self._open(start, mark)
+            return
+        self._looks += 1
+        if self._looks > _MAX_LOOKS:
+            raise UnsupportedPatternError(f"more than {_MAX_LOOKS} looks ahead within one another")
+        around, self.nfa = self.nfa, Nfa()
+        group = self._open(start, mark)
+        group.sign, group.around = sign, around
+
+    def _close(self) -> tuple[int, int, int, int]:
+        """End the innermost group; return its start, its mark, and its first and last state."""
+        self._end_alternative()
+        group = self._groups.pop()
+        if group.around is None or group.sign is None:
+            return group.start, group.mark, group.first, group.last
+        inner, self.nfa = self.nfa, group.around
+        _finish(inner, group.first, group.last)
+        self._looks -= 1
         first, last = self.nfa.state(), self.nfa.state()
-        while True:
-            begin, end = self._sequence()
-            self.nfa.always[first].append(begin)
-            self.nfa.always[end].append(last)
-            if not self._take("|"):
-                self._depth -= 1
-                return first, last
+        self.nfa.looks[first].append((group.sign, inner, last))
+        return group.start, group.mark, first, last
 
-    def _sequence(self) -> Piece:
-        first = last = self.nfa.state()
-        while self.at < len(self.text) and self.text[self.at] not in "|)":
-            start = self.at
-            begin, end = self._atom()
-            begin, end = self._quantified(start, begin, end)
-            self.nfa.always[last].append(begin)
-            last = end
-        return first, last
+    def _end_alternative(self) -> None:
+        group = self._groups[-1]
+        self.nfa.always[group.first].append(group.begin)
+        self.nfa.always[group.end].append(group.last)
 
-    def _atom(self) -> Piece:
-        char = self.text[self.at]
-        self.at += 1
+    def _append(self, start: int, mark: int, first: int, last: int) -> None:
+        """Let a part, as often as it is repeated, follow what the alternative has so far."""
+        first, last = self._quantified(start, mark, first, last)
+        group = self._groups[-1]
+        self.nfa.always[group.end].append(first)
+        group.end = last
+
+    def _count(self) -> None:
         self._atoms += 1
         if self._atoms > _MAX_ATOMS:
             raise UnsupportedPatternError("the pattern is too large")
-        if char == "(":
-            return self._group()
+
+    def _atom(self, char: str) -> Piece:
+        self._count()
         if char == "[":
-            start = self.at
-            if start not in self._classes:  # one that is repeated is read again for each copy
-                self._classes[start] = (self._char_class(), self.at)
-            chars, self.at = self._classes[start]
-            return self._on(chars)
+            return self._on(self._char_class())
         if char == ".":
             self.nfa.disputed = True
             return self._on(DOT)
@@ -153,43 +224,14 @@ class _Parser:
         self.lenient |= char in "{}]"
         return self._on(((ord(char), ord(char)),))
 
-    def _group(self) -> Piece:
-        if self._take("?"):
-            if self._take("<"):
-                if self.text[self.at : self.at + 1] in {"=", "!"}:
-                    raise UnsupportedPatternError("it looks behind")
-                self._name()
-            elif self._take("="):
-                return self._look(sign=True)
-            elif self._take("!"):
-                return self._look(sign=False)
-            elif not self._take(":"):
-                raise UnsupportedPatternError("a group of an unknown kind")
-        piece = self.alternation()
-        self._close()
-        return piece
-
     def _name(self) -> None:
         found = _NAME.match(self.text, self.at)
         if found is None:
             raise UnsupportedPatternError("a group of an unknown kind")
-        if self._names.setdefault(found[0], self.at) != self.at:
+        if found[0] in self._names:
             raise UnsupportedPatternError(f"two groups are called {found[0]!r}")
+        self._names.add(found[0])
         self.at = found.end() + 1
-
-    def _close(self) -> None:
-        if not self._take(")"):
-            raise MalformedPatternError(f"a group is not closed in {self.text!r}")
-
-    def _look(self, *, sign: bool) -> Piece:
-        around, inner = self.nfa, Nfa()
-        self.nfa = inner
-        _finish(inner, *self.alternation())
-        self.nfa = around
-        self._close()
-        first, last = around.state(), around.state()
-        around.looks[first].append((sign, inner, last))
-        return first, last
 
     def _assert(self, kind: str) -> Piece:
         if self.text[self.at : self.at + 1] in {"*", "+", "?"} or _COUNT.match(self.text, self.at):
@@ -199,7 +241,7 @@ class _Parser:
         self.nfa.asserts[first].append((kind, last))
         return first, last
 
-    def _quantified(self, start: int, first: int, last: int) -> Piece:
+    def _quantified(self, start: int, mark: int, first: int, last: int) -> Piece:
         before = self.at
         least, most = self._quantifier()
         if self.at > before:
@@ -207,13 +249,12 @@ class _Parser:
             self.lenient |= self.text.startswith(("(?=", "(?!"), start)
         if (least, most) == (1, 1):
             return first, last
-        after = self.at
-        pieces = [(first, last)]
         copies = max(least, 1 if most is None else most, 1)
-        for _ in range(copies - 1):
-            self.at = start
-            pieces.append(self._atom())
-        self.at = after
+        size = len(self.nfa.always) - mark
+        pieces = [(first, last)]
+        for number in range(1, copies):
+            self.nfa.copy(mark, size)
+            pieces.append((first + number * size, last + number * size))
         begin, end = self.nfa.state(), self.nfa.state()
         at = begin
         for number, (one, other) in enumerate(pieces):

@@ -11,6 +11,7 @@ __all__ = ["Repeated", "build", "describe", "is_small", "runs_of"]
 _TOLD = 200
 _TOLD_TEXT = 60
 _TOLD_ITEMS = 3
+_MAX_LEVELS = 250
 
 
 class Repeated:
@@ -48,22 +49,25 @@ def runs_of(array: Any) -> Iterator[tuple[int, Any, int]]:
 
 
 def is_small(value: object, most: int) -> bool:
-    """Say whether a value has at most so many parts and characters, written out."""
-    waiting = [value]
+    """Say whether a value has at most so many parts and characters, written out, and few levels.
+
+    What is deeper cannot be written as JSON, printed or compared by Python.
+    """
+    waiting: list[tuple[Any, int]] = [(value, 0)]
     size = 0
     while waiting:
-        one = waiting.pop()
+        one, depth = waiting.pop()
         size += 1
         if isinstance(one, str | Mapping | list | tuple | Repeated):
             size += len(one)
-        if size > most:
+        if size > most or depth > _MAX_LEVELS:
             return False
         if isinstance(one, Mapping):
-            waiting.extend(one.values())
+            waiting.extend((part, depth + 1) for part in one.values())
         elif isinstance(one, Repeated):
-            waiting.extend(item for item, count in one.runs for _ in range(count))
+            waiting.extend((item, depth + 1) for item, count in one.runs for _ in range(count))
         elif isinstance(one, list | tuple):
-            waiting.extend(one)
+            waiting.extend((part, depth + 1) for part in one)
     return True
 
 

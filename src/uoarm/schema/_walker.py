@@ -41,10 +41,13 @@ class Walker:
         self._sees_words = nfa.sees_words()
         self._lookers: list[Walker] = []
         self._looks: list[list[tuple[bool, int, int]]] = [[] for _ in nfa.looks]
+        numbers: dict[int, int] = {}  # those that repeat one automaton are walked as one
         for state, looks in enumerate(nfa.looks):
             for sign, inner, target in looks:
-                self._looks[state].append((sign, len(self._lookers), target))
-                self._lookers.append(Walker(inner))
+                number = numbers.setdefault(id(inner), len(self._lookers))
+                if number == len(self._lookers):
+                    self._lookers.append(Walker(inner))
+                self._looks[state].append((sign, number, target))
         self.weight = 1
         self._steps: dict[tuple[WalkState, int], WalkState] = {}
         self._accepting: dict[WalkState, bool] = {}
@@ -111,7 +114,7 @@ class Walker:
                 continue
             reached.add(thread)
             if len(reached) > _MAX_THREADS:
-                raise UnsupportedPatternError("it looks ahead in too many ways at once")
+                raise UnsupportedPatternError("it can go on in too many ways at once")
             at, duties = thread
             waiting.extend((to, duties) for to in self._nfa.always[at])
             waiting.extend(
