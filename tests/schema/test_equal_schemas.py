@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from types import MappingProxyType
 from typing import Any
 
 import pytest
 
-from uoarm.schema import Budget, check
+from uoarm.schema import Budget, SchemaError, check
 
 ALIKE_IN_PYTHON: list[tuple[Any, Any]] = [
     ({"const": 1}, {"const": True}),
@@ -46,3 +47,46 @@ def _steps(producer: Any, consumer: Any) -> int:
     while check(producer, consumer, budget=Budget(steps=most)).undecided is not None:
         most += 1
     return most
+
+
+@pytest.mark.parametrize(
+    ("malformed", "expected"),
+    [
+        ({"const": {1: 2}}, "a JSON value"),
+        ({"enum": [math.inf]}, "a JSON value"),
+        ({"const": [math.nan]}, "a JSON value"),
+        ({"items": {"const": object}}, "a JSON value"),
+        ({"items": {"minimum": "1"}}, "#/items/minimum: expected a finite number"),
+        ({"properties": {"a": {"type": "x"}}}, "#/properties/a/type: expected a type"),
+    ],
+)
+def test_a_malformed_schema_is_refused_beside_its_equal(malformed: Any, expected: str) -> None:
+    with pytest.raises(SchemaError, match=expected):
+        check(malformed, dict(malformed))
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer"),
+    [
+        ({"const": 1}, {"const": True}),
+        ({"const": True}, {"const": 1}),
+        ({"const": 0.0}, {"const": False}),
+        ({"maximum": 1e23}, {"maximum": int(1e23)}),
+    ],
+)
+def test_fields_that_are_equal_to_python_alone_are_read_apart(producer: Any, consumer: Any) -> None:
+    """Small schemas that were met before in the same check are not read again."""
+    verdict = check(*({"properties": {"a": one}} for one in (producer, consumer)))
+    assert verdict.incompatible
+    both = {"properties": {"a": producer, "b": consumer}}
+    swapped = {"properties": {"a": consumer, "b": producer}}
+    assert check(both, swapped).incompatible
+    assert check(both, dict(reversed(both.items()))).compatible
+
+
+def test_what_is_said_beside_the_shape_is_told_of_each_field() -> None:
+    metre, foot = ({"type": "number", "x-unit": unit} for unit in ("m", "[ft_i]"))
+    producer = {"type": "object", "properties": {"a": metre, "b": dict(metre)}}
+    consumer = {"type": "object", "properties": {"a": dict(metre), "b": foot}}
+    assert [loss.path for loss in check(producer, consumer).losses] == ["b"]
+    assert not check(producer, {**producer}).losses

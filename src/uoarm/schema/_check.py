@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any, TypeAlias
 
 from attrs import evolve
@@ -17,6 +18,7 @@ from uoarm.schema._repeated import build, describe, is_small
 from uoarm.schema._results import Found, Result, Unknown
 from uoarm.schema._search import answer
 from uoarm.schema._solve import Solver
+from uoarm.schema._values import SCALARS
 from uoarm.schema._verdict import Budget, Verdict
 
 __all__ = ["check"]
@@ -25,7 +27,6 @@ Schema: TypeAlias = Mapping[str, Any] | bool
 _STANDARD = Budget()
 _WRITTEN = 20_000
 """Parts and characters up to which a counterexample is written out unasked."""
-_SCALARS = frozenset({str, int, float, bool, type(None)})
 _COMPARED = 20_000
 """Parts of two schemas that are compared before both are read."""
 
@@ -51,10 +52,11 @@ def check(
     pool = Pool(meter)
     result: Result
     try:
-        document = other = Document(producer, pool)
+        document = Document(producer, pool)
         # What references lead to may differ, even between documents of equal text.
-        if document.refers or not _are_same(producer, consumer):
-            other = Document(consumer, pool)
+        if not document.refers and _are_same(producer, consumer):
+            return Verdict(compatible=True, disputed_patterns=tuple(document.disputed))
+        other = Document(consumer, pool)
         made, taken = document.root, other.root
         disputed = tuple(document.disputed | other.disputed)
         with meter.part("the search"):
@@ -65,11 +67,15 @@ def check(
         result = Unknown(str(error))
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)
-    return Verdict(compatible=True, losses=find_losses(made, taken, meter), disputed_patterns=disputed)
+    losses = find_losses(made, taken, meter)
+    return Verdict(compatible=True, losses=losses, disputed_patterns=disputed)
 
 
 def _are_same(one: object, other: object) -> bool:
-    """Say whether two schemas are certainly equal, by a look at their first few thousand parts."""
+    """Say whether two schemas are certainly equal, by a look at their first few thousand parts.
+
+    Only those of JSON values are: what is not finite, or no name, is left to be refused.
+    """
     waiting = [(one, other)]
     for first, second in waiting:
         if first.__class__ is not second.__class__:
@@ -77,12 +83,18 @@ def _are_same(one: object, other: object) -> bool:
         if isinstance(first, dict) and isinstance(second, dict):
             if len(waiting) + len(first) > _COMPARED or first.keys() != second.keys():
                 return False
-            waiting.extend((part, second[name]) for name, part in first.items())
+            if not all(name.__class__ is str for name in first):
+                return False
+            waiting.extend(zip(first.values(), map(second.__getitem__, first), strict=True))
         elif isinstance(first, list) and isinstance(second, list):
             if len(waiting) + len(first) > _COMPARED or len(first) != len(second):
                 return False
             waiting.extend(zip(first, second, strict=True))
-        elif first.__class__ not in _SCALARS or first != second:
+        elif (
+            first.__class__ not in SCALARS
+            or first != second
+            or (isinstance(first, float) and not isfinite(first))
+        ):
             return False
     return True
 

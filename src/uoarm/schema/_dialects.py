@@ -15,7 +15,7 @@ from attrs import frozen
 
 from uoarm.schema._shapes import ANNOTATIONS
 
-__all__ = ["DRAFT_2019", "NEWEST", "Dialect", "dialect_of"]
+__all__ = ["DRAFT_2019", "NEWEST", "OLD_FORMS", "Dialect", "dialect_of"]
 
 _NEW_IN_2020 = frozenset({"prefixItems", "$dynamicRef", "$dynamicAnchor"})
 _NEW_IN_2019 = frozenset(
@@ -26,7 +26,7 @@ _NEW_IN_7 = frozenset({"if", "then", "else"})
 _NEW_IN_6 = frozenset({"const", "contains", "propertyNames", "$id"})
 _BESIDE_REFERENCE = frozenset({"$ref", "$schema", "definitions"})
 _NEW_DEPENDENCIES = frozenset({"dependentRequired", "dependentSchemas"})
-_OLD_FORMS = frozenset({"dependencies", "items", "exclusiveMinimum", "exclusiveMaximum"})
+OLD_FORMS = frozenset({"dependencies", "items", "exclusiveMinimum", "exclusiveMaximum"})
 _LIMITS = {"exclusiveMinimum": "minimum", "exclusiveMaximum": "maximum"}
 
 
@@ -119,7 +119,7 @@ def _meaning(view: Mapping[str, Any]) -> dict[str, int]:
 
 
 def _is_old(schema: Mapping[str, Any]) -> bool:
-    return not _OLD_FORMS.isdisjoint(schema) and (
+    return not OLD_FORMS.isdisjoint(schema) and (
         "dependencies" in schema
         or isinstance(schema.get("items"), list)
         or isinstance(schema.get("exclusiveMinimum"), bool)

@@ -7,27 +7,32 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeAlias
 from urllib.parse import urlsplit
 
-from uoarm.schema._dialects import DRAFT_2019, NEWEST, dialect_of
-from uoarm.schema._errors import OutOfScopeError, SchemaError
-from uoarm.schema._keywords import fill
+from uoarm.schema._dialects import DRAFT_2019, NEWEST, OLD_FORMS, dialect_of
+from uoarm.schema._errors import OutOfScopeError, Pointer, SchemaError, write_pointer
+from uoarm.schema._keywords import READERS
 from uoarm.schema._meter import Meter
 from uoarm.schema._nfa import UnsupportedPatternError
 from uoarm.schema._node import Node, Reference
 from uoarm.schema._regex import is_disputed
-from uoarm.schema._resources import REFERENCES, Resources
+from uoarm.schema._resources import PLACING, POSITIONAL, REFERENCES, Resources
 from uoarm.schema._scopes import Scope, Scopes
 from uoarm.schema._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES, check_keyword
-from uoarm.schema._values import Keys
+from uoarm.schema._values import SCALARS, Keys
 
 __all__ = ["Document", "Pool"]
 
-_MAX_POINTER = 20_000
-_VALUES = frozenset({"const", "enum"})
+_MAX_LEVELS = 10_000
 _MAX_SCOPED = 5_000
+_VALUES = frozenset({"const", "enum"})
 _UNREAD = frozenset({"contentSchema", "$defs"})
+_LEAF = 8
+"""Keywords of a schema that is compared with others before it is read."""
+Leaf: TypeAlias = "tuple[object, ...]"
+_ONE, _MANY = frozenset(SINGLES), frozenset((*LISTS, *MAPS))
 
 
 _OF_NODE = 1_500
@@ -44,6 +49,7 @@ class Pool:
     def __init__(self, meter: Meter) -> None:
         self.meter = meter
         self._numbers: dict[object, int] = {}
+        self.leaves: dict[Leaf, Node | None] = {}
 
     def number(self, content: object) -> int:
         """Return the number of a content, a new one when it was never seen."""
@@ -68,16 +74,29 @@ class Document:
         self.disputed: dict[str, None] = {}
         self._views: dict[int, tuple[Mapping[str, Any], list[object]]] = {}
         self._targets: dict[Reference, Node] = {}
+        self._leaves: dict[int, Leaf] = {}
         self._dialect = dialect_of(schema) or NEWEST
         self._has_contains = self._dialect is DRAFT_2019 and _mentions(schema, "contains")
-        self._resources = Resources(schema, self._dialect)
-        self._scopes = Scopes(self._resources)
+        self._placed = self._dialect is not NEWEST or dialect_of(schema) is None
+        self._schema = schema
         self._check(schema)
+        self._resources = Resources(schema, self._dialect, pool.meter, placed=self._placed)
+        self._scopes = Scopes(self._resources)
         self._identity = self._identify(schema)
-        base = self._resources.base_in(schema)
-        self.root = self._read(schema, self._scopes.enter((), base))
+
+    @cached_property
+    def root(self) -> Node:
+        """The node of the whole, read when it is asked for.
+
+        Raises:
+            SchemaError: a value in it is none of JSON.
+            OutOfScopeError: nothing of it is decided.
+        """
+        base = self._resources.base_in(self._schema)
+        root = self._read(self._schema, self._scopes.enter((), base))
         if self._resources.refers and self._refers_in_place():
-            self.root.unsupported = "the schema refers to itself without descending into the value"
+            root.unsupported = "the schema refers to itself without descending into the value"
+        return root
 
     @property
     def refers(self) -> bool:
@@ -141,42 +160,66 @@ class Document:
     def _check(self, schema: object) -> None:
         """Check the shape of a schema and all below it, on an explicit stack; once each."""
         entered: set[int] = set()
-        stack: list[tuple[object, str, bool]] = [(schema, "#", False)]
+        stack: list[tuple[Any, Pointer, bool]] = [(schema, None, False)]
         while stack:
             one, where, leaving = stack.pop()
-            self.meter.spend()
             if leaving:
                 entered.discard(id(one))
             elif id(one) in entered:
-                raise SchemaError(where, "a finite schema (use $ref)", "an object in itself")
+                raise SchemaError(write_pointer(where), "a finite schema (use $ref)", one)
             elif not isinstance(one, bool) and id(one) not in self._views:
-                entered.add(id(one))
-                stack.append((one, where, True))
-                stack.extend((child, at, False) for child, at in self._parts(one, where))
+                leaf = self._leaf(one)
+                parts = [] if leaf in self._pool.leaves else self._parts(one, where)
+                if leaf is not None and not parts:
+                    self._pool.leaves.setdefault(leaf)
+                    self._leaves[id(one)] = leaf
+                    self._views.setdefault(id(one), (one, []))
+                elif parts:
+                    entered.add(id(one))
+                    if len(entered) > _MAX_LEVELS:
+                        raise OutOfScopeError("the schema is nested too deep")
+                    stack.append((one, where, True))
+                    stack.extend(parts)
 
-    def _parts(self, schema: Any, pointer: str) -> list[tuple[object, str]]:
-        if len(pointer) > _MAX_POINTER:
-            raise OutOfScopeError("the schema is nested too deep")
+    def _leaf(self, schema: Any) -> Leaf | None:
+        """Return what equal schemas of scalars alone have in common; None for all others.
+
+        A number, its text and a boolean may be equal to Python.
+        """
+        if len(schema) > _LEAF if isinstance(schema, dict) else True:
+            return None
+        values = schema.values()
+        if self._dialect is not NEWEST or not all(one.__class__ in SCALARS for one in values):
+            return None
+        placed = not PLACING.isdisjoint(schema) or not OLD_FORMS.isdisjoint(schema)
+        return None if placed else (*schema.items(), *map(type, values))
+
+    def _parts(self, schema: Any, where: Pointer) -> list[tuple[object, Pointer, bool]]:
+        """Check a schema itself; return the schemas in it, as `_check` keeps them."""
         if not isinstance(schema, Mapping):
-            raise SchemaError(pointer, "a schema (an object, true or false)", schema)
+            raise SchemaError(write_pointer(where), "a schema (an object, true or false)", schema)
+        # The draft that the whole names is known already.
+        placing = POSITIONAL if schema is self._schema else PLACING
+        self._placed = self._placed or not placing.isdisjoint(schema)
         view = self._dialect.view(schema)
-        found: list[tuple[object, str]] = []
-        unread: list[tuple[object, str]] = []
+        found: list[tuple[object, Pointer, bool]] = []
+        unread: list[tuple[object, Pointer, bool]] = []
+        work = 1
         for keyword, value in view.items():
             spelled = keyword if view is schema else self._dialect.spelled(schema, keyword)
-            at = f"{pointer}/{spelled}"
-            self.meter.spend(check_keyword(keyword, value, at))
+            at = where, spelled
+            work += check_keyword(keyword, value, at)
             if keyword in {"pattern", "patternProperties"}:
                 self._dispute([value] if keyword == "pattern" else value)
             parts = unread if keyword in _UNREAD else found
-            if keyword in SINGLES:
-                parts.append((value, at))
-            elif keyword in LISTS:
-                parts.extend((one, f"{at}/{n}") for n, one in enumerate(value))
-            elif keyword in MAPS:
-                parts.extend((one, f"{at}/{name}") for name, one in value.items())
-        self._views[id(schema)] = view, [child for child, _ in found]
-        return found + unread
+            if keyword in _ONE:
+                parts.append((value, at, False))
+            elif keyword in _MANY:
+                steps = enumerate(value) if isinstance(value, list) else value.items()
+                parts.extend((one, (at, step), False) for step, one in steps)
+        self.meter.spend(work)
+        self._views[id(schema)] = view, [child for child, _, _ in found]
+        return found + unread if unread else found
 
     def _dispute(self, patterns: Iterable[str]) -> None:
         for pattern in patterns:
@@ -200,12 +243,20 @@ class Document:
                 continue
             inner = self._enter(one, around) if self._scopes.matter else around
             view, children = self._views[id(one)]
-            if expanded:
+            if not children and not self._placed and id(one) in self._leaves:
+                self._nodes[key] = self._read_leaf(one, self._leaves[id(one)])
+            elif expanded or not children:
                 self._nodes[key] = self._make(one, view, inner)
             else:
                 stack.append((one, around, True))
                 stack.extend((child, inner, False) for child in children)
         return self._nodes[id(schema), scope]
+
+    def _read_leaf(self, schema: Mapping[str, Any], leaf: Leaf) -> Node:
+        node = self._pool.leaves[leaf]
+        if node is None:
+            node = self._pool.leaves[leaf] = self._make(schema, schema, ())
+        return node
 
     def _enter(self, schema: Mapping[str, Any], scope: Scope) -> Scope:
         base = self._resources.inside(schema).base
@@ -216,24 +267,25 @@ class Document:
         objection = self._resources.objection(schema) or self._dialect.objection(
             schema, beside_contains=self._has_contains
         )
-        child = self._child_numbers(view, scope)
         content: list[object] = [("not decided", objection)] if objection else []
         references = []
+        node = Node(-1, schema, self, unsupported=objection)
+
+        def child(one: object) -> Node:
+            return self._nodes[id(one), scope]
+
         for keyword, value in view.items():
-            if keyword in child:
-                content.append((keyword, child[keyword]))
+            reader = READERS.get(keyword)
+            if reader is not None:
+                meaning = reader(node, value, child, self._keys.of)
+                if keyword not in _VALUES:
+                    content.append((keyword, meaning))
             elif keyword in REFERENCES:
                 absolute = self._resources.absolute(schema, value)
                 references.append(Reference(keyword, absolute, scope))
                 content.append((self._identity, references[-1]))
-            elif keyword == "required":
-                content.append((keyword, frozenset(value)))
-            elif keyword in _VALUES or keyword in ANNOTATIONS or keyword.startswith("x-"):
-                continue
-            else:
+            elif keyword not in ANNOTATIONS and not keyword.startswith("x-"):
                 content.append((keyword, self._keys.of(value)))
-        node = Node(-1, schema, self, unsupported=objection)
-        fill(node, view, lambda one: self._nodes[id(one), scope], self._keys.of)
         if node.values is not None:
             content.append(("values", frozenset(node.values)))
         node.number = self._pool.number(frozenset(content))
@@ -250,23 +302,6 @@ class Document:
             number = self._pool.number(frozenset([(self._identity, reference)]))
             raw = {reference.keyword: reference.absolute}
             node.all_of = (*node.all_of, Node(number, raw, self, reference=reference))
-
-    def _child_numbers(self, view: Any, scope: Scope) -> dict[str, object]:
-        numbers: dict[str, object] = {}
-
-        def number(one: object) -> int:
-            return self._nodes[id(one), scope].number
-
-        for keyword, value in view.items():
-            if keyword in _UNREAD:
-                continue
-            if keyword in SINGLES:
-                numbers[keyword] = number(value)
-            elif keyword in LISTS:
-                numbers[keyword] = tuple(number(one) for one in value)
-            elif keyword in MAPS:
-                numbers[keyword] = frozenset((name, number(one)) for name, one in value.items())
-        return numbers
 
     def _refers_in_place(self) -> bool:
         """Say whether a schema applies itself to the same value, by references and logic alone.

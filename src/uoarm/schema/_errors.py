@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import reprlib
+from typing import TypeAlias
 
-__all__ = ["BudgetError", "OutOfScopeError", "SchemaError"]
+__all__ = ["BudgetError", "OutOfScopeError", "Pointer", "SchemaError", "write_pointer"]
+
+Pointer: TypeAlias = "tuple[Pointer, str | int] | None"
+"""A place in a schema, the place around it and a step; written as text only when it is told."""
 
 
 class BudgetError(Exception):
@@ -27,3 +31,12 @@ class SchemaError(ValueError):
         shown = shown if len(shown) <= 80 else f"{shown[:77]}..."  # noqa: PLR2004 - a line's worth
         super().__init__(f"{pointer or '#'}: expected {expected}, got {shown}")
         self.pointer = pointer
+
+
+def write_pointer(pointer: Pointer) -> str:
+    """Write a place as `#/properties/a`."""
+    steps: list[str] = []
+    while pointer is not None:
+        pointer, step = pointer
+        steps.append(f"/{step}")
+    return "#" + "".join(reversed(steps))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 from uoarm.schema._node import Node
 from uoarm.schema._values import Key, exact
 
-__all__ = ["fill"]
+__all__ = ["READERS"]
 
 Child: TypeAlias = Callable[[object], Node]
 KeyOf: TypeAlias = Callable[[object], Key]
@@ -48,51 +48,113 @@ _SEVERAL = {"prefixItems": "prefix", "allOf": "all_of", "anyOf": "any_of", "oneO
 _NAMED = {"patternProperties": "patterns", "dependentSchemas": "dependent_schemas"}
 
 
-def fill(node: Node, schema: Mapping[str, Any], child: Child, key_of: KeyOf) -> None:
-    """Read every keyword of a schema but the references.
-
-    `child` gives the nodes within it, `key_of` the keys of its values.
-    """
-    for keyword, value in schema.items():
-        if keyword in _SINGLE:
-            setattr(node, _SINGLE[keyword], child(value))
-        elif keyword in _SEVERAL:
-            setattr(node, _SEVERAL[keyword], tuple(child(one) for one in value))
-        elif keyword in _NAMED:
-            named = tuple((name, child(one)) for name, one in value.items())
-            setattr(node, _NAMED[keyword], named)
-        elif keyword in _NUMBERS:
-            setattr(node, _NUMBERS[keyword], exact(value))
-        elif keyword in _COUNTS:
-            setattr(node, _COUNTS[keyword], int(value))
-        else:
-            _fill_other(node, keyword, value, child)
-    if "const" in schema or "enum" in schema:
-        _fill_values(node, schema, key_of)
+Reader: TypeAlias = Callable[[Node, Any, Child, KeyOf], object]
 
 
-def _fill_other(node: Node, keyword: str, value: Any, child: Child) -> None:
-    if keyword == "type":
-        names = value if isinstance(value, list) else [value]
-        node.integer_only = "integer" in names and "number" not in names
-        node.kinds = frozenset("number" if one == "integer" else one for one in names)
-    elif keyword == "properties":
-        node.properties = {name: child(one) for name, one in value.items()}
-    elif keyword == "required":
-        node.required = tuple(dict.fromkeys(value))
-    elif keyword == "pattern":
-        node.pattern = value
-    elif keyword == "uniqueItems":
-        node.unique = value
-    elif keyword == "dependentRequired":
-        node.dependent_required = tuple((name, tuple(names)) for name, names in value.items())
+def _single(field: str) -> Reader:
+    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+        one = child(value)
+        setattr(node, field, one)
+        return one.number
+
+    return read
 
 
-def _fill_values(node: Node, schema: Mapping[str, Any], key_of: KeyOf) -> None:
-    if "const" in schema:
-        node.values = {key_of(schema["const"]): schema["const"]}
-    if "enum" in schema:
-        values = {key_of(one): one for one in schema["enum"]}
-        if node.values is not None:
-            values = {key: one for key, one in values.items() if key in node.values}
-        node.values = values
+def _several(field: str) -> Reader:
+    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+        nodes = tuple(map(child, value))
+        setattr(node, field, nodes)
+        return tuple(one.number for one in nodes)
+
+    return read
+
+
+def _named(field: str) -> Reader:
+    def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+        named = tuple((name, child(one)) for name, one in value.items())
+        setattr(node, field, named)
+        return frozenset((name, one.number) for name, one in named)
+
+    return read
+
+
+def _number(field: str) -> Reader:
+    def read(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+        key = key_of(value)
+        setattr(node, field, exact(value))
+        return key
+
+    return read
+
+
+def _count(field: str) -> Reader:
+    def read(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+        key = key_of(value)
+        setattr(node, field, int(value))
+        return key
+
+    return read
+
+
+def _plain(field: str) -> Reader:
+    def read(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+        setattr(node, field, value)
+        return value
+
+    return read
+
+
+def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+    names = frozenset(value if isinstance(value, list) else [value])
+    node.integer_only = "integer" in names and "number" not in names
+    node.kinds = frozenset("number" if one == "integer" else one for one in names)
+    return names
+
+
+def _properties(node: Node, value: Any, child: Child, _: KeyOf) -> object:
+    node.properties = {name: child(one) for name, one in value.items()}
+    return frozenset((name, one.number) for name, one in node.properties.items())
+
+
+def _required(node: Node, value: Any, _: Child, __: KeyOf) -> object:
+    node.required = tuple(dict.fromkeys(value))
+    return frozenset(value)
+
+
+def _dependent_required(node: Node, value: Any, _: Child, key_of: KeyOf) -> object:
+    node.dependent_required = tuple((name, tuple(names)) for name, names in value.items())
+    return key_of(value)
+
+
+def _values(node: Node, value: Any, _: Child, key_of: KeyOf) -> None:
+    """Take in the values of `const` or `enum`; those that both have where both stand."""
+    values = {key_of(one): one for one in value}
+    if node.values is not None:
+        values = {key: one for key, one in values.items() if key in node.values}
+    node.values = values
+
+
+def _const(node: Node, value: Any, child: Child, key_of: KeyOf) -> None:
+    _values(node, [value], child, key_of)
+
+
+READERS: dict[str, Reader] = {
+    **{keyword: _single(field) for keyword, field in _SINGLE.items()},
+    **{keyword: _several(field) for keyword, field in _SEVERAL.items()},
+    **{keyword: _named(field) for keyword, field in _NAMED.items()},
+    **{keyword: _number(field) for keyword, field in _NUMBERS.items()},
+    **{keyword: _count(field) for keyword, field in _COUNTS.items()},
+    "type": _type,
+    "properties": _properties,
+    "required": _required,
+    "pattern": _plain("pattern"),
+    "uniqueItems": _plain("unique"),
+    "dependentRequired": _dependent_required,
+    "enum": _values,
+    "const": _const,
+}
+"""What takes a keyword but a reference into a node; each returns what it means, to be compared.
+
+It is given the node, the value, what gives the node of a schema within, and the key of a value.
+What `const` and `enum` mean is told by the values of the node.
+"""

@@ -12,6 +12,7 @@ _TOLD = 200
 _TOLD_TEXT = 60
 _TOLD_ITEMS = 3
 _MAX_LEVELS = 250
+_SHORT = frozenset({int, float, bool, type(None)})
 
 
 class Repeated:
@@ -54,44 +55,54 @@ def is_small(value: object, most: int) -> bool:
     What is deeper cannot be written as JSON, printed or compared by Python.
     """
     waiting: list[tuple[Any, int]] = [(value, 0)]
-    size = 0
+    size = 1
     while waiting:
         one, depth = waiting.pop()
-        size += 1
-        if isinstance(one, str | Mapping | list | tuple | Repeated):
+        parts: Any = ()
+        if isinstance(one, str | list | tuple | Repeated | Mapping):
             size += len(one)
         if size > most or depth > _MAX_LEVELS:
             return False
-        if isinstance(one, Mapping):
-            waiting.extend((part, depth + 1) for part in one.values())
+        if isinstance(one, list | tuple):
+            parts = one
         elif isinstance(one, Repeated):
-            waiting.extend((item, depth + 1) for item, count in one.runs for _ in range(count))
-        elif isinstance(one, list | tuple):
-            waiting.extend((part, depth + 1) for part in one)
+            parts = (item for item, count in one.runs for _ in range(count))
+        elif isinstance(one, Mapping):
+            parts = one.values()
+        for part in parts:
+            size += 1
+            if part.__class__ not in _SHORT:
+                waiting.append((part, depth + 1))
     return True
 
 
 def build(value: Any) -> Any:
     """Return a value with every array written out; equal parts stay shared."""
     built: dict[int, Any] = {}
+
+    def made(part: Any) -> Any:
+        return part if part.__class__ in _SHORT else built[id(part)]
+
     waiting = [value]
     while waiting:
         one = waiting[-1]
-        missing = [part for part in _parts(one) if id(part) not in built]
+        missing = [
+            part for part in _parts(one) if part.__class__ not in _SHORT and id(part) not in built
+        ]
         if missing and id(one) not in built:
             waiting.extend(missing)
             continue
         waiting.pop()
         if isinstance(one, Mapping):
-            built[id(one)] = {name: built[id(part)] for name, part in one.items()}
+            built[id(one)] = {name: made(part) for name, part in one.items()}
         elif isinstance(one, Repeated | list | tuple):
             items: list[Any] = []
             for _, item, count in runs_of(one):
-                items.extend([built[id(item)]] * count)
+                items.extend([made(item)] * count)
             built[id(one)] = items
         else:
             built[id(one)] = one
-    return built[id(value)]
+    return made(value)
 
 
 def describe(value: Any) -> Any:

@@ -13,17 +13,22 @@ from urllib.parse import unquote, urljoin
 
 from uoarm.schema._dialects import DRAFT_2019, Dialect, dialect_of
 from uoarm.schema._errors import OutOfScopeError, SchemaError
+from uoarm.schema._meter import Meter
 from uoarm.schema._shapes import LISTS, MAPS, SINGLES
 
-__all__ = ["RECURSIVE", "REFERENCES", "Place", "Resources"]
+__all__ = ["PLACING", "POSITIONAL", "RECURSIVE", "REFERENCES", "Place", "Resources"]
 
 REFERENCES = ("$ref", "$dynamicRef", "$recursiveRef")
 RECURSIVE = ""
 """The name under which `$recursiveAnchor` stands among the dynamic anchors; no other has it."""
 
+_OF_SCHEMA = 600
+"""About the octets of what is known of a schema's place."""
 _INDEX = re.compile("[0-9]{1,9}")
-_POSITIONAL = frozenset({"$id", "$anchor", "$dynamicAnchor", "$recursiveAnchor", *REFERENCES})
+POSITIONAL = frozenset({"$id", "$anchor", "$dynamicAnchor", "$recursiveAnchor", *REFERENCES})
 _NAMING = frozenset({"$id", "id", "$schema"})
+PLACING = POSITIONAL | {"$schema"}
+"""Keywords that give a schema another place, or that depend on the place, in the newest draft."""
 
 
 class Place(NamedTuple):
@@ -43,10 +48,15 @@ class Resources:
         dynamic: schemas that references find by the way to them, by name and by base.
         far: references that lead out.
         named: whether the whole or a schema inside has an identifier.
+
+    Args:
+        placed: whether any schema in it is placed by a keyword; all have one place otherwise.
     """
 
-    def __init__(self, schema: object, dialect: Dialect) -> None:
+    def __init__(self, schema: object, dialect: Dialect, meter: Meter, *, placed: bool) -> None:
         self._dialect = dialect
+        self._meter = meter
+        self._placed = placed
         self._documents: dict[str, object] = {"": schema}
         self._places: dict[int, Place] = {}
         self._inside: dict[int, Place] = {}
@@ -57,8 +67,9 @@ class Resources:
         self.dynamic: dict[str, dict[str, object]] = {}
         self.far: list[str] = []
         self.named = False
-        self._walk(schema, Place("", dialect_of(schema)))
-        self._follow()
+        if placed:
+            self._walk(schema, Place("", dialect_of(schema)))
+            self._follow()
 
     @property
     def refers(self) -> bool:
@@ -82,7 +93,8 @@ class Resources:
 
     def base_in(self, schema: object) -> str:
         """Return the base of references within a schema, the empty one within true and false."""
-        return self._inside[id(schema)].base if isinstance(schema, Mapping) else ""
+        known = self._placed and isinstance(schema, Mapping)
+        return self._inside[id(schema)].base if known else ""
 
     def around(self, schema: object) -> Place:
         """Return what stands around a schema."""
@@ -90,6 +102,8 @@ class Resources:
 
     def objection(self, schema: Mapping[str, Any]) -> str:
         """Return why a schema may mean several things where it stands; empty when it cannot."""
+        if not self._placed:
+            return ""
         if id(schema) in self._misplaced:
             return "$recursiveAnchor stands within a document"
         draft = self._inside[id(schema)].draft
@@ -140,10 +154,12 @@ class Resources:
             if not isinstance(one, Mapping) or key in self._seen:
                 continue
             self._seen.add(key)
+            self._meter.spend()
+            self._meter.hold(_OF_SCHEMA)
             inner = self._within(one, around)
             view = self._view(one, inner)
             known = self._places.setdefault(id(one), around)
-            placed = not _POSITIONAL.isdisjoint(view)
+            placed = not POSITIONAL.isdisjoint(view)
             if known.base != around.base and placed:
                 raise OutOfScopeError("one object with references stands in two documents")
             if known.draft is not around.draft:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm.schema._errors import SchemaError
+from uoarm.schema._errors import Pointer, SchemaError, write_pointer
 from uoarm.schema._nfa import MalformedPatternError, UnsupportedPatternError
 from uoarm.schema._regex import compile_pattern
 
@@ -29,63 +29,38 @@ _COUNTS = frozenset(
 )  # fmt: skip
 _NUMBERS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf"})
 _STRINGS = frozenset({"$ref", "$anchor", "$dynamicRef", "$dynamicAnchor", "$id", "pattern"})
+_PATTERNED = frozenset({"pattern", "patternProperties"})
 _SIZED = (dict, list, str, Mapping)
 _TYPES = ("null", "boolean", "integer", "number", "string", "array", "object")
 
 
-def check_keyword(keyword: str, value: object, pointer: str) -> int:
+def check_keyword(keyword: str, value: object, pointer: Pointer) -> int:
     """Check that the keyword's value has the right shape; return how much work it was.
 
     Raises:
         SchemaError: it has another.
     """
-    work = len(value) // 16 if isinstance(value, _SIZED) else 0
-    if keyword in SINGLES:
-        _demand(isinstance(value, bool | Mapping), pointer, "a schema", value)
-    elif keyword in LISTS:
-        _demand(isinstance(value, list) and bool(value), pointer, "a list of schemas", value)
-    elif keyword in MAPS:
-        _demand(_is_map(value), pointer, "schemas by name", value)
-        if keyword == "patternProperties":
-            for pattern in value:  # type: ignore[attr-defined] # a map
-                work += _demand_pattern(pattern, pointer)
-    elif keyword in _COUNTS:
-        _demand(_is_count(value), pointer, "a whole number, zero or more", value)
-    elif keyword in _NUMBERS:
-        _demand(_is_number(value), pointer, "a finite number", value)
-        positive = keyword != "multipleOf" or value > 0  # type: ignore[operator] # it is a number
-        _demand(positive, pointer, "a number above zero", value)
-    elif keyword in _STRINGS:
-        _demand(isinstance(value, str), pointer, "a string", value)
-        if keyword == "pattern":
-            work += _demand_pattern(value, pointer)
-    elif keyword == "uniqueItems":
-        _demand(isinstance(value, bool), pointer, "true or false", value)
-    elif keyword == "enum":
-        _demand(isinstance(value, list), pointer, "a list of values", value)
-    elif keyword == "required":
-        _demand(_is_names(value), pointer, "a list of names", value)
-    elif keyword == "dependentRequired":
-        whole = _is_map(value) and all(_is_names(one) for one in value.values())  # type: ignore[attr-defined] # a map
-        _demand(whole, pointer, "lists of names by name", value)
-    elif keyword == "type":
-        names = value if isinstance(value, list) else [value]
-        known = bool(names) and all(isinstance(n, str) and n in _TYPES for n in names)
-        _demand(known, pointer, f"a type of {', '.join(_TYPES)}", value)
-    return work
+    rule = _SHAPES.get(keyword)
+    if rule is not None:
+        holds, expected = rule
+        if not holds(value):
+            raise SchemaError(write_pointer(pointer), expected, value)
+        if keyword == "multipleOf" and value <= 0:  # type: ignore[operator] # it is a number
+            raise SchemaError(write_pointer(pointer), "a number above zero", value)
+        if keyword in _PATTERNED:
+            patterns: Any = [value] if keyword == "pattern" else value
+            return sum(_demand_pattern(one, pointer) + len(one) // 16 for one in patterns)
+    return len(value) // 16 if isinstance(value, _SIZED) else 0
 
 
-def _demand(holds: bool, pointer: str, expected: str, got: object) -> None:  # noqa: FBT001
-    if not holds:
-        raise SchemaError(pointer, expected, got)
-
-
-def _demand_pattern(pattern: Any, pointer: str) -> int:
+def _demand_pattern(pattern: Any, pointer: Pointer) -> int:
     """Compile a pattern; return how many states it has."""
     try:
         return len(compile_pattern(pattern).always)
     except MalformedPatternError as error:
-        raise SchemaError(pointer, f"a regular expression ({error})", pattern) from error
+        raise SchemaError(
+            write_pointer(pointer), f"a regular expression ({error})", pattern
+        ) from error
     except UnsupportedPatternError:
         return 1
 
@@ -106,3 +81,39 @@ def _is_number(value: object) -> bool:
 
 def _is_count(value: object) -> bool:
     return _is_number(value) and value >= 0 and value == int(value)  # type: ignore[operator, call-overload] # a number
+
+
+def _is_schema(value: object) -> bool:
+    return isinstance(value, bool | Mapping)
+
+
+def _is_schemas(value: object) -> bool:
+    return isinstance(value, list) and bool(value)
+
+
+def _is_lists_of_names(value: object) -> bool:
+    return _is_map(value) and all(_is_names(one) for one in value.values())  # type: ignore[attr-defined] # a map
+
+
+def _is_type(value: object) -> bool:
+    names = value if isinstance(value, list) else [value]
+    return bool(names) and all(isinstance(one, str) and one in _TYPES for one in names)
+
+
+def _is_a(kind: type) -> Callable[[object], bool]:
+    return lambda value: isinstance(value, kind)
+
+
+_SHAPES: dict[str, tuple[Callable[[object], bool], str]] = {
+    **dict.fromkeys(SINGLES, (_is_schema, "a schema")),
+    **dict.fromkeys(LISTS, (_is_schemas, "a list of schemas")),
+    **dict.fromkeys(MAPS, (_is_map, "schemas by name")),
+    **dict.fromkeys(_COUNTS, (_is_count, "a whole number, zero or more")),
+    **dict.fromkeys(_NUMBERS, (_is_number, "a finite number")),
+    **dict.fromkeys(_STRINGS, (_is_a(str), "a string")),
+    "uniqueItems": (_is_a(bool), "true or false"),
+    "enum": (_is_a(list), "a list of values"),
+    "required": (_is_names, "a list of names"),
+    "dependentRequired": (_is_lists_of_names, "lists of names by name"),
+    "type": (_is_type, f"a type of {', '.join(_TYPES)}"),
+}

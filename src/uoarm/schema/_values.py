@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from decimal import Decimal
 from fractions import Fraction
 from hashlib import blake2b
 from itertools import groupby
@@ -12,17 +13,17 @@ from typing import Any, TypeAlias
 from uoarm.schema._errors import OutOfScopeError, SchemaError
 from uoarm.schema._repeated import Repeated
 
-__all__ = ["Key", "Keys", "exact", "is_composite", "key_of", "kind_of"]
+__all__ = ["SCALARS", "Key", "Keys", "exact", "is_composite", "key_of", "kind_of"]
 
 _MAX_BITS = 100_000
-_SCALARS = frozenset({str, int, float, bool, type(None)})
+SCALARS = frozenset({str, int, float, bool, type(None)})
 
 Key: TypeAlias = "tuple[object, ...]"
 
 
 def exact(number: float) -> Fraction:
     """Return the number that its shortest decimal text means."""
-    return Fraction(number) if isinstance(number, int) else Fraction(repr(number))
+    return Fraction(number if isinstance(number, int) else Decimal(float.__repr__(number)))
 
 
 def kind_of(value: object) -> str:
@@ -112,7 +113,7 @@ class Keys:
 
 def is_composite(value: object) -> bool:
     """Say whether a value is an array or an object."""
-    if value.__class__ in _SCALARS:
+    if value.__class__ in SCALARS:
         return False
     return isinstance(value, Mapping | list | tuple | Repeated)
 
