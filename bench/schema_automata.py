@@ -17,8 +17,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from uoarm.schema import check
-from uoarm.schema._regex import compile_pattern
-from uoarm.schema._walker import walker_of
+from uoarm.schema.regex import compile_pattern, walker_of
 
 _BYTE = "(25[0-5]|2[0-4][0-9]|1?[0-9]?[0-9])"
 _PAIRS = {

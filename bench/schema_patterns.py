@@ -25,9 +25,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import jsonschema_rs
 from tests.schema._pattern_texts import TEXTS, random_text
 
-from uoarm.schema._nfa import MalformedPatternError, UnsupportedPatternError
-from uoarm.schema._regex import compile_pattern, is_disputed
-from uoarm.schema._walker import found_in
+from uoarm.schema.regex import (
+    MalformedPatternError,
+    UnsupportedPatternError,
+    compile_pattern,
+    found_in,
+    is_disputed,
+)
 
 _NODE = """
 const lines = require('readline').createInterface({input: process.stdin});

@@ -39,6 +39,20 @@ LAYERS = [
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+# The same within a package; a package in it is imported from as a whole.
+WITHIN = {
+    "schema": [
+        {"_errors", "_repeated"},
+        {"_meter", "_values"},
+        {"regex"},
+        {"read"},
+        {"solve"},
+        {"explain"},
+        {"_check"},
+        {"_command"},
+        {"__init__", "__main__"},
+    ],
+}
 ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
@@ -88,6 +102,23 @@ def test_what_stands_alone_imports_nothing_else(path: Path) -> None:
     layer = _layer(path)
     if layer in ALONE:
         assert _imports(path) <= ALONE[layer]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in MODULES if _layer(path) in WITHIN],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_a_package_is_built_in_layers_too(path: Path) -> None:
+    whole, first = path.relative_to(ROOT).parts[:2]
+    layers = {name: rank for rank, names in enumerate(WITHIN[whole]) for name in names}
+    layer = first.removesuffix(".py")
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        module = node.module if isinstance(node, ast.ImportFrom) else None
+        if module is not None and module.startswith(f"uoarm.{whole}"):
+            _, _, name, *inner = [*module.split("."), "__init__"][: max(3, module.count(".") + 1)]
+            assert layers[name] <= layers[layer], f"{layer} imports {name}, which stands above it"
+            assert name == layer or not inner, f"{layer} imports {module}, which is in another"
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:

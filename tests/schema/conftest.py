@@ -7,8 +7,7 @@ import os
 import pytest
 from tests.schema._official import Group, SuiteMissingError, groups
 
-from uoarm.schema._regex import compile_pattern
-from uoarm.schema._walker import walker_of
+from uoarm.schema.regex import compile_pattern, walker_of
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,10 +14,10 @@ from tests.schema._hostile import HOSTILE, chain, rows
 from tests.schema._reference import Reference
 
 from uoarm.schema import Budget, check
-from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import BudgetError
-from uoarm.schema._explain import find_losses
 from uoarm.schema._meter import Meter
+from uoarm.schema.explain import find_losses
+from uoarm.schema.read import Document, Pool
 
 PATIENT = 1_000.0
 ANY: dict[str, object] = {"type": "integer"}
@@ -86,7 +86,10 @@ def test_a_deep_counterexample_is_told_in_a_form_that_json_can_write(levels: int
 def losing(fields: int) -> tuple[Any, Any]:
     """Fields that the consumer does not know, and as many patterns to find them by."""
     ours = {"properties": {f"f{n}": {"type": "integer"} for n in range(fields)}}
-    theirs = {"properties": {"x": {}}, "patternProperties": {f"^g{n}$": {} for n in range(4)}}
+    theirs: dict[str, object] = {
+        "properties": {"x": {}},
+        "patternProperties": {f"^g{n}$": {} for n in range(4)},
+    }
     return {"type": "object", **ours}, {"type": "object", **theirs}
 
 
@@ -122,6 +125,31 @@ def test_a_shared_constant_costs_what_it_takes_to_store() -> None:
         verdict = check(*HOSTILE[name](), budget=Budget(steps=5_000, seconds=PATIENT))
         assert verdict.compatible is fits
         assert verdict.undecided is None
+
+
+MANY = 100_000
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer", "fits"),
+    [
+        ({"type": "integer", "minimum": 0, "maximum": MANY - 1}, list(range(MANY)), True),
+        ({"type": "integer", "minimum": 0, "maximum": MANY}, list(range(MANY)), False),
+        ({"enum": list(range(1, MANY))}, list(range(MANY)), True),
+        ({"enum": [n / 7 for n in range(MANY)]}, [n / 7 for n in reversed(range(MANY))], True),
+        ({"enum": [n / 7 for n in range(MANY)]}, [n / 7 for n in range(MANY - 1)], False),
+    ],
+)
+def test_a_hundred_thousand_numbers_are_few_steps(producer: Any, consumer: Any, fits: bool) -> None:
+    verdict = check(producer, {"enum": consumer}, budget=Budget(steps=5 * MANY, seconds=PATIENT))
+    assert (verdict.compatible, verdict.undecided) == (fits, None)
+
+
+@pytest.mark.parametrize("name", ["anyOf of 20,000", "anyOf of 20,000 records", "500 open choices"])
+def test_many_choices_are_decided(name: str) -> None:
+    verdict = check(*HOSTILE[name](), budget=Budget(seconds=PATIENT))
+    assert verdict.compatible is ("anyOf" in name)
+    assert verdict.undecided is None
 
 
 def clocked(seconds: float) -> Meter:

@@ -11,8 +11,7 @@ from tests.schema._judge import answer, verify_counterexample
 
 from uoarm.schema import Budget, check
 from uoarm.schema._meter import Meter
-from uoarm.schema._walker import found_in
-from uoarm.schema._words import shortest_word
+from uoarm.schema.regex import found_in, shortest_word
 
 FLOAT32 = {"type": "number", "minimum": -3.4028234663852886e38, "maximum": 3.4028234663852886e38}
 SWITCH = {"type": "string", "pattern": "^(on|off)$"}

@@ -7,9 +7,9 @@ from fractions import Fraction
 import pytest
 
 from uoarm.schema import check
-from uoarm.schema._numbers import find_number
-from uoarm.schema._results import Found
 from uoarm.schema._values import exact
+from uoarm.schema.solve import Found
+from uoarm.schema.solve._numbers import find_number
 
 
 def test_numbers_one_after_another_never_come_again() -> None:

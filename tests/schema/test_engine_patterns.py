@@ -15,7 +15,7 @@ from tests.schema._pattern_texts import random_text
 from tests.schema._random_choices import RandomChoices
 
 from uoarm.schema import Budget, SchemaError, check
-from uoarm.schema._walker import found_in
+from uoarm.schema.regex import found_in
 from uoarm.testing._choices import chance
 
 if TYPE_CHECKING:

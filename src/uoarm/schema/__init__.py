@@ -5,9 +5,8 @@ Stands on its own: it needs nothing else of uoarm.
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._nfa import UnsupportedPatternError
-from uoarm.schema._verdict import Budget, Loss, Reason, Verdict
-from uoarm.schema._walker import found_in
+from uoarm.schema.explain import Budget, Loss, Reason, Verdict
+from uoarm.schema.regex import UnsupportedPatternError, found_in
 
 __all__ = [
     "Budget",

@@ -8,18 +8,13 @@ from typing import Any, TypeAlias
 
 from attrs import evolve
 
-from uoarm.schema._document import Document, Pool
 from uoarm.schema._errors import BudgetError, OutOfScopeError
-from uoarm.schema._evaluate import Judgements
-from uoarm.schema._explain import explain, find_losses
 from uoarm.schema._meter import Meter
-from uoarm.schema._node import Node
 from uoarm.schema._repeated import build, describe, is_small
-from uoarm.schema._results import Found, Result, Unknown
-from uoarm.schema._search import answer
-from uoarm.schema._solve import Solver
 from uoarm.schema._values import SCALARS
-from uoarm.schema._verdict import Budget, Verdict
+from uoarm.schema.explain import Budget, Verdict, explain, find_losses
+from uoarm.schema.read import Document, Node, Pool
+from uoarm.schema.solve import Found, Judgements, Result, Solver, Unknown, answer
 
 __all__ = ["check"]
 

@@ -11,7 +11,7 @@ import click
 
 from uoarm.schema._check import check
 from uoarm.schema._errors import SchemaError
-from uoarm.schema._verdict import Verdict
+from uoarm.schema.explain import Verdict
 
 __all__ = ["schema"]
 

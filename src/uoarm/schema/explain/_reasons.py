@@ -1,0 +1,230 @@
+"""Explanations: the field that matters, what each side says of it, and what is not kept whole."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any, TypeAlias
+
+from attrs import frozen
+
+from uoarm.schema._errors import BudgetError, OutOfScopeError
+from uoarm.schema._meter import Meter
+from uoarm.schema._repeated import Repeated, runs_of
+from uoarm.schema.explain._failures import failures
+from uoarm.schema.explain._verdict import Loss, Reason
+from uoarm.schema.read import Node
+from uoarm.schema.solve import Judgements, member_rules
+
+__all__ = ["explain", "find_losses"]
+
+Path: TypeAlias = "tuple[str | int, ...]"
+
+_SHOWN = 160
+_MAX_BITS = 4_000
+_MAX_REASONS = 5
+_MAX_NAMES = 20
+_MAX_PAIRS = 5_000
+_EXACT_INTEGERS = 2**53
+_OF_PAIR, _OF_LOSS = 200, 300
+"""About the octets of two schemas that wait to be compared, and of a loss without its texts."""
+
+
+def explain(
+    producer: Node, consumer: Node, message: Any, judgements: Judgements
+) -> tuple[tuple[Reason, ...], Any]:
+    """Return why the consumer refuses a message, and the part of it that matters.
+
+    What the budget does not reach for is left out: the verdict stands without it.
+    """
+    try:
+        found = failures(consumer, message, judgements, _MAX_REASONS)
+    except (OutOfScopeError, BudgetError):
+        found = [(consumer, message, (), "rules")]
+    reasons: list[Reason] = []
+    for node, value, path, keyword in found:
+        there = _along(producer, path)
+        reasons.append(
+            Reason(
+                write_path(path),
+                _show(there.raw) if there is not None else "",
+                _show(node.raw),
+                _sentence(keyword, node, value),
+            )
+        )
+    return tuple(reasons), found[0][1] if found else message
+
+
+def find_losses(producer: Node, consumer: Node, meter: Meter) -> tuple[Loss, ...]:
+    """Return what is accepted but not kept whole, field by field where fields are plain.
+
+    What the budget does not reach for is left out: the verdict stands without it.
+    """
+    losses: list[Loss] = []
+    with meter.part("what is not kept whole"), suppress(BudgetError):
+        _gather_losses(producer, consumer, losses, meter)
+    return tuple(sorted(losses, key=lambda loss: (loss.path, loss.kind)))
+
+
+def _gather_losses(producer: Node, consumer: Node, losses: list[Loss], meter: Meter) -> None:
+    waiting: list[tuple[Node, Node, Path]] = [(producer, consumer, ())]
+    seen: set[tuple[int, int]] = set()
+    while waiting and len(seen) < _MAX_PAIRS:
+        one, other, path = waiting.pop()
+        if (one.number, other.number) in seen:
+            continue
+        seen.add((one.number, other.number))
+        meter.spend()
+        meter.hold(_OF_PAIR)
+        if one.reference is not None:
+            waiting.append((one.target(), other, path))
+        if other.reference is not None:
+            waiting.append((one, other.target(), path))
+        _keep(losses, _losses_here(one, other, path), meter)
+        for name, child in one.properties.items():
+            meter.spend(1 + len(other.patterns))
+            try:
+                rules = member_rules(other, name)
+            except OutOfScopeError:
+                continue
+            waiting.extend((child, rule, (*path, name)) for rule in rules)
+            if not rules and other.properties:
+                sentence = f"the consumer does not know the field {name!r} and ignores it"
+                _keep(losses, [Loss(write_path((*path, name)), "ignored", sentence)], meter)
+        if one.items is not None and other.items is not None:
+            waiting.append((one.items, other.items, (*path, "*")))
+
+
+def _keep(losses: list[Loss], more: list[Loss], meter: Meter) -> None:
+    for loss in more:
+        meter.hold(_OF_LOSS + len(loss.path) + len(loss.sentence))
+        losses.append(loss)
+
+
+def write_path(path: Path) -> str:
+    """Write a path as `pose.points[3].x`; every item of an array as `points[]`."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        elif part == "*":
+            text += "[]"
+        else:
+            text += f".{part}" if text else part
+    return text
+
+
+def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
+    where = write_path(path)
+    found: list[Loss] = []
+    whole_to_real = one.integer_only and not other.integer_only and other.kinds is not None
+    if whole_to_real and "number" in other.kinds:  # type: ignore[operator] # checked above
+        bounds = [one.minimum, one.maximum]
+        if any(bound is None or abs(bound) > _EXACT_INTEGERS for bound in bounds):
+            sentence = "whole numbers beyond 2**53 lose digits as floating-point numbers"
+            found.append(Loss(where, "precision", sentence))
+    mine = one.raw if isinstance(one.raw, Mapping) else {}
+    theirs = other.raw if isinstance(other.raw, Mapping) else {}
+    if mine.get("x-nonfinite") and not theirs.get("x-nonfinite"):
+        sentence = "the producer may emit NaN or infinity, the consumer does not expect them"
+        found.append(Loss(where, "nonfinite", sentence))
+    for keyword in ("format", "contentEncoding", "contentMediaType", "x-unit"):
+        if keyword in theirs and mine.get(keyword) != theirs[keyword]:
+            mine_says = mine.get(keyword)
+            sentence = (
+                f"the consumer says {keyword} {theirs[keyword]!r}, the producer {mine_says!r}"
+            )
+            found.append(Loss(where, "annotation", sentence))
+    return found
+
+
+def _along(node: Node, path: Path) -> Node | None:
+    """Follow a path through a schema as far as it is plain."""
+    for part in path:
+        for _ in range(20):
+            if node.reference is None:
+                break
+            node = node.target()
+        if isinstance(part, int):
+            inner = node.prefix[part] if part < len(node.prefix) else node.items
+        else:
+            rules = member_rules(node, part)
+            inner = rules[0] if rules else None
+        if inner is None:
+            return node
+        node = inner
+    return node
+
+
+def _sentence(keyword: str, node: Node, value: Any) -> str:
+    shown = _show(value)
+    if keyword == "required":
+        missing = [name for name in node.required if name not in value]
+        if len(missing) == 1:
+            return f"the field {missing[0]!r} is required and may be missing"
+        return f"the fields {_several(missing)} are required and may be missing"
+    if keyword == "additionalProperties":
+        return f"a field may come that the consumer does not allow: {shown}"
+    if keyword == "type":
+        return f"{shown} is not of a type that the consumer takes"
+    if keyword == "enum":
+        return f"{shown} is none of the values that the consumer takes"
+    if keyword == "size":
+        return f"{len(value):,} parts are more or fewer than the consumer takes: {shown}"
+    return f"{shown} does not meet what the consumer demands"
+
+
+def _several(names: list[str]) -> str:
+    """Write two names or more, the first of them where there are many."""
+    shown = [repr(name) for name in names[:_MAX_NAMES]]
+    if len(names) > _MAX_NAMES:
+        return f"{', '.join(shown)} and {len(names) - _MAX_NAMES:,} more"
+    return f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
+def _show(value: Any) -> str:
+    """Return a value as JSON text, cut where it is long; what is cut off is never written."""
+    text = ""
+    waiting = [_pieces(value)]
+    while waiting and len(text) <= _SHOWN:
+        piece = next(waiting[-1], None)
+        if piece is None:
+            waiting.pop()
+        elif isinstance(piece, _Part):
+            waiting.append(_pieces(piece.value))
+        else:
+            text += piece
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
+
+
+@frozen
+class _Part:
+    """A part of a value that is still to be written."""
+
+    value: Any
+
+
+def _pieces(value: Any) -> Iterator[str | _Part]:
+    if isinstance(value, Mapping):
+        yield "{"
+        for number, (name, part) in enumerate(value.items()):
+            yield f"{', ' if number else ''}{_scalar(name)}: "
+            yield _Part(part)
+        yield "}"
+    elif isinstance(value, list | tuple | Repeated):
+        yield "["
+        items = (item for _, item, count in runs_of(value) for _ in range(count))
+        for number, part in enumerate(items):
+            yield ", " if number else ""
+            yield _Part(part)
+        yield "]"
+    else:
+        yield _scalar(value)
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, int) and value.bit_length() > _MAX_BITS:
+        return f"a number of {value.bit_length():,} bits"
+    shown = value[: _SHOWN + 1] if isinstance(value, str) else value
+    return json.dumps(shown, ensure_ascii=False, default=str)

@@ -1,0 +1,92 @@
+"""Nodes: schemas read once, with every keyword of the vocabulary as a typed field."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
+from fractions import Fraction
+from typing import TYPE_CHECKING, NamedTuple
+
+from attrs import define, field
+
+if TYPE_CHECKING:
+    from uoarm.schema._values import Key
+    from uoarm.schema.read._document import Document
+    from uoarm.schema.read._scopes import Scope
+
+__all__ = ["Node", "Reference"]
+
+
+class Reference(NamedTuple):
+    """A reference: its keyword, where it points to, and the dynamic scope that it stands in."""
+
+    keyword: str
+    absolute: str
+    scope: Scope
+
+
+@define(eq=False)
+class Node:
+    """One schema. Equal content has the same `number`, so that comparing is comparing integers.
+
+    A node that holds something out of scope says so in `unsupported`. `never` is `false`. `tags`
+    are found when first asked for, by `_tags`.
+    """
+
+    number: int
+    raw: object
+    document: Document
+    never: bool = False
+    unsupported: str = ""
+    kinds: frozenset[str] | None = None
+    integer_only: bool = False
+    values: dict[Key, object] | None = None
+    minimum: Fraction | None = None
+    maximum: Fraction | None = None
+    above: Fraction | None = None
+    below: Fraction | None = None
+    multiple: Fraction | None = None
+    min_length: int = 0
+    max_length: int | None = None
+    pattern: str | None = None
+    prefix: tuple[Node, ...] = ()
+    items: Node | None = None
+    min_items: int = 0
+    max_items: int | None = None
+    contains: Node | None = None
+    min_contains: int = 1
+    max_contains: int | None = None
+    unique: bool = False
+    unevaluated_items: Node | None = None
+    properties: dict[str, Node] = field(factory=dict)
+    patterns: tuple[tuple[str, Node], ...] = ()
+    additional: Node | None = None
+    unevaluated_properties: Node | None = None
+    names: Node | None = None
+    required: tuple[str, ...] = ()
+    min_properties: int = 0
+    max_properties: int | None = None
+    dependent_required: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    dependent_schemas: tuple[tuple[str, Node], ...] = ()
+    all_of: tuple[Node, ...] = ()
+    any_of: tuple[Node, ...] | None = None
+    one_of: tuple[Node, ...] | None = None
+    negated: Node | None = None
+    condition: Node | None = None
+    then: Node | None = None
+    otherwise: Node | None = None
+    reference: Reference | None = None
+    tags: Mapping[str, AbstractSet[Key]] | None = None
+
+    def target(self) -> Node:
+        """Return the node that the reference leads to."""
+        assert self.reference is not None
+        return self.document.resolve(self.reference)
+
+    def applied(self) -> list[Node]:
+        """Return the schemas that this one applies to the same value."""
+        single = [self.negated, self.condition, self.then, self.otherwise]
+        found = [one for one in single if one is not None]
+        found += [*self.all_of, *(self.any_of or ()), *(self.one_of or ())]
+        found += [one for _, one in self.dependent_schemas]
+        return found if self.reference is None else [*found, self.target()]

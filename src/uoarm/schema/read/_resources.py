@@ -1,0 +1,238 @@
+"""Where references lead: identifiers, anchors and pointers within one document.
+
+A schema with an `$id` is a document of its own inside the whole; references are read relative to
+the innermost one around them. Nothing is ever fetched.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urljoin
+
+from uoarm.schema._errors import OutOfScopeError, SchemaError
+from uoarm.schema._meter import Meter
+from uoarm.schema.read._dialects import DRAFT_2019, Dialect, dialect_of
+from uoarm.schema.read._shapes import LISTS, MAPS, SINGLES
+
+__all__ = ["PLACING", "POSITIONAL", "RECURSIVE", "REFERENCES", "Place", "Resources"]
+
+REFERENCES = ("$ref", "$dynamicRef", "$recursiveRef")
+RECURSIVE = ""
+"""The name under which `$recursiveAnchor` stands among the dynamic anchors; no other has it."""
+
+_OF_SCHEMA = 600
+"""About the octets of what is known of a schema's place."""
+_INDEX = re.compile("[0-9]{1,9}")
+POSITIONAL = frozenset({"$id", "$anchor", "$dynamicAnchor", "$recursiveAnchor", *REFERENCES})
+_NAMING = frozenset({"$id", "id", "$schema"})
+PLACING = POSITIONAL | {"$schema"}
+"""Keywords that give a schema another place, or that depend on the place, in the newest draft."""
+
+
+class Place(NamedTuple):
+    """What stands around a schema: the base of its references, and the draft that is named.
+
+    The draft is None where it is none that is known.
+    """
+
+    base: str
+    draft: Dialect | None
+
+
+class Resources:
+    """The identifiers and anchors of one schema, and of all schemas inside it that are reached.
+
+    Attributes:
+        dynamic: schemas that references find by the way to them, by name and by base.
+        far: references that lead out.
+        named: whether the whole or a schema inside has an identifier.
+
+    Args:
+        placed: whether any schema in it is placed by a keyword; all have one place otherwise.
+    """
+
+    def __init__(self, schema: object, dialect: Dialect, meter: Meter, *, placed: bool) -> None:
+        self._dialect = dialect
+        self._meter = meter
+        self._placed = placed
+        self._documents: dict[str, object] = {"": schema}
+        self._places: dict[int, Place] = {}
+        self._inside: dict[int, Place] = {}
+        self._seen: set[tuple[int, str, int]] = set()
+        self._anchors: dict[tuple[str, str], object] = {}
+        self._references: dict[str, None] = {}
+        self._misplaced: set[int] = set()
+        self.dynamic: dict[str, dict[str, object]] = {}
+        self.far: list[str] = []
+        self.named = False
+        if placed:
+            self._walk(schema, Place("", dialect_of(schema)))
+            self._follow()
+
+    @property
+    def refers(self) -> bool:
+        """Whether there is any reference."""
+        return bool(self._references)
+
+    @property
+    def aims(self) -> set[str]:
+        """The fragments of all references."""
+        return {one.partition("#")[2] for one in self._references}
+
+    def absolute(self, schema: Mapping[str, Any], reference: str) -> str:
+        """Return a reference of a schema in the form that `find` takes."""
+        base = self.inside(schema).base
+        target, _, fragment = reference.partition("#")
+        return f"{_joined(base, target, '$ref') if target else base}#{fragment}"
+
+    def inside(self, schema: Mapping[str, Any]) -> Place:
+        """Return what stands around the parts of a schema."""
+        return self._inside[id(schema)]
+
+    def base_in(self, schema: object) -> str:
+        """Return the base of references within a schema, the empty one within true and false."""
+        known = self._placed and isinstance(schema, Mapping)
+        return self._inside[id(schema)].base if known else ""
+
+    def around(self, schema: object) -> Place:
+        """Return what stands around a schema."""
+        return self._places[id(schema)]
+
+    def objection(self, schema: Mapping[str, Any]) -> str:
+        """Return why a schema may mean several things where it stands; empty when it cannot."""
+        if not self._placed:
+            return ""
+        if id(schema) in self._misplaced:
+            return "$recursiveAnchor stands within a document"
+        draft = self._inside[id(schema)].draft
+        if draft is self._dialect:
+            return ""
+        if draft is None:
+            return "the schema is of a draft that is not known"
+        if self._dialect.agrees(draft, schema):
+            return ""
+        return f"the schema is of another draft, {draft.uri}, which reads it otherwise"
+
+    def find(self, absolute: str) -> tuple[object, Place] | None:
+        """Return what a reference leads to and what stands around it; None when it leads out.
+
+        Raises:
+            SchemaError: the document is here, but has no such part.
+        """
+        base, _, fragment = absolute.partition("#")
+        if base not in self._documents:
+            return None
+        at: Any = self._documents[base]
+        if fragment and not fragment.startswith("/"):
+            if (base, fragment) not in self._anchors:
+                raise SchemaError("#/$ref", "a reference to a part of the document", absolute)
+            at = self._anchors[base, fragment]
+            return at, self._places[id(at)]
+        around = self._places.get(id(at), Place(base, self._dialect))
+        for step in unquote(fragment).split("/")[1:]:
+            if isinstance(at, Mapping):
+                around = self._within(at, around)
+            name = step.replace("~1", "/").replace("~0", "~")
+            if isinstance(at, Mapping) and name in at:
+                at = at[name]
+            elif isinstance(at, list) and _INDEX.fullmatch(name) and int(name) < len(at):
+                at = at[int(name)]
+            else:
+                raise SchemaError("#/$ref", "a reference to a part of the document", absolute)
+        if not isinstance(at, bool | Mapping):
+            raise SchemaError("#/$ref", "a reference to a schema", absolute)
+        return at, around
+
+    def _walk(self, schema: object, place: Place) -> None:
+        """Take in a schema that stands somewhere, and all within it."""
+        waiting = [(schema, place)]
+        while waiting:
+            one, around = waiting.pop()
+            key = id(one), around.base, id(around.draft)
+            if not isinstance(one, Mapping) or key in self._seen:
+                continue
+            self._seen.add(key)
+            self._meter.spend()
+            self._meter.hold(_OF_SCHEMA)
+            inner = self._within(one, around)
+            view = self._view(one, inner)
+            known = self._places.setdefault(id(one), around)
+            placed = not POSITIONAL.isdisjoint(view)
+            if known.base != around.base and placed:
+                raise OutOfScopeError("one object with references stands in two documents")
+            if known.draft is not around.draft:
+                raise OutOfScopeError("one object stands in schemas of two drafts")
+            self._inside[id(one)] = inner
+            if placed:
+                self._enter(one, view, inner)
+            waiting.extend((child, inner) for child in _children(view))
+            if inner.draft is not self._dialect:
+                waiting.extend((child, inner) for child in _children(self._dialect.view(one)))
+
+    def _follow(self) -> None:
+        """Take in what references lead to, also where it stands under no keyword of schemas."""
+        done = 0
+        while done < len(self._references):
+            for absolute in list(self._references)[done:]:
+                done += 1
+                found = self.find(absolute)
+                if found is None:
+                    self.far.append(absolute)
+                elif isinstance(found[0], Mapping) and id(found[0]) not in self._places:
+                    self._walk(*found)
+
+    def _enter(self, schema: Mapping[str, Any], view: Mapping[str, Any], inner: Place) -> None:
+        base = inner.base
+        if isinstance(view.get("$id"), str):
+            self.named = True
+            known = self._documents.setdefault(base, schema)
+            if known is not schema:
+                raise OutOfScopeError(f"two documents are called {base!r}")
+        for keyword in ("$anchor", "$dynamicAnchor"):
+            name = view.get(keyword)
+            if isinstance(name, str):
+                if self._anchors.setdefault((base, name), schema) is not schema:
+                    raise OutOfScopeError(f"two places are called {name!r}")
+                if keyword == "$dynamicAnchor":
+                    self.dynamic.setdefault(name, {})[base] = schema
+        if view.get("$recursiveAnchor") is True and inner.draft is DRAFT_2019:
+            if self._documents.get(base) is schema:
+                self.dynamic.setdefault(RECURSIVE, {})[base] = schema
+            else:
+                self._misplaced.add(id(schema))
+        for keyword in REFERENCES:
+            if isinstance(view.get(keyword), str):
+                self._references[self.absolute(schema, view[keyword])] = None
+
+    def _within(self, schema: Mapping[str, Any], around: Place) -> Place:
+        if _NAMING.isdisjoint(schema):
+            return around
+        draft = around.draft
+        if isinstance(schema.get("$schema"), str):
+            draft = dialect_of(schema)
+        named = self._view(schema, Place(around.base, draft)).get("$id")
+        if not isinstance(named, str):
+            return Place(around.base, draft)
+        return Place(_joined(around.base, named.partition("#")[0], "$id"), draft)
+
+    def _view(self, schema: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+        return (place.draft or self._dialect).view(schema)
+
+
+def _joined(base: str, target: str, keyword: str) -> str:
+    try:
+        return urljoin(base, target)
+    except ValueError:
+        raise SchemaError(f"#/{keyword}", "a URI reference", target) from None
+
+
+def _children(schema: Mapping[str, Any]) -> Iterator[object]:
+    for keyword, value in schema.items():
+        if keyword in SINGLES:
+            yield value
+        elif keyword in LISTS and isinstance(value, list):
+            yield from value
+        elif keyword in MAPS and isinstance(value, Mapping):
+            yield from value.values()

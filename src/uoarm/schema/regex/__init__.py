@@ -1,0 +1,17 @@
+"""Regular expressions of ECMA-262 as automata: reading them, and finding texts that meet them."""
+
+from uoarm.schema.regex._nfa import MalformedPatternError, UnsupportedPatternError
+from uoarm.schema.regex._parser import compile_pattern, is_disputed
+from uoarm.schema.regex._walker import found_in, walker_of
+from uoarm.schema.regex._words import TooLong, shortest_word
+
+__all__ = [
+    "MalformedPatternError",
+    "TooLong",
+    "UnsupportedPatternError",
+    "compile_pattern",
+    "found_in",
+    "is_disputed",
+    "shortest_word",
+    "walker_of",
+]

@@ -1,0 +1,177 @@
+"""Patterns made deterministic as they are walked, one character at a time.
+
+A state says what stood before (the start, a word character, another one) and which threads there
+are: a state of the automaton that may have been reached, with what the rest of the text must or
+must not begin with. Free edges are followed when it is known what comes next.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import TypeAlias
+
+from uoarm.schema.regex._charsets import CLASSES, contains
+from uoarm.schema.regex._kept import Kept
+from uoarm.schema.regex._nfa import Nfa, UnsupportedPatternError
+from uoarm.schema.regex._parser import compile_pattern
+
+__all__ = ["WalkState", "Walker", "found_in", "walker_of"]
+
+_START, _WORD, _OTHER, _END = range(4)
+_MAX_THREADS = 3_000
+_MAX_WALKED = 100_000
+_MAX_KEPT = 200_000
+"""Threads that one walker, and all that are kept, remember, of some 200 octets each."""
+
+Duty: TypeAlias = "tuple[bool, int, WalkState]"
+"""Whether the rest must or must not match, which automaton is looking, and how far it is."""
+Thread: TypeAlias = "tuple[int, frozenset[Duty]]"
+WalkState: TypeAlias = "tuple[int, frozenset[Thread]]"
+
+_NO_DUTIES: frozenset[Duty] = frozenset()
+
+
+class Walker:
+    """One pattern, made deterministic on the way."""
+
+    def __init__(self, nfa: Nfa) -> None:
+        self._nfa = nfa
+        self.last = nfa.last
+        self._sees_words = nfa.sees_words()
+        self._lookers: list[Walker] = []
+        self._looks: list[list[tuple[bool, int, int]]] = [[] for _ in nfa.looks]
+        numbers: dict[int, int] = {}  # those that repeat one automaton are walked as one
+        for state, looks in enumerate(nfa.looks):
+            for sign, inner, target in looks:
+                number = numbers.setdefault(id(inner), len(self._lookers))
+                if number == len(self._lookers):
+                    self._lookers.append(Walker(inner))
+                self._looks[state].append((sign, number, target))
+        self.weight = 1
+        self._steps: dict[tuple[WalkState, int], WalkState] = {}
+        self._accepting: dict[WalkState, bool] = {}
+        self.start = self.begin(_START)
+
+    def step(self, state: WalkState, code: int) -> WalkState:
+        """Return the state after one more character."""
+        known = self._steps.get((state, code))
+        if known is None:
+            follows = self._context(code)
+            reached: set[Thread] = set()
+            for at, duties in self._closure(state, follows):
+                targets = [to for chars, to in self._nfa.edges[at] if contains(chars, code)]
+                kept = self._advance(duties, code) if targets else None
+                if kept is not None:
+                    reached.update((to, kept) for to in targets)
+            known = (follows, frozenset(reached))
+            self.weight += 1 + len(reached)
+            if self.weight > _MAX_WALKED:
+                self._steps.clear()
+                self._accepting.clear()
+                self.weight = 1
+            self._steps[state, code] = known
+        return known
+
+    def accepts(self, state: WalkState) -> bool:
+        """Say whether the text may end here."""
+        known = self._accepting.get(state)
+        if known is None:
+            known = self._accepting[state] = any(
+                at == self.last
+                and all(self._lookers[n].accepts(inner) == sign for sign, n, inner in duties)
+                for at, duties in self._closure(state, _END)
+            )
+        return known
+
+    def begin(self, before: int) -> WalkState:
+        """Return the state before the first character, given what stood before that."""
+        return before, frozenset({(self._nfa.first, _NO_DUTIES)})
+
+    def _context(self, code: int) -> int:
+        return _WORD if self._sees_words and contains(CLASSES["w"], code) else _OTHER
+
+    def _advance(self, duties: frozenset[Duty], code: int) -> frozenset[Duty] | None:
+        """Return what is left of some duties after a character; None when one is failed."""
+        left: set[Duty] = set()
+        for sign, number, inner in duties:
+            looker = self._lookers[number]
+            after = looker.step(inner, code)
+            settled = _settled(looker, after)
+            if settled is None:
+                left.add((sign, number, after))
+            elif settled != sign:
+                return None
+        return frozenset(left)
+
+    def _closure(self, state: WalkState, follows: int) -> set[Thread]:
+        before, threads = state
+        reached: set[Thread] = set()
+        waiting = list(threads)
+        while waiting:
+            thread = waiting.pop()
+            if thread in reached:
+                continue
+            reached.add(thread)
+            if len(reached) > _MAX_THREADS:
+                raise UnsupportedPatternError("it can go on in too many ways at once")
+            at, duties = thread
+            waiting.extend((to, duties) for to in self._nfa.always[at])
+            waiting.extend(
+                (to, duties) for kind, to in self._nfa.asserts[at] if _holds(kind, before, follows)
+            )
+            for sign, number, to in self._looks[at]:
+                duty = (sign, number, self._lookers[number].begin(before))
+                waiting.append((to, duties | {duty}))
+        return reached
+
+
+def _settled(looker: Walker, state: WalkState) -> bool | None:
+    """Return whether a look matches already, or cannot any more; None when it is open."""
+    if not state[1]:
+        return False
+    return True if any(at == looker.last and not more for at, more in state[1]) else None
+
+
+def _holds(kind: str, before: int, follows: int) -> bool:
+    if kind == "begin":
+        return before == _START
+    if kind == "end":
+        return follows == _END
+    return ((before == _WORD) != (follows == _WORD)) == (kind == "boundary")
+
+
+def _make(pattern: str) -> Walker:
+    return Walker(compile_pattern(pattern))
+
+
+walker_of = Kept(_make, lambda one: one.weight, _MAX_KEPT)
+"""Returns the walker of a pattern, which remembers what it has walked."""
+
+
+def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: None) -> bool:
+    """Say whether a pattern is found in a text, with ECMA-262 meaning; `spend` is told of work.
+
+    Raises:
+        UnsupportedPatternError: the pattern is not decided here.
+    """
+    walker = walker_of(pattern)
+    state = walker.start
+    at, end = 0, len(text)
+    while at < end:
+        char = text[at]
+        after = walker.step(state, ord(char))
+        at += 1
+        if after is state:  # and stays so while the character is the same
+            at = _end_of_run(text, at, char)
+        state = after
+        if not at % 64:
+            spend(1)
+    return walker.accepts(state)
+
+
+def _end_of_run(text: str, at: int, char: str) -> int:
+    if at + 1 >= len(text) or text[at] != char or text[at + 1] != char:
+        return at
+    found = re.compile(f"[^{re.escape(char)}]", re.DOTALL).search(text, at)
+    return len(text) if found is None else found.start()

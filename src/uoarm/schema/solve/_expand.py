@@ -1,0 +1,158 @@
+"""What a schema, or its negation, demands of a value of one kind.
+
+A literal is a node with a sign. Expanding it for a kind gives atoms (demands of one sort each,
+see below), further literals, and choices: lists of branches of which one must hold. Negation is
+pushed in here: not-all becomes one-fails, a lower bound becomes an upper one.
+The sorts of atoms are listed in `_branch`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema.read import Node
+from uoarm.schema.solve._atoms import ATOMS, VIOLATIONS
+from uoarm.schema.solve._branch import Branch, Choice, Literal
+from uoarm.schema.solve._tags import certainly_disjoint
+from uoarm.schema.solve._unevaluated import items_fail, items_hold, members_fail, members_hold
+
+__all__ = ["expand"]
+
+_MAX_RIVALS = 600
+
+
+def expand(literal: Literal, kind: str) -> Branch | None:
+    """Return what a literal demands of a value of a kind; None when no value will do."""
+    node, sign = literal
+    if node.never:
+        return None if sign else Branch()
+    if sign:
+        return _positive(node, kind)
+    if node.kinds is not None and kind not in node.kinds:
+        return Branch()
+    branches = _violations(node, kind)
+    if not branches:
+        return None
+    if len(branches) == 1:
+        return branches[0]
+    return Branch(choices=[Choice(branches, node)])
+
+
+def _positive(node: Node, kind: str) -> Branch | None:
+    if node.kinds is not None and kind not in node.kinds:
+        return None
+    whole = Branch()
+    if node.values is not None:
+        whole.atoms.append(("in", node))
+    whole.atoms.extend(ATOMS[kind](node))
+    whole.literals.extend((one, True) for one in node.all_of)
+    if node.reference is not None:
+        whole.literals.append((node.target(), True))
+    if node.any_of is not None:
+        whole.choices.append(Choice([Branch(literals=[(one, True)]) for one in node.any_of]))
+    if node.one_of is not None:
+        whole.choices.append(_exactly_one(node.one_of, kind))
+    if node.negated is not None:
+        whole.literals.append((node.negated, False))
+    if node.condition is not None:
+        holds = Branch(literals=[(node.condition, True), *_if_there(node.then, sign=True)])
+        fails = Branch(literals=[(node.condition, False), *_if_there(node.otherwise, sign=True)])
+        whole.choices.append(Choice([holds, fails]))
+    if kind == "object":
+        whole.choices.extend(_dependencies(node))
+        if node.unevaluated_properties is not None:
+            whole.choices.append(Choice(members_hold(node, node.unevaluated_properties)))
+    elif kind == "array" and node.unevaluated_items is not None:
+        whole.choices.append(Choice(items_hold(node, node.unevaluated_items)))
+    return whole
+
+
+def _if_there(node: Node | None, *, sign: bool) -> list[Literal]:
+    return [] if node is None else [(node, sign)]
+
+
+def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
+    return [
+        one
+        for one in nodes
+        if one.unsupported or not (one.never or (one.kinds is not None and kind not in one.kinds))
+    ]
+
+
+def _check_few(nodes: Sequence[Node]) -> None:
+    if len(nodes) > _MAX_RIVALS:
+        raise OutOfScopeError(f"a oneOf of more than {_MAX_RIVALS} schemas that may overlap")
+    if nodes:
+        nodes[0].document.meter.spend(len(nodes) ** 2 // 8)
+
+
+def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
+    possible = _possible(nodes, kind)
+    if certainly_disjoint(possible, kind):
+        return Choice([Branch(literals=[(one, True)]) for one in possible])
+    _check_few(possible)
+    ways: list[Branch] = []
+    for i, one in enumerate(possible):
+        one.document.meter.spend(1 + len(possible) // 8)
+        ways.append(Branch(literals=[(other, i == j) for j, other in enumerate(possible)]))
+    return Choice(ways)
+
+
+def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
+    possible = _possible(nodes, kind)
+    if certainly_disjoint(possible, kind):
+        return []
+    _check_few(possible)
+    ways: list[Branch] = []
+    for place, one in enumerate(possible):
+        one.document.meter.spend(1 + len(possible) // 8)
+        ways += [Branch(literals=[(one, True), (two, True)]) for two in possible[place + 1 :]]
+    return ways
+
+
+def _dependencies(node: Node) -> list[Choice]:
+    needs = [
+        Choice(
+            [Branch([("lacks", name)]), Branch([("has", name), *(("has", one) for one in names)])]
+        )
+        for name, names in node.dependent_required
+    ]
+    rules = [
+        Choice([Branch([("lacks", name)]), Branch([("has", name)], [(rule, True)])])
+        for name, rule in node.dependent_schemas
+    ]
+    return needs + rules
+
+
+def _violations(node: Node, kind: str) -> list[Branch]:
+    """Return the ways in which a value of a kind can fail a node, each as a branch."""
+    ways: list[Branch] = []
+    if node.values is not None:
+        ways.append(Branch([("notin", node)]))
+    ways.extend(Branch([atom]) for atom in VIOLATIONS[kind](node))
+    ways.extend(Branch(literals=[(one, False)]) for one in node.all_of)
+    if node.reference is not None:
+        ways.append(Branch(literals=[(node.target(), False)]))
+    if node.any_of is not None:
+        ways.append(Branch(literals=[(one, False) for one in node.any_of]))
+    if node.one_of is not None:
+        ways.append(Branch(literals=[(one, False) for one in node.one_of]))
+        ways.extend(_two_at_once(node.one_of, kind))
+    if node.negated is not None:
+        ways.append(Branch(literals=[(node.negated, True)]))
+    if node.condition is not None:
+        if node.then is not None:
+            ways.append(Branch(literals=[(node.condition, True), (node.then, False)]))
+        if node.otherwise is not None:
+            ways.append(Branch(literals=[(node.condition, False), (node.otherwise, False)]))
+    if kind == "object":
+        for name, names in node.dependent_required:
+            ways.extend(Branch([("has", name), ("lacks", one)]) for one in names)
+        for name, rule in node.dependent_schemas:
+            ways.append(Branch([("has", name)], [(rule, False)]))
+        if node.unevaluated_properties is not None:
+            ways.extend(members_fail(node, node.unevaluated_properties))
+    elif kind == "array" and node.unevaluated_items is not None:
+        ways.extend(items_fail(node, node.unevaluated_items))
+    return ways

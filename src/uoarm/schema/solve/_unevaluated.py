@@ -1,0 +1,251 @@
+"""What `unevaluatedProperties` and `unevaluatedItems` demand, as choices over their sources.
+
+They see what the schemas beside them, applied to the same value, have evaluated. Each of these
+schemas is a source with a guard: what must hold, given that the whole holds but for the unevaluated
+rule itself, for the source to count.
+
+That a part is evaluated is known once it is known which sources hold. A demand may assume fewer
+sources than hold, since that demands more; a violation is told by sources that fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import TypeAlias
+
+from attrs import frozen
+
+from uoarm.schema._errors import OutOfScopeError
+from uoarm.schema.read import Node
+from uoarm.schema.solve._branch import Branch, Choice
+from uoarm.schema.solve._evaluate import named_rules
+
+__all__ = ["items_fail", "items_hold", "members_fail", "members_hold"]
+
+Condition: TypeAlias = "tuple[Node, bool] | str"
+"""A schema that holds or fails, or the name of a member that is there."""
+Guard: TypeAlias = "tuple[Condition, ...]"
+
+_MAX_SOURCES = 1_000
+
+
+@frozen
+class Source:
+    """One schema that evaluates parts where its guard holds; `all_parts` when it leaves none."""
+
+    node: Node
+    guard: Guard
+    all_parts: bool
+
+
+def _sources(node: Node, kind: str) -> list[Source]:
+    """Return what may evaluate members (of an "object") or items (of an "array") for a node.
+
+    Raises:
+        OutOfScopeError: there are too many.
+    """
+    found: list[Source] = []
+    waiting: list[tuple[Node, Guard]] = [(node, ())]
+    for one, guard in waiting:
+        if len(waiting) > _MAX_SOURCES:
+            raise OutOfScopeError("too many schemas stand beside an unevaluated keyword")
+        if one.unsupported:
+            raise OutOfScopeError(one.unsupported)
+        if one.never or (one.kinds is not None and kind not in one.kinds):
+            continue
+        everything = _evaluates_all(one, kind, rooted=one is node)
+        if everything or _evaluates_some(one, kind):
+            found.append(Source(one, guard, everything))
+        if not everything or one is node:
+            waiting.extend((inner, guard + more) for inner, more in _beside(one, kind))
+    return found
+
+
+def _evaluates_all(node: Node, kind: str, *, rooted: bool) -> bool:
+    if kind == "array":
+        return node.items is not None or (node.unevaluated_items is not None and not rooted)
+    return node.additional is not None or (node.unevaluated_properties is not None and not rooted)
+
+
+def _evaluates_some(node: Node, kind: str) -> bool:
+    if kind == "array":
+        return bool(node.prefix) or node.contains is not None
+    return bool(node.properties or node.patterns)
+
+
+def _beside(node: Node, kind: str) -> Iterator[tuple[Node, Guard]]:
+    """Yield the schemas that a node applies to the same value, each with its own condition."""
+    for one in node.all_of:
+        yield one, ()
+    if node.reference is not None:
+        yield node.target(), ()
+    for one in (*(node.any_of or ()), *(node.one_of or ())):
+        yield one, ((one, True),)
+    if node.condition is not None:
+        yield node.condition, ((node.condition, True),)
+        if node.then is not None:
+            yield node.then, ((node.condition, True),)
+        if node.otherwise is not None:
+            yield node.otherwise, ((node.condition, False),)
+    if kind == "object":
+        for name, rule in node.dependent_schemas:
+            yield rule, (name,)
+
+
+_MAX_SPLIT = 6
+
+
+def members_hold(node: Node, rule: Node) -> list[Branch]:
+    """Return the ways in which every member is evaluated or meets the rule."""
+    always, whole, partly = _sorted(_sources(node, "object"))
+    ways = [_held(one.guard) for one in whole]
+    if any(not one.guard for one in whole):
+        return [Branch()]
+    wide = [one for one in partly if one.node.patterns]
+    narrow = [one for one in partly if not one.node.patterns]
+    for used in _subsets(wide, "patterns of names"):
+        sure = [*always, *used]
+        cover = _cover(node, sure, sure)
+        way = _held([condition for one in used for condition in one.guard])
+        for name in _names(narrow):
+            if not named_rules(cover, name):
+                holders = [_held(one.guard) for one in narrow if name in one.node.properties]
+                meets = Branch([("member", name, (rule, True))])
+                way.choices.append(Choice([meets, *holders]))
+        way.atoms.append(("rest", _cover(node, [*sure, *narrow], sure), (rule, True)))
+        ways.append(way)
+    return ways
+
+
+def members_fail(node: Node, rule: Node) -> list[Branch]:
+    """Return the ways in which some member is not evaluated and fails the rule."""
+    always, whole, partly = _sorted(_sources(node, "object"))
+    if any(not one.guard for one in whole) or rule.raw is True:
+        return []
+    cover = _cover(node, always, always)
+    ways: list[Branch] = []
+    for name in _names(partly):
+        if not named_rules(cover, name):
+            way = Branch([("somemember", name, (rule, False))])
+            way.choices += [_failed(one.guard) for one in whole]
+            way.choices += [_failed(one.guard) for one in partly if named_rules(one.node, name)]
+            ways.append(way)
+    wide = [one for one in partly if one.node.patterns]
+    for avoided in _subsets(wide, "patterns of names"):
+        rest = _cover(node, [*always, *partly], [*always, *avoided])
+        way = Branch([("somerest", rest, (rule, False))])
+        way.choices += [_failed(one.guard) for one in whole]
+        way.choices += [_failed(one.guard) for one in wide if one not in avoided]
+        ways.append(way)
+    return ways
+
+
+def items_hold(node: Node, rule: Node) -> list[Branch]:
+    """Return the ways in which every item is evaluated or meets the rule."""
+    always, whole, partly = _sorted(_sources(node, "array"))
+    ways = [_held(one.guard) for one in whole]
+    if any(not one.guard for one in whole):
+        return [Branch()]
+    counting = [one for one in partly if one.node.contains is not None]
+    for used in _subsets(counting, "contains"):
+        sure = [*always, *used]
+        covered = _longest(sure)
+        meets = _or_contained(node, rule, sure)
+        guard = [condition for one in used for condition in one.guard]
+        way = _held(guard)
+        way.atoms.append(("tail", covered, (meets, True)))
+        ways.append(way)
+        for one in partly:
+            if len(one.node.prefix) > covered:
+                way = _held([*guard, *one.guard])
+                way.atoms.append(("tail", len(one.node.prefix), (meets, True)))
+                ways.append(way)
+    return ways
+
+
+def items_fail(node: Node, rule: Node) -> list[Branch]:
+    """Return the ways in which some item is not evaluated and fails the rule."""
+    always, whole, partly = _sorted(_sources(node, "array"))
+    if any(not one.guard for one in whole) or rule.raw is True:
+        return []
+    ways: list[Branch] = []
+    covered = _longest(always)
+    starts = {len(one.node.prefix) for one in partly if len(one.node.prefix) > covered}
+    counting = [one for one in partly if one.node.contains is not None]
+    for failed in _subsets(counting, "contains"):
+        meets = _or_contained(node, rule, [*always, *failed])
+        for start in sorted({covered, *starts}):
+            way = Branch([("some", start, (meets, False))])
+            out = [one for one in partly if len(one.node.prefix) > start]
+            out += [one for one in counting if one not in failed]
+            way.choices += [_failed(one.guard) for one in (*whole, *out)]
+            ways.append(way)
+    return ways
+
+
+def _sorted(found: Iterable[Source]) -> tuple[list[Source], list[Source], list[Source]]:
+    """Return what always evaluates some parts, what evaluates all, what may evaluate some."""
+    always: list[Source] = []
+    whole: list[Source] = []
+    partly: list[Source] = []
+    for one in found:
+        if one.all_parts:
+            whole.append(one)
+        elif one.guard:
+            partly.append(one)
+        else:
+            always.append(one)
+    return always, whole, partly
+
+
+def _subsets(found: Sequence[Source], what: str) -> Iterator[tuple[Source, ...]]:
+    if len(found) > _MAX_SPLIT:
+        raise OutOfScopeError(f"more than {_MAX_SPLIT} schemas with {what} may be evaluated or not")
+    for count in range(len(found), -1, -1):
+        yield from combinations(found, count)
+
+
+def _held(guard: Iterable[Condition]) -> Branch:
+    held = Branch()
+    for one in guard:
+        if isinstance(one, str):
+            held.atoms.append(("has", one))
+        else:
+            held.literals.append(one)
+    return held
+
+
+def _failed(guard: Guard) -> Choice:
+    ways = [
+        Branch([("lacks", one)])
+        if isinstance(one, str)
+        else Branch(literals=[(one[0], not one[1])])
+        for one in guard
+    ]
+    return Choice(ways)
+
+
+def _names(found: Iterable[Source]) -> list[str]:
+    return list(dict.fromkeys(name for one in found for name in one.node.properties))
+
+
+def _cover(node: Node, named: Iterable[Source], matched: Iterable[Source]) -> Node:
+    """Return a node that names the members that some sources name or match."""
+    return Node(
+        node.number,
+        node.raw,
+        node.document,
+        properties={name: rule for one in named for name, rule in one.node.properties.items()},
+        patterns=tuple(pattern for one in matched for pattern in one.node.patterns),
+    )
+
+
+def _longest(found: Iterable[Source]) -> int:
+    return max((len(one.node.prefix) for one in found), default=0)
+
+
+def _or_contained(node: Node, rule: Node, found: Iterable[Source]) -> Node:
+    """Return what an item meets that follows a rule or counts as contained."""
+    contained = [one.node.contains for one in found if one.node.contains is not None]
+    return node.document.either([rule, *contained])
