@@ -62,9 +62,14 @@ class Nfa:
     def parts(self) -> Iterator[Nfa]:
         """Yield this automaton and all that it looks ahead with."""
         waiting = [self]
+        seen = {id(self)}  # copies of a look ahead share their automaton
         for one in waiting:
             yield one
-            waiting.extend(inner for looks in one.looks for _, inner, _ in looks)
+            for looks in one.looks:
+                for _, inner, _ in looks:
+                    if id(inner) not in seen:
+                        seen.add(id(inner))
+                        waiting.append(inner)
 
     def looks_ahead(self) -> bool:
         """Say whether there is a look ahead."""
