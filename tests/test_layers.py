@@ -18,6 +18,7 @@ ROOT = Path(uoarm.__file__).parent
 LAYERS = [
     {"errors", "_version", "_origin", "_spelling", "_whole_file", "_workers"},
     {"_plugins"},
+    {"plugins"},
     {"_yaml"},
     {"_mistakes"},
     {"schema"},

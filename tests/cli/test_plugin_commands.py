@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.metadata import EntryPoint
 
-import click
 import pytest
 from click.testing import CliRunner
 
 from uoarm.cli import _plugin_commands, main
+from uoarm.plugins import Command, hookimpl
 
 seen: list[list[str]] = []
 
@@ -19,37 +19,49 @@ def program(arguments: list[str]) -> int:
     return 7
 
 
-@click.command()
-@click.option("--loud", is_flag=True)
-def shout(*, loud: bool) -> None:
-    click.echo("HELLO" if loud else "hello")
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    return [
+        Command("other", lambda _: 0, contract=1),
+        Command("program", program, contract=1),
+        Command("older", program, contract=0),
+    ]
 
 
 @pytest.fixture(autouse=True)
 def plugins(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [
-        EntryPoint("program", f"{__name__}:program", "uoarm.commands"),
-        EntryPoint("shout", f"{__name__}:shout", "uoarm.commands"),
-        EntryPoint("gone", "no_such_module:main", "uoarm.commands"),
+        *(EntryPoint(name, __name__, "uoarm.commands") for name in ("program", "older", "none")),
+        EntryPoint("silent", "json", "uoarm.commands"),
+        EntryPoint("gone", "no_such_module", "uoarm.commands"),
     ]
     found: Callable[..., list[EntryPoint]] = lambda group: points  # noqa: E731 - a stand-in
     monkeypatch.setattr(_plugin_commands, "entry_points", found)
 
 
-def test_a_function_gets_its_arguments_and_gives_the_exit_code() -> None:
+def test_a_command_gets_its_arguments_and_gives_the_exit_code() -> None:
     result = CliRunner().invoke(main, ["program", "--help", "-x", "1"])
     assert result.exit_code == 7
     assert seen.pop() == ["--help", "-x", "1"]
-
-
-def test_a_click_command_runs_with_its_own_options() -> None:
-    assert CliRunner().invoke(main, ["shout", "--loud"]).output == "HELLO\n"
 
 
 def test_help_lists_them_all_and_loads_none() -> None:
     shown = CliRunner().invoke(main, ["--help"])
     assert shown.exit_code == 0
     assert "gone" in shown.output
-    broken = CliRunner().invoke(main, ["gone"])
-    assert broken.exit_code == 1
-    assert "the plugin gone cannot be used: ModuleNotFoundError" in broken.output
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("gone", "the plugin gone cannot be used: ModuleNotFoundError"),
+        ("silent", "PluginError: it implements no uoarm_commands hook"),
+        ("none", "PluginError: it has no command 'none'"),
+        ("older", "it is written for version 0 of the hooks"),
+    ],
+)
+def test_one_that_cannot_be_run_says_why(name: str, said: str) -> None:
+    result = CliRunner().invoke(main, [name])
+    assert result.exit_code == 1
+    assert said in result.output
+    assert not seen

@@ -13,6 +13,7 @@ import uoarm
 from uoarm._resolve import NoPlanError
 from uoarm.bridge import Registry
 from uoarm.cli._certificates import certificates
+from uoarm.cli._checks import plugin_facts
 from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
 from uoarm.cli._env import env
 from uoarm.cli._host import host
@@ -30,7 +31,6 @@ from uoarm.cli._shared import (
 )
 from uoarm.cli._status import status
 from uoarm.config import inspect, load
-from uoarm.errors import PluginError
 from uoarm.schema._command import schema
 
 __all__ = ["main"]
@@ -149,17 +149,7 @@ def doctor(*, file: str | None, as_json: bool) -> None:
             "platform": platform.platform(),
         }
     }
-    for one in registry.types.values():
-        facts[one.name] = {"usable": "yes"}
-        if one.doctor is not None:
-            try:
-                facts[one.name] |= one.doctor()
-            except PluginError as error:
-                facts[one.name]["usable"] = f"no: {error}"
-            except Exception as error:  # noqa: BLE001 - a plugin may raise anything
-                facts[one.name]["usable"] = f"no: {type(error).__name__}: {error}"
-    for problem in registry.problems:
-        facts[problem.name] = {"usable": f"no: {problem.cause}"}
+    facts |= plugin_facts(registry)
     facts |= environment_facts(file, registry)
     chosen = dict(assigned_options(file, registry))
     if chosen:

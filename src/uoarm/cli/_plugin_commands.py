@@ -1,7 +1,7 @@
 """Commands that plugins bring: `uoarm rtm nameserver` belongs to uoarm-rtm.
 
-An entry point of the group `uoarm.commands` names a function that takes a list of arguments and
-returns an exit code, or a click command.
+An entry point of the group `uoarm.commands` has the name of a command, and names a module with
+the hook `uoarm_commands`.
 """
 
 from __future__ import annotations
@@ -9,12 +9,15 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import click
+
+from uoarm._plugins import values_of
+from uoarm.errors import PluginError
+from uoarm.plugins import CONTRACT_VERSION, Command, CommandHooks
 
 __all__ = ["PluginGroup"]
 
@@ -60,14 +63,24 @@ def _command(point: EntryPoint) -> click.Command:
     @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
     def run(arguments: tuple[str, ...]) -> None:
         try:
-            loaded: Callable[[list[str]], int] | click.Command = point.load()
+            found = _load(point)
         except Exception as error:
             raise click.ClickException(
                 f"the plugin {point.name} cannot be used: {type(error).__name__}: {error}"
             ) from error
-        if isinstance(loaded, click.Command):
-            loaded.main(list(arguments), prog_name=f"uoarm {point.name}")
-        else:
-            sys.exit(loaded(list(arguments)))
+        sys.exit(found.run(list(arguments)))
 
     return run
+
+
+def _load(point: EntryPoint) -> Command:
+    commands = values_of(point, CommandHooks, "uoarm_commands", Command)
+    found = next((one for one in commands if one.name == point.name), None)
+    if found is None:
+        raise PluginError(f"it has no command {point.name!r}")
+    if found.contract != CONTRACT_VERSION:
+        raise PluginError(
+            f"it is written for version {found.contract} of the hooks, this uoarm has version "
+            f"{CONTRACT_VERSION}: install matching versions"
+        )
+    return found

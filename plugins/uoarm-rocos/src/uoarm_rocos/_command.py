@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from uoarm.errors import UoarmError
+from uoarm.plugins import Command, hookimpl
 from uoarm_rocos._catalogue_xml import load_catalogue
 from uoarm_rocos._framing import LengthFramer, StuffedFramer
 from uoarm_rocos.simulate import (
@@ -28,7 +29,7 @@ from uoarm_rocos.simulate import (
     run,
 )
 
-__all__ = ["main"]
+__all__ = ["main", "uoarm_commands"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _CHANCE = click.FloatRange(0, 1)
@@ -138,3 +139,9 @@ def _serve(device: Simulated, end: End, url: str, line: dict[str, Any]) -> None:
     click.echo(url)
     names = ("drop", "garble", "delay", "disconnect", "seed")
     run(device, end, stop, Faults(**{name: line[name] for name in names}))
+
+
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    """Return `uoarm rocos`, which is the same command."""
+    return [Command("rocos", lambda words: main.main(words, prog_name="uoarm rocos"), contract=1)]

@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 from uoarm.errors import BridgeError
+from uoarm.plugins import Command, hookimpl
 from uoarm_rtm._nameserver import NameServer
 
-__all__ = ["main"]
+__all__ = ["main", "uoarm_commands"]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -23,6 +24,12 @@ def main(arguments: list[str] | None = None) -> int:
     nameserver.add_argument("--folder", type=Path, help="where names survive; default: nowhere")
     given = parser.parse_args(arguments)
     return _nameserver(given.port, given.address, given.folder)
+
+
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    """Return `uoarm rtm`."""
+    return [Command("rtm", main, contract=1)]
 
 
 def _nameserver(port: int, address: str, folder: Path | None) -> int:

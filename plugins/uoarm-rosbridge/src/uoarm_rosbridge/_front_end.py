@@ -1,0 +1,32 @@
+"""What this plugin brings to a server."""
+
+from __future__ import annotations
+
+from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, Session, hookimpl
+from uoarm_rosbridge._hub import Hub
+from uoarm_rosbridge._session import RosbridgeSession
+
+__all__ = ["uoarm_front_ends"]
+
+
+def _start(backend: Backend) -> MakeSession:
+    hub = Hub()
+
+    def make_session(client: Client) -> Session:
+        return RosbridgeSession(client, backend, hub)
+
+    return make_session
+
+
+@hookimpl
+def uoarm_front_ends() -> list[FrontEnd]:
+    """Return the front end of this plugin."""
+    return [
+        FrontEnd(
+            name="rosbridge",
+            summary="rosbridge v2, for clients of ROS on the web",
+            path="/rosbridge",
+            start=_start,
+            contract=1,
+        )
+    ]

@@ -1,0 +1,50 @@
+"""Plugins bring checks of `uoarm doctor`; one that fails is named and hurts no other."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from uoarm.bridge import Registry
+from uoarm.cli import _checks
+from uoarm.cli._checks import plugin_facts
+from uoarm.errors import PluginError
+from uoarm.plugins import Check, hookimpl
+
+
+def _unusable() -> dict[str, str]:
+    raise PluginError("no camera: plug one in")
+
+
+def _mistaken() -> dict[str, str]:
+    raise ValueError("a mistake of the plugin")
+
+
+@hookimpl
+def uoarm_checks() -> list[Check]:
+    return [
+        Check("camera", lambda: {"lens": "clean"}, contract=1),
+        Check("microphone", _unusable, contract=1),
+        Check("speaker", _mistaken, contract=1),
+        Check("older", dict, contract=0),
+        Check("python", dict, contract=1),
+    ]
+
+
+def test_their_findings_are_shown_and_failures_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [
+        EntryPoint("mine", __name__, "uoarm.checks"),
+        EntryPoint("gone", "no_such_module", "uoarm.checks"),
+        EntryPoint("silent", "json", "uoarm.checks"),
+    ]
+    monkeypatch.setattr(_checks, "entry_points", lambda group: points)
+    facts = plugin_facts(Registry([EntryPoint("python", "uoarm.local", "uoarm.bridges")]))
+    assert facts["camera"] == {"usable": "yes", "lens": "clean"}
+    assert facts["microphone"] == {"usable": "no: no camera: plug one in"}
+    assert facts["speaker"] == {"usable": "no: ValueError: a mistake of the plugin"}
+    assert "written for version 0" in facts["older"]["usable"]
+    assert facts["python"]["usable"] == "yes"
+    assert "bridge type 'python'" in facts["check mine"]["usable"]
+    assert "ModuleNotFoundError" in facts["check gone"]["usable"]
+    assert "implements no uoarm_checks hook" in facts["check silent"]["usable"]
