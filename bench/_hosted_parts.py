@@ -55,7 +55,7 @@ def zenoh_echo(place: str) -> None:
     """Give back frames over Zenoh and nothing else, until killed."""
     import zenoh  # noqa: PLC0415 - the host's other components need none
 
-    from uoarm._host._link_settings import configuration  # noqa: PLC0415 - the same settings
+    from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
 
     session = zenoh.open(
         configuration(place, listen=False, timeout=10, lease=10, shared_memory=False)

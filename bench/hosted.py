@@ -118,7 +118,7 @@ def _pipe_echo(pipe: Connection) -> None:
 def _zenoh() -> Iterator[Trip]:
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
-    from uoarm._host._link_settings import configuration  # noqa: PLC0415 - the same settings
+    from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
 
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"

@@ -61,6 +61,14 @@ ALONE = {
     "local": {"local", "bridge", "model", "errors", "_mistakes", "_spelling"},
 }
 
+# Within the hosts' package: what each part may import of it; what is not a folder may import all.
+HOST_PARTS = {
+    "transport": {"transport"},
+    "process": {"process", "transport"},
+    "machines": {"machines", "process", "transport"},
+    "agent": {"agent", "transport"},
+}
+
 
 def _layer(path: Path) -> str:
     first = path.relative_to(ROOT).parts[0]
@@ -120,6 +128,22 @@ def test_a_package_is_built_in_layers_too(path: Path) -> None:
             _, _, name, *inner = [*module.split("."), "__init__"][: max(3, module.count(".") + 1)]
             assert layers[name] <= layers[layer], f"{layer} imports {name}, which stands above it"
             assert name == layer or not inner, f"{layer} imports {module}, which is in another"
+
+
+@pytest.mark.parametrize("part", HOST_PARTS)
+def test_the_parts_of_hosts_import_one_way(part: str) -> None:
+    """The host's side and the manager's share the transport, and know nothing of each other."""
+    modules = sorted((ROOT / "_host" / part).glob("*.py"))
+    found = {
+        name.split(".")[2]
+        for path in modules
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("uoarm._host")
+        for name in [f"{node.module}.{alias.name}" for alias in node.names]
+    }
+    assert found
+    assert found <= HOST_PARTS[part]
+    assert {path.name for path in (ROOT / "_host").iterdir() if path.is_dir()} >= set(HOST_PARTS)
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:

@@ -22,7 +22,7 @@ from websockets.exceptions import InvalidHeader
 from websockets.http11 import Request
 
 from uoarm._dataplane import make_check
-from uoarm._host._codec import pack, unpack
+from uoarm._host.transport.codec import pack, unpack
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form, check_asked, write_binary
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, ControlMessageError, MessageError

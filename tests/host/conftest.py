@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from tests.host import hosted
 
-from uoarm._host._link import Link
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.testing import Census
 
 
@@ -26,11 +26,11 @@ def nothing_is_left(tmp_path: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Link, Link]]:
+def ends() -> Iterator[tuple[Transport, Transport]]:
     with tempfile.TemporaryDirectory(prefix="uoarm-test-") as folder:
         place = f"unixsock-stream/{folder}/link"
-        near = Link(place, listen=True)
-        far = Link(place, listen=False)
+        near = Transport(place, listen=True)
+        far = Transport(place, listen=False)
         yield near, far
         far.close()
         near.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from uoarm._host._remote import RemoteBridge
+from uoarm._host.remote_bridge import RemoteBridge
 from uoarm.bridge import HealthEvent
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience

@@ -13,9 +13,10 @@ import pytest
 from tests.host.joined import Joined, free_port
 
 from uoarm._certificates import Authority
-from uoarm._host import Identity, JoinedHost, MachineDesk, _keys
-from uoarm._host._codec import pack
-from uoarm._host._link import Link
+from uoarm._host import HostAgent, Identity, MachineRegistry
+from uoarm._host.transport import keys
+from uoarm._host.transport.codec import pack
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Listening
 from uoarm.testing import patience, wait
@@ -45,27 +46,27 @@ def came() -> list[tuple[str, str | None]]:
 
 
 @pytest.fixture
-def desk(folder: Path, place: str, came: list[tuple[str, str | None]]) -> Iterator[MachineDesk]:
-    made = MachineDesk(
+def desk(folder: Path, place: str, came: list[tuple[str, str | None]]) -> Iterator[MachineRegistry]:
+    made = MachineRegistry(
         Listening(place, str(folder)), ["arm", "leg"], lambda *news: came.append(news)
     )
     yield made
     made.close()
 
 
-def _join(place: str, identity: Identity, timeout: float = 10.0) -> Link:
-    return Link(place, listen=False, timeout=timeout, more=identity.settings(listen=False))
+def _join(place: str, identity: Identity, timeout: float = 10.0) -> Transport:
+    return Transport(place, listen=False, timeout=timeout, more=identity.settings(listen=False))
 
 
-def _settle(desk: MachineDesk, link: Link, machine: str) -> None:
+def _settle(desk: MachineRegistry, link: Transport, machine: str) -> None:
     """Wait until what was declared before under a machine's own name has reached the desk."""
     bridge = f"settled{next(_numbers)}"
-    link.show_alive(f"{_keys.MACHINES}/{_keys.here(machine, bridge, 'x')}")
+    link.show_alive(f"{keys.MACHINES}/{keys.here(machine, bridge, 'x')}")
     wait(lambda: desk.here(machine, bridge))
 
 
 def test_a_machine_with_its_certificate_is_seen(
-    desk: MachineDesk, folder: Path, place: str, came: list[tuple[str, str | None]]
+    desk: MachineRegistry, folder: Path, place: str, came: list[tuple[str, str | None]]
 ) -> None:
     link = _join(place, Identity.find(folder, "arm"))
     _settle(desk, link, "arm")
@@ -78,7 +79,7 @@ def test_a_machine_with_its_certificate_is_seen(
 
 
 def test_a_certificate_of_another_authority_is_refused(
-    desk: MachineDesk, folder: Path, place: str, tmp_path: Path
+    desk: MachineRegistry, folder: Path, place: str, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
     Authority.of(other).certify_machine("arm", 1)
@@ -87,18 +88,20 @@ def test_a_certificate_of_another_authority_is_refused(
         _join(place, Identity.find(other, "arm"), 1.0)
 
 
-def test_who_shows_no_certificate_is_refused(desk: MachineDesk, folder: Path, place: str) -> None:
+def test_who_shows_no_certificate_is_refused(
+    desk: MachineRegistry, folder: Path, place: str
+) -> None:
     trusts = {"transport/link/tls": {"root_ca_certificate": str(folder / "ca.pem")}}
     with pytest.raises(BridgeError, match="opening the link"):
-        Link(place, listen=False, timeout=1.0, more=trusts)
+        Transport(place, listen=False, timeout=1.0, more=trusts)
 
 
 def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
-    desk: MachineDesk, folder: Path, place: str
+    desk: MachineRegistry, folder: Path, place: str
 ) -> None:
     arm = _join(place, Identity.find(folder, "arm"))
     leg = _join(place, Identity.find(folder, "leg"))
-    as_arm = leg.part(f"{_keys.MACHINES}/arm")
+    as_arm = leg.part(f"{keys.MACHINES}/arm")
     heard: list[bytes] = []
     as_arm.listen("talk/**", heard.append)
     leg.listen("uoarm/**", heard.append)
@@ -107,7 +110,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     as_arm.show_alive("here/-/thief")
     got: list[bytes] = []
     desk.part("arm").listen("talk/**", got.append)
-    arm.part(f"{_keys.MACHINES}/arm").answer("attach/owner", lambda _, reply: reply(None))
+    arm.part(f"{keys.MACHINES}/arm").answer("attach/owner", lambda _, reply: reply(None))
     _settle(desk, leg, "leg")
     _settle(desk, arm, "arm")
 
@@ -120,10 +123,10 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
 
     as_arm.publish("talk/far/1", b"", b"from the thief", must_arrive=True)
     desk.part("arm").publish("talk/far/2", b"", b"for the arm", must_arrive=True)
-    arm.part(f"{_keys.MACHINES}/arm").publish("talk/far/3", b"", b"mine", must_arrive=True)
+    arm.part(f"{keys.MACHINES}/arm").publish("talk/far/3", b"", b"mine", must_arrive=True)
     wait(lambda: b"mine" in got)
     marked = threading.Event()
-    leg.part(f"{_keys.MACHINES}/leg").listen("talk/mark", lambda _: marked.set())
+    leg.part(f"{keys.MACHINES}/leg").listen("talk/mark", lambda _: marked.set())
     _settle(desk, leg, "leg")
     desk.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
     assert marked.wait(patience())  # whatever was on its way to the thief is there by now
@@ -134,14 +137,14 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
 
 
 def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so(
-    desk: MachineDesk,
+    desk: MachineRegistry,
     folder: Path,
     place: str,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr("uoarm._host._join._UNASKED_SECONDS", 0.2)
-    host = JoinedHost(place, "arm", identity=Identity.find(folder, "leg"))
+    monkeypatch.setattr("uoarm._host.agent.host_agent._UNASKED_SECONDS", 0.2)
+    host = HostAgent(place, "arm", identity=Identity.find(folder, "leg"))
     running = threading.Thread(target=host.run)
     running.start()
     wait(lambda: "does not ask" in caplog.text)
@@ -153,21 +156,21 @@ def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so
 
 def test_a_machine_cannot_stand_in_for_the_manager(folder: Path, place: str) -> None:
     arm = Identity.find(folder, "arm")
-    false = Link(place, listen=True, more=arm.settings(listen=True))
+    false = Transport(place, listen=True, more=arm.settings(listen=True))
     with pytest.raises(BridgeError, match="opening the link"):
         _join(place, Identity.find(folder, "leg"), 1.0)
     false.close()
 
 
 def test_a_manager_is_believed_at_its_own_addresses_only(
-    desk: MachineDesk, folder: Path, place: str
+    desk: MachineRegistry, folder: Path, place: str
 ) -> None:
     with pytest.raises(BridgeError, match="opening the link"):
         _join(place.replace("127.0.0.1", "localhost"), Identity.find(folder, "arm"), 1.0)
 
 
 def test_a_host_with_a_strange_certificate_says_what_is_in_the_way(
-    desk: MachineDesk, folder: Path, place: str, tmp_path: Path
+    desk: MachineRegistry, folder: Path, place: str, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
     Authority.of(other).certify_machine("arm", 1)
@@ -203,16 +206,16 @@ def test_a_missing_certificate_is_named(folder: Path) -> None:
     ],
 )
 def test_a_machine_that_answers_rubbish_is_an_error_and_its_clock_is_not_believed(
-    desk: MachineDesk, folder: Path, place: str, told: bytes
+    desk: MachineRegistry, folder: Path, place: str, told: bytes
 ) -> None:
     link = _join(place, Identity.find(folder, "arm"))
     raw = link._session.declare_queryable(
-        f"{_keys.MACHINES}/{_keys.clock('arm', 'x')}",
+        f"{keys.MACHINES}/{keys.clock('arm', 'x')}",
         lambda query: query.reply(str(query.key_expr), told),
     )
     _settle(desk, link, "arm")
     with suppress(UoarmError):
-        desk.meet("arm", "x", 10.0)
+        desk.measure_clock("arm", "x", 10.0)
     assert not desk.offset("arm").known
     assert desk._asking.is_alive()
     raw.undeclare()  # type: ignore[no-untyped-call]

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._host._codec import pack, unpack
+from uoarm._host.transport.codec import pack, unpack
 from uoarm.errors import MessageError
 
 _leaves = (

@@ -9,12 +9,12 @@ from typing import Any
 import msgpack
 import pytest
 
-from uoarm._host._flow import Ending, Incoming, Outgoing
-from uoarm._host._link import Link
+from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.testing import patience, wait
 
-Ends = tuple[Link, Link]
+Ends = tuple[Transport, Transport]
 
 
 class _Taker:
@@ -32,15 +32,15 @@ class _Taker:
             raise ValueError("it was bad")
         self.got.append(message)
 
-    def incoming(self, link: Link) -> Incoming:
-        return Incoming(link, "flow/1", name="test", take=self.take, ended=self.endings.append)
+    def incoming(self, link: Transport) -> FlowReceiver:
+        return FlowReceiver(link, "flow/1", name="test", take=self.take, ended=self.endings.append)
 
 
 def test_messages_arrive_in_order_from_the_first_one_on(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     for number in range(5000):
         outgoing.send(number)
     wait(lambda: len(taker.got) == 5000)
@@ -52,7 +52,7 @@ def test_large_messages_arrive_whole(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     for number in range(30):
         outgoing.send({"n": number, "data": bytes([number]) * 2_000_000})
         wait(lambda: outgoing.sent - incoming.received < 8)  # a link full for 0.2 s drops
@@ -65,7 +65,7 @@ def test_a_slow_consumer_slows_its_producer_and_loses_nothing(ends: Ends) -> Non
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     taker.gate.clear()
 
     def fill() -> None:
@@ -87,7 +87,7 @@ def test_a_consumer_that_hangs_costs_the_producer_its_patience_once(ends: Ends) 
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=0.5)
+    outgoing = FlowSender(far, "flow/1", patience=0.5)
     taker.gate.clear()
     refused = 0
     begun = time.monotonic()
@@ -112,7 +112,7 @@ def test_a_flow_that_is_cut_lets_its_sender_go(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     taker.gate.clear()
     failures: list[str] = []
 
@@ -137,14 +137,14 @@ def test_the_end_comes_after_the_last_message(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     seen: list[int] = []
-    Incoming(
+    FlowReceiver(
         near,
         "flow/1",
         name="test",
         take=taker.take,
         ended=lambda ending: seen.append(len(taker.got)),
     )
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     for number in range(50):
         outgoing.send(number)
     outgoing.finish(Ending("finished", "no more"))
@@ -156,7 +156,7 @@ def test_what_the_consumer_raises_is_counted_and_told(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     for number in range(64):
         outgoing.send("bad" if number % 2 else number)
     wait(lambda: incoming.received == 64)
@@ -170,7 +170,7 @@ def test_a_message_that_cannot_be_written_is_refused_and_uses_no_number(ends: En
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     with pytest.raises(MessageError):
         outgoing.send(object())
     outgoing.send("good")
@@ -182,7 +182,7 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     outgoing.send(1)
     wait(lambda: taker.got == [1])
     incoming.close()
@@ -214,7 +214,7 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     recorded: list[tuple[bytes, bytes]] = []
     publish = far.publish
 
@@ -241,7 +241,7 @@ def test_frames_that_are_none_and_frames_that_came_before_change_nothing_but_a_c
 
 def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     near, far = ends
-    outgoing = Outgoing(far, "flow/1", patience=patience())
+    outgoing = FlowSender(far, "flow/1", patience=patience())
     for header in [*HEADERS, msgpack.packb([10**6, 0, "", 0]), msgpack.packb([1, 0, 5, 0])]:
         near.publish("flow/1/handled", b"", header, must_arrive=True)
     taker = _Taker()

@@ -13,7 +13,7 @@ import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
 
-from uoarm._host._process import HostProcess
+from uoarm._host.process.host_process import HostProcess
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
@@ -76,9 +76,9 @@ def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterato
     tell = HostProcess.tell
 
     def tell_detour(process: HostProcess, orders: Mapping[str, Any]) -> None:
-        scheme, _, behind = str(orders["place"]).partition("/")
+        scheme, _, behind = str(orders["address"]).partition("/")
         made.append(Middleman(behind, str(orders["folder"])))
-        tell(process, {**orders, "place": f"{scheme}/{made[-1].place}"})
+        tell(process, {**orders, "address": f"{scheme}/{made[-1].place}"})
 
     monkeypatch.setattr(HostProcess, "tell", tell_detour)
     yield made

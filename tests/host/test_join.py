@@ -6,8 +6,8 @@ import threading
 
 from tests.host.joined import free_port
 
-from uoarm._host import HostSettings, JoinedHost, MachineDesk
-from uoarm._host._machine import MachineConnection
+from uoarm._host import HostAgent, HostSettings, MachineRegistry
+from uoarm._host.machines.connection import MachineConnection
 from uoarm.bridge import BridgeType, Registry
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import MemoryBridge, patience
@@ -27,8 +27,8 @@ def test_its_bridges_close_at_the_same_time() -> None:
     registry = Registry([])
     registry.add(BridgeType("slow", "for tests", Slow, contract=2))
     place = f"tcp/127.0.0.1:{free_port()}"
-    desk = MachineDesk(Listening(place), ["arm"], lambda *_: None)
-    host = JoinedHost(place, "arm", identity=None, registry=registry)
+    desk = MachineRegistry(Listening(place), ["arm"], lambda *_: None)
+    host = HostAgent(place, "arm", identity=None, registry=registry)
     running = threading.Thread(target=host.run)
     running.start()
     connections = [
@@ -37,9 +37,9 @@ def test_its_bridges_close_at_the_same_time() -> None:
             "arm",
             BridgeSpec(name, "slow", {}),
             HostSettings(),
-            heard=lambda _: None,
-            doubted=lambda *_: None,
-            died=lambda _: None,
+            on_answer=lambda _: None,
+            on_doubt=lambda *_: None,
+            on_death=lambda _: None,
         )
         for name in ("one", "two")
     ]

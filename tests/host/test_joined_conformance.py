@@ -9,7 +9,7 @@ import pytest
 from tests.host.joined import Joined, free_port
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
 
-from uoarm._host import MachineDesk, RemoteBridge
+from uoarm._host import MachineRegistry, RemoteBridge
 from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import wait
@@ -19,7 +19,7 @@ from uoarm.testing.conformance import BridgeConformance, World
 class JoinedWorld(HostedWorld):
     """The same components, on a machine that is reached over loopback without TLS."""
 
-    def __init__(self, folder: Path, desk: MachineDesk) -> None:
+    def __init__(self, folder: Path, desk: MachineRegistry) -> None:
         super().__init__(folder)
         self._desk = desk
 
@@ -30,9 +30,9 @@ class JoinedWorld(HostedWorld):
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineDesk]:
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineRegistry]:
     place = f"tcp/127.0.0.1:{free_port()}"
-    made = MachineDesk(Listening(place), ["arm"], lambda *_: None)
+    made = MachineRegistry(Listening(place), ["arm"], lambda *_: None)
     with Joined(tmp_path_factory.mktemp("arm"), place):
         wait(lambda: made.here("arm", "python"))
         yield made
@@ -45,5 +45,5 @@ class TestJoinedPythonBridge(BridgeConformance):
     kinds = ("Pixels", "Everything")
 
     @pytest.fixture
-    def world(self, tmp_path: Path, desk: MachineDesk) -> World:
+    def world(self, tmp_path: Path, desk: MachineRegistry) -> World:
         return JoinedWorld(tmp_path, desk)

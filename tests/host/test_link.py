@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.host.joined import free_port
 
-from uoarm._host._link import Link, Reply
+from uoarm._host.transport.zenoh_transport import Reply, Transport
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -20,10 +20,10 @@ from uoarm.errors import (
 )
 from uoarm.testing import patience
 
-Ends = tuple[Link, Link]
+Ends = tuple[Transport, Transport]
 
 
-def _settle(near: Link, far: Link) -> None:
+def _settle(near: Transport, far: Transport) -> None:
     """Wait until what `far` declared before is known to `near`."""
     seen = threading.Event()
     near.watch_alive("test/settled", lambda alive: seen.set())
@@ -145,15 +145,15 @@ def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
 
 def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:
     with pytest.raises(BridgeError, match="opening the link") as caught:
-        Link("tcp/127.0.0.1:1", listen=False, timeout=0.1)
+        Transport("tcp/127.0.0.1:1", listen=False, timeout=0.1)
     assert ".rs" not in str(caught.value)
 
 
 def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> None:
     port = free_port()
     place = f"tcp/127.0.0.1:{port}"
-    near = Link(place, listen=True)
-    far = Link(place, listen=False, timeout=1.0)
+    near = Transport(place, listen=True)
+    far = Transport(place, listen=False, timeout=1.0)
     near.close()
     with socket.create_server(("127.0.0.1", port)) as mute:
         mute.settimeout(patience())

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from tests.host.joined import Joined, free_port, robot
 
 from uoarm import BridgeError, ResolutionError, RobotManager
-from uoarm._host import MachineDesk
+from uoarm._host import MachineRegistry
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
@@ -81,13 +81,13 @@ def test_a_link_that_fails_while_closing_is_told_and_the_manager_closes_all_the_
 ) -> None:
     file = robot(tmp_path, port)
     RobotManager.from_file(file).close()  # what stays for the next one is there
-    close = MachineDesk.close
+    close = MachineRegistry.close
 
-    def fail(desk: MachineDesk) -> None:
+    def fail(desk: MachineRegistry) -> None:
         close(desk)
         raise BridgeError("closing the link failed: it took too long")
 
-    monkeypatch.setattr(MachineDesk, "close", fail)
+    monkeypatch.setattr(MachineRegistry, "close", fail)
     before = Census()
     RobotManager.from_file(file).close()
     assert "it took too long" in caplog.text

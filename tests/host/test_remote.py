@@ -15,7 +15,7 @@ import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 
-from uoarm._host._remote import RemoteBridge
+from uoarm._host.remote_bridge import RemoteBridge
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import Census, patience, wait

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from uoarm._host._folders import link_folder
-from uoarm._host._settings import HostSettings
+from uoarm._host.process.connection import link_folder
+from uoarm._host.process.settings import HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
 from uoarm.testing import patience

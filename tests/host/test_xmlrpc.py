@@ -16,7 +16,7 @@ from xmlrpc.client import Fault, ServerProxy
 
 import pytest
 
-from uoarm._host import XmlRpcFace, _xmlrpc
+from uoarm._host import XmlRpcServer, xmlrpc_server
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
 from uoarm.testing import Census, MemoryBridge, patience
@@ -26,7 +26,7 @@ NUMBER = {"type": "integer", "maximum": 2**40}
 
 
 @pytest.fixture
-def face() -> Iterator[XmlRpcFace]:
+def face() -> Iterator[XmlRpcServer]:
     before = Census()
     bridge = MemoryBridge("memory", {})
     bridge.emitter("camera", NUMBER)
@@ -34,18 +34,18 @@ def face() -> Iterator[XmlRpcFace]:
         Endpoint("memory", "camera", Role.OUTPUT, ("camera",)),
         Endpoint("memory", "absent", Role.OUTPUT, ("absent",)),
     ]
-    made = XmlRpcFace(bridge, ends)
+    made = XmlRpcServer(bridge, ends)
     yield made
     made.close()
     bridge.close()
     before.check()
 
 
-def _proxy(face: XmlRpcFace) -> ServerProxy:
+def _proxy(face: XmlRpcServer) -> ServerProxy:
     return ServerProxy(f"http://127.0.0.1:{face.port}/RPC2")
 
 
-def test_components_ports_and_structures_are_told(face: XmlRpcFace) -> None:
+def test_components_ports_and_structures_are_told(face: XmlRpcServer) -> None:
     with _proxy(face) as proxy:
         assert proxy.components() == ["absent", "camera"]
         assert proxy.ports("camera") == ["default"]
@@ -53,7 +53,7 @@ def test_components_ports_and_structures_are_told(face: XmlRpcFace) -> None:
     assert told["message"]["schema"] == NUMBER
 
 
-def test_what_cannot_be_described_is_a_fault(face: XmlRpcFace) -> None:
+def test_what_cannot_be_described_is_a_fault(face: XmlRpcServer) -> None:
     with _proxy(face) as proxy:
         with pytest.raises(Fault, match="absent"):
             proxy.structure("absent")
@@ -62,7 +62,7 @@ def test_what_cannot_be_described_is_a_fault(face: XmlRpcFace) -> None:
 
 
 @pytest.mark.parametrize("method", ["close", "describe", "system.listMethods", "_bridge.close"])
-def test_no_other_method_can_be_called(face: XmlRpcFace, method: str) -> None:
+def test_no_other_method_can_be_called(face: XmlRpcServer, method: str) -> None:
     with _proxy(face) as proxy, pytest.raises(Fault, match="is not supported"):
         getattr(proxy, method)()
 
@@ -80,7 +80,7 @@ def test_no_other_method_can_be_called(face: XmlRpcFace, method: str) -> None:
     ],
 )
 def test_requests_from_elsewhere_and_long_ones_are_refused(
-    face: XmlRpcFace, headers: dict[str, str], status: int, capfd: pytest.CaptureFixture[str]
+    face: XmlRpcServer, headers: dict[str, str], status: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     connection = HTTPConnection("127.0.0.1", face.port, timeout=patience())
     connection.putrequest("POST", "/RPC2", skip_host="Host" in headers)
@@ -92,7 +92,7 @@ def test_requests_from_elsewhere_and_long_ones_are_refused(
     assert capfd.readouterr().err == ""
 
 
-def _post(face: XmlRpcFace, body: bytes) -> str:
+def _post(face: XmlRpcServer, body: bytes) -> str:
     connection = HTTPConnection("127.0.0.1", face.port, timeout=SECONDS)
     connection.request("POST", "/RPC2", body)
     answer = connection.getresponse().read().decode()
@@ -126,7 +126,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("body", HOSTILE.values(), ids=HOSTILE)
 def test_a_hostile_body_is_answered_with_a_fault_and_no_traceback(
-    face: XmlRpcFace, body: bytes, capfd: pytest.CaptureFixture[str]
+    face: XmlRpcServer, body: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     answer = _post(face, body)
     assert "<fault>" in answer or "<array><data>" in answer  # a component of an odd name has none
@@ -142,14 +142,14 @@ def test_a_hostile_body_is_answered_with_a_fault_and_no_traceback(
         ("a declaration in another encoding", "not a request"),
     ],
 )
-def test_a_document_type_declaration_is_refused(face: XmlRpcFace, kind: str, cause: str) -> None:
+def test_a_document_type_declaration_is_refused(face: XmlRpcServer, kind: str, cause: str) -> None:
     assert cause in _post(face, HOSTILE[kind])
 
 
 def test_idle_connections_cost_few_threads_and_end(
-    face: XmlRpcFace, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    face: XmlRpcServer, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(_xmlrpc, "_CONNECTION_SECONDS", 0.3)
+    monkeypatch.setattr(xmlrpc_server, "_CONNECTION_SECONDS", 0.3)
     before = threading.active_count()
     with ExitStack() as stack:
         idle = [
@@ -165,15 +165,15 @@ def test_idle_connections_cost_few_threads_and_end(
             with suppress(ConnectionResetError):
                 while one.recv(4096):
                     pass
-            assert threading.active_count() <= before + _xmlrpc._CONNECTIONS
+            assert threading.active_count() <= before + xmlrpc_server._CONNECTIONS
     with _proxy(face) as proxy:
         assert proxy.components() == ["absent", "camera"]
     assert capfd.readouterr().err == ""
 
 
-def test_a_port_that_is_taken_is_named(face: XmlRpcFace) -> None:
+def test_a_port_that_is_taken_is_named(face: XmlRpcServer) -> None:
     with pytest.raises(BridgeError, match=f"port {face.port}"):
-        XmlRpcFace(MemoryBridge("other", {}), [], face.port)
+        XmlRpcServer(MemoryBridge("other", {}), [], face.port)
 
 
 def test_the_command_answers_until_it_is_interrupted(tmp_path: Path) -> None:

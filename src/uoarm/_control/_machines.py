@@ -13,7 +13,7 @@ from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 
 if TYPE_CHECKING:
-    from uoarm._host import MachineDesk
+    from uoarm._host import MachineRegistry
 
 __all__ = ["Machines"]
 
@@ -50,7 +50,7 @@ class Machines:
                 self._bridges.setdefault(str(machine), []).append(name)
         self._lock = threading.Lock()
         self._telling = threading.Lock()
-        self._desk: MachineDesk | None = None
+        self._desk: MachineRegistry | None = None
         self._closed = False
         self._told: dict[str, bool] = {}
         self._problem = ""
@@ -66,7 +66,7 @@ class Machines:
             for machine in self._bridges:
                 self._changed(machine, None)
 
-    def desk(self) -> MachineDesk:
+    def desk(self) -> MachineRegistry:
         """Return where machines join.
 
         Raises:
@@ -74,7 +74,7 @@ class Machines:
             PluginError: the extra `uoarm[hosts]` is missing.
         """
         try:
-            from uoarm._host import MachineDesk  # noqa: PLC0415 - needs an extra
+            from uoarm._host import MachineRegistry  # noqa: PLC0415 - needs an extra
         except ImportError as error:
             command = install_command("uoarm", "hosts")
             raise PluginError(f"bridges on other machines need: {command} ({error})") from error
@@ -85,7 +85,7 @@ class Machines:
             if self._desk is not None:
                 return self._desk
             try:
-                desk = self._desk = MachineDesk(self._listening, self._bridges, self._changed)
+                desk = self._desk = MachineRegistry(self._listening, self._bridges, self._changed)
             except BridgeError as error:
                 self._problem = f", which cannot join: {error}"
                 raise

@@ -3,20 +3,18 @@
 Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
 """
 
-from uoarm._host._desk import MachineDesk
-from uoarm._host._die_with_parent import die_with_parent
-from uoarm._host._join import JoinedHost
-from uoarm._host._remote import RemoteBridge
-from uoarm._host._security import Identity
-from uoarm._host._settings import HostSettings
-from uoarm._host._xmlrpc import XmlRpcFace
+from uoarm._host.agent.host_agent import HostAgent
+from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.process.settings import HostSettings
+from uoarm._host.remote_bridge import RemoteBridge
+from uoarm._host.transport.security import Identity
+from uoarm._host.xmlrpc_server import XmlRpcServer
 
 __all__ = [
+    "HostAgent",
     "HostSettings",
     "Identity",
-    "JoinedHost",
-    "MachineDesk",
+    "MachineRegistry",
     "RemoteBridge",
-    "XmlRpcFace",
-    "die_with_parent",
+    "XmlRpcServer",
 ]

@@ -12,12 +12,11 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from uoarm._host import _keys
-from uoarm._host._die_with_parent import die_with_parent
-from uoarm._host._limit_memory import limit_memory
-from uoarm._host._link import Link, Reply
-from uoarm._host._serving import Serving
-from uoarm._host._tally import Tally
+from uoarm._host.agent.dispatcher import RequestDispatcher
+from uoarm._host.process.limits import die_with_parent, limit_memory
+from uoarm._host.transport import keys
+from uoarm._host.transport.shared_counters import SharedCounters
+from uoarm._host.transport.zenoh_transport import Reply, Transport
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.model import BridgeSpec
@@ -38,8 +37,8 @@ def main() -> int:
     ended = threading.Event()
     # In a thread: a handler must not take the lock that the thread it interrupts may hold.
     signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=ended.set).start())
-    link = Link(
-        orders["place"],
+    transport = Transport(
+        orders["address"],
         listen=False,
         lease=orders["lease"],
         shared_memory=orders["shared_memory"],
@@ -47,33 +46,35 @@ def main() -> int:
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:
-        _refuse(link, error, ended)
+        _refuse(transport, error, ended)
         return 1
-    return _serve(bridge, link, ended, Tally(Path(orders["tally"]), make=False))
+    return _serve(bridge, transport, ended, SharedCounters(Path(orders["counters"]), make=False))
 
 
-def _serve(bridge: Bridge, link: Link, ended: threading.Event, tally: Tally) -> int:
-    serving = Serving(bridge, link, ended, tally)
+def _serve(
+    bridge: Bridge, transport: Transport, ended: threading.Event, counters: SharedCounters
+) -> int:
+    serving = RequestDispatcher(bridge, transport, ended, counters)
     serving.begin()
     ended.wait()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         bridge.close()
     finally:
-        link.close()
+        transport.close()
     return 0
 
 
-def _refuse(link: Link, error: UoarmError, ended: threading.Event) -> None:
+def _refuse(transport: Transport, error: UoarmError, ended: threading.Event) -> None:
     """Answer with the reason why there is no bridge, until the manager ends this process."""
 
     def answer(_: Any, reply: Reply) -> None:
         reply(error)
 
-    link.answer(_keys.ASK, answer)
-    link.show_alive(_keys.ALIVE)
+    transport.answer(keys.ASK, answer)
+    transport.show_alive(keys.ALIVE)
     ended.wait(_REFUSED_SECONDS)
-    link.close()
+    transport.close()
 
 
 def _watch_manager(folder: str) -> None:
@@ -85,7 +86,7 @@ def _watch_manager(folder: str) -> None:
         while os.read(0, 4096):  # no buffer, whose lock would outlive this thread at exit
             pass
     finally:
-        if Path(folder).name.startswith(_keys.FOLDER):
+        if Path(folder).name.startswith(keys.FOLDER):
             shutil.rmtree(folder, ignore_errors=True)
         os._exit(_ORPHANED)
 

@@ -82,14 +82,14 @@ def _join(
     silence: float,
 ) -> None:
     with needing("hosts"):
-        from uoarm._host import Identity, JoinedHost  # noqa: PLC0415 - needs an extra
+        from uoarm._host import HostAgent, Identity  # noqa: PLC0415 - needs an extra
     problem = place_problem(place)
     if problem:
         raise UsageError(f"--join {place}: {problem}")
     secured = place.startswith("tls/")
     identity = Identity.find(certificates, machine) if secured else None
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    joined = JoinedHost(
+    joined = HostAgent(
         place, machine, identity=identity, bridges=bridges, modules=modules, silence=silence
     )
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -122,7 +122,7 @@ def _begin_end(close: Callable[[], None]) -> None:
 
 def _answer(bridge: str, port: int, file: str) -> None:
     with needing("hosts"):
-        from uoarm._host import RemoteBridge, XmlRpcFace  # noqa: PLC0415 - needs an extra
+        from uoarm._host import RemoteBridge, XmlRpcServer  # noqa: PLC0415 - needs an extra
     registry = Registry()
     robot = load(file, registry.types)
     spec = robot.bridges.get(bridge)
@@ -131,7 +131,7 @@ def _answer(bridge: str, port: int, file: str) -> None:
     made = registry.create(spec) if spec.host is None else RemoteBridge(spec)
     try:
         mine = (one for one in robot.components() if one.bridge == bridge)
-        face = XmlRpcFace(made, (end for one in mine for end in _endpoints(one)), port)
+        face = XmlRpcServer(made, (end for one in mine for end in _endpoints(one)), port)
         click.echo(f"bridge {bridge} answers at http://127.0.0.1:{face.port}/RPC2")
         try:
             threading.Event().wait()

@@ -7,20 +7,20 @@ __all__ = [
     "ANY_BRIDGE",
     "ASK",
     "FOLDER",
-    "LINK_VERSION",
+    "HEALTH",
+    "HEARTBEAT",
     "MACHINES",
     "MANAGED",
-    "PING",
-    "TOLD",
+    "PROTOCOL_VERSION",
     "attach",
+    "bridge_prefix",
     "clock",
     "flow",
     "here",
     "service",
-    "talk",
 ]
 
-LINK_VERSION = 2
+PROTOCOL_VERSION = 2
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"
@@ -28,8 +28,8 @@ FOLDER = "uoarm-host-"
 
 ALIVE = "uoarm/host/alive"
 ASK = "uoarm/host/ask"
-PING = "uoarm/host/ping"
-TOLD = "uoarm/manager/told"
+HEARTBEAT = "uoarm/host/heartbeat"
+HEALTH = "uoarm/manager/health"
 MANAGED = "uoarm/manager/alive"
 
 MACHINES = "uoarm/machine"
@@ -64,6 +64,6 @@ def clock(machine: str, host: str) -> str:
     return f"{machine}/clock/{host}"
 
 
-def talk(machine: str, bridge: str, time: str) -> str:
+def bridge_prefix(machine: str, bridge: str, time: str) -> str:
     """Name what stands before every key of one bridge while one manager uses it."""
     return f"{machine}/talk/{bridge}/{time}"

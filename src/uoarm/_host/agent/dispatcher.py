@@ -7,42 +7,46 @@ from collections.abc import Callable, Mapping
 from threading import Event
 from typing import Any
 
-from uoarm._host import _keys
-from uoarm._host._flow import Ending
-from uoarm._host._link import ANSWER_SECONDS, Link, Reply
-from uoarm._host._open_flows import OpenFlows
-from uoarm._host._tally import Tally
-from uoarm._host._workers import Workers
+from uoarm._host.agent.flows import OpenFlows
+from uoarm._host.transport import keys
+from uoarm._host.transport.flow import Ending
+from uoarm._host.transport.request_workers import RequestWorkers
+from uoarm._host.transport.shared_counters import SharedCounters
+from uoarm._host.transport.zenoh_transport import ANSWER_SECONDS, Reply, Transport
 from uoarm._version import __version__
 from uoarm._workers import WorkerPool
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Endpoint, Health, Message, MessageStructure, from_json, to_json
 
-__all__ = ["Serving"]
+__all__ = ["RequestDispatcher"]
 
 _log = logging.getLogger("uoarm")
 
 Request = Mapping[str, Any]
 
 
-class Serving:
+class RequestDispatcher:
     """Answers a manager's requests with a bridge, each in a thread of its own.
 
     Args:
         bridge: the bridge of this host.
-        link: to the manager.
+        transport: to the manager.
         ended: set when the manager has closed the bridge.
-        tally: where flows are counted; None where the manager shares no memory.
+        counters: where flows are counted; None where the manager shares no memory.
     """
 
     def __init__(
-        self, bridge: Bridge, link: Link, ended: Event, tally: Tally | None = None
+        self,
+        bridge: Bridge,
+        transport: Transport,
+        ended: Event,
+        counters: SharedCounters | None = None,
     ) -> None:
         self._bridge = bridge
-        self._link = link
-        self._flows = OpenFlows(link, tally)
-        self._workers = Workers("uoarm-ask")
+        self._transport = transport
+        self._flows = OpenFlows(transport, counters)
+        self._workers = RequestWorkers("uoarm-ask")
         self._teller = WorkerPool("uoarm-tell", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
@@ -67,9 +71,9 @@ class Serving:
     def begin(self) -> None:
         """Answer from now on, then show that the host is alive."""
         self._bridge.watch(self._noticed)
-        self._link.answer(_keys.ASK, self._take)
-        self._link.answer(_keys.PING, self._beat)
-        self._link.show_alive(_keys.ALIVE)
+        self._transport.answer(keys.ASK, self._take)
+        self._transport.answer(keys.HEARTBEAT, self._beat)
+        self._transport.show_alive(keys.ALIVE)
 
     def end(self) -> None:
         """Take no more requests; those under way end alone."""
@@ -78,8 +82,8 @@ class Serving:
         self._looker.close()
 
     def _beat(self, _: Any, reply: Reply) -> None:
-        """Answer the pulse at once; facts, which may take a framework's time, are for the next."""
-        reply(self._flows.pulse())
+        """Answer a heartbeat at once; facts, which may take their time, are for the next one."""
+        reply(self._flows.heartbeat())
         if not self._looking.is_set():
             self._looking.set()
             self._looker.submit(self._look)
@@ -107,7 +111,7 @@ class Serving:
     def _hello(self, request: Request) -> Any:
         del request
         return {
-            "link": _keys.LINK_VERSION,
+            "protocol": keys.PROTOCOL_VERSION,
             "contract": CONTRACT_VERSION,
             "version": __version__,
             "capabilities": to_json(self._bridge.capabilities),
@@ -123,16 +127,16 @@ class Serving:
 
     def _source(self, request: Request) -> bool:
         endpoint, structure = _port(request)
-        with self._flows.leaving(request["flow"], request["slot"], endpoint) as leaving:
-            leaving.channel = source = self._bridge.open_source(
-                endpoint, structure, leaving.deliver, timeout=ANSWER_SECONDS
+        with self._flows.outbound(request["flow"], request["slot"], endpoint) as outbound:
+            outbound.channel = source = self._bridge.open_source(
+                endpoint, structure, outbound.deliver, timeout=ANSWER_SECONDS
             )
         return source.latched
 
     def _sink(self, request: Request) -> bool:
         endpoint, structure = _port(request)
         sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
-        self._flows.arriving(request["flow"], request["slot"], sink)
+        self._flows.inbound(request["flow"], request["slot"], sink)
         return sink.blocking
 
     def _call(self, request: Request) -> Message:
@@ -145,10 +149,10 @@ class Serving:
     def _serve(self, request: Request) -> None:
         endpoint = from_json(request["endpoint"], Endpoint)
         structures = from_json(request["structures"], ServiceStructures)
-        key = _keys.service(request["flow"])
+        key = keys.service(request["flow"])
 
         def handle(message: Message) -> Message:
-            return self._link.ask(key, message)
+            return self._transport.ask(key, message)
 
         channel = self._bridge.serve(endpoint, handle, structures, timeout=ANSWER_SECONDS)
         self._flows.plain(request["flow"], channel)
@@ -171,9 +175,9 @@ class Serving:
         """Take an event in the bridge's thread; what concerns a source goes with its messages."""
         channel: Channel | None = event.channel
         if channel is not None and event.health in {Health.FINISHED, Health.LOST}:
-            leaving = self._flows.leaving_of(channel)
-            if leaving is not None:
-                leaving.finish(Ending(event.health.value, event.cause))
+            outbound = self._flows.outbound_of(channel)
+            if outbound is not None:
+                outbound.finish(Ending(event.health.value, event.cause))
                 return
         told = {
             "health": event.health.value,
@@ -185,7 +189,7 @@ class Serving:
 
     def _tell(self, told: Mapping[str, Any]) -> None:
         try:
-            self._link.ask(_keys.TOLD, told, timeout=5.0)
+            self._transport.ask(keys.HEALTH, told, timeout=5.0)
         except UoarmError as error:
             _log.warning("the manager was not told of %s: %s", told, error)
 

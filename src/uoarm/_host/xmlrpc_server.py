@@ -22,7 +22,7 @@ from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, to_json
 
-__all__ = ["XmlRpcFace"]
+__all__ = ["XmlRpcServer"]
 
 _LOOPBACK = "127.0.0.1"
 _LARGEST = 64 * 1024
@@ -35,7 +35,7 @@ _DIGITS = re.compile("[0-9]{1,9}")
 _log = logging.getLogger("uoarm.host")
 
 
-class XmlRpcFace:
+class XmlRpcServer:
     """Answers what a bridge knows of its endpoints; read-only, on the loopback interface only.
 
     Methods: `components()` names those of the configuration; `ports(component)` their ports;

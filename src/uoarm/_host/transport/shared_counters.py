@@ -1,4 +1,4 @@
-"""Tallies: how far each flow is, in memory that both processes map, so that no death hides it."""
+"""How far each flow is, in memory that both processes map, so that no death hides it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from array import array
 from collections import deque
 from pathlib import Path
 
-__all__ = ["Counter", "Tally"]
+__all__ = ["SharedCounter", "SharedCounters"]
 
 _SLOTS = 4096
 _WIDTH = 8
 
 
-class Tally:
+class SharedCounters:
     """A page of counters in a file, which may be removed once both ends have opened it.
 
     Args:
@@ -31,16 +31,16 @@ class Tally:
         self._free = deque(range(_SLOTS) if make else ())
         self._lock = threading.Lock()
 
-    def counter(self) -> Counter | None:
+    def counter(self) -> SharedCounter | None:
         """Give out a counter that stands at nought; None when there is none left."""
         with self._lock:
             if not self._free:
                 return None
-            counter = Counter(self, self._free.popleft())
+            counter = SharedCounter(self, self._free.popleft())
         counter.set(0)
         return counter
 
-    def take_back(self, counter: Counter | None) -> None:
+    def take_back(self, counter: SharedCounter | None) -> None:
         """Have a counter given out again, after all those that are free now."""
         if counter is not None:
             with self._lock:
@@ -51,24 +51,24 @@ class Tally:
         self.numbers = array("q", self.numbers)  # the map ends with its last reader
 
 
-class Counter:
-    """One number of a tally: written by one end, read by either.
+class SharedCounter:
+    """One of the shared counters: written by one end, read by either.
 
     Args:
-        tally: that it is part of.
+        counters: that it is part of.
         slot: where; the end that gave it out has told the other.
     """
 
-    __slots__ = ("_tally", "slot")
+    __slots__ = ("_counters", "slot")
 
-    def __init__(self, tally: Tally, slot: int) -> None:
-        self._tally = tally
+    def __init__(self, counters: SharedCounters, slot: int) -> None:
+        self._counters = counters
         self.slot = slot
 
     def set(self, value: int) -> None:
         """Write the number."""
-        self._tally.numbers[self.slot] = value
+        self._counters.numbers[self.slot] = value
 
     def read(self) -> int:
-        """Return the number as it is now, or was when its tally closed."""
-        return self._tally.numbers[self.slot]
+        """Return the number as it is now, or was when they were closed."""
+        return self._counters.numbers[self.slot]

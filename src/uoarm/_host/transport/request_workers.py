@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from uoarm._host._link import Reply
+from uoarm._host.transport.zenoh_transport import Reply
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["Workers"]
+__all__ = ["RequestWorkers"]
 
 _AT_ONCE = 64
 
 
-class Workers:
+class RequestWorkers:
     """Answers at most 64 requests at a time; more are refused at once."""
 
     def __init__(self, name: str) -> None:

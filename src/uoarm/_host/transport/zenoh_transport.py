@@ -1,4 +1,4 @@
-"""The link between a manager and a bridge host: one Zenoh session at either end of a unix socket.
+"""The transport between a manager and a host: one Zenoh session at either end of a socket.
 
 Requests are Zenoh queries whose payloads are frames of the codec. Every request gets a reply or
 an error, also when the answering function raises. Foreign exceptions end here.
@@ -7,21 +7,21 @@ an error, also when the answering function raises. Foreign exceptions end here.
 from __future__ import annotations
 
 import copy
+import json
 import logging
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from types import MappingProxyType
 from typing import Any
 
 import zenoh
 
-from uoarm._host._codec import pack, unpack
-from uoarm._host._failures import from_failure, to_failure
-from uoarm._host._link_settings import NO_MORE, configuration
+from uoarm._host.transport.codec import from_failure, pack, to_failure, unpack
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 
-__all__ = ["ANSWER_SECONDS", "Link", "Reply"]
+__all__ = ["ANSWER_SECONDS", "NO_MORE", "Reply", "Transport", "configuration"]
 
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
@@ -32,18 +32,21 @@ Reply = Callable[[Any], None]
 _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
+NO_MORE: Mapping[str, object] = MappingProxyType({})
+_FULL_MICROSECONDS = 200_000
+_RETRY_MILLISECONDS = 200
 
 
-class Link:
-    """One end of a link. All methods may be called from any thread.
+class Transport:
+    """One end of a transport. All methods may be called from any thread.
 
     Args:
-        place: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
+        address: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
         listen: whether this end waits for the other one; it must be there first.
         timeout: seconds for the connection to stand, where this end connects, or connects again;
             `close` waits as long for such a try.
         lease: seconds without a sign of life after which the other end is taken for gone. The
-            pulse notices a host that hangs, so this may be long.
+            heartbeat notices a host that hangs, so this may be long.
         shared_memory: whether large frames cross in shared memory; both ends must say the same.
         more: further settings of the session, by name.
 
@@ -56,7 +59,7 @@ class Link:
 
     def __init__(
         self,
-        place: str,
+        address: str,
         *,
         listen: bool,
         timeout: float = 10.0,
@@ -64,9 +67,9 @@ class Link:
         shared_memory: bool = False,
         more: Mapping[str, object] = NO_MORE,
     ) -> None:
-        with _wrapped(f"opening the link at {place}"):
+        with _wrapped(f"opening the link at {address}"):
             settings = configuration(
-                place,
+                address,
                 listen=listen,
                 timeout=timeout,
                 lease=lease,
@@ -78,8 +81,8 @@ class Link:
         self._kept: list[Any] = []
         self.ahead: Callable[[], int] = _same_clock
 
-    def part(self, prefix: str) -> Link:
-        """Return a link over the same session that sees every key behind a prefix.
+    def part(self, prefix: str) -> Transport:
+        """Return a transport over the same session that sees every key behind a prefix.
 
         Closing it ends what was declared through it; the session stays.
         """
@@ -121,7 +124,7 @@ class Link:
         raise BridgeError(text, FailureReason.CONTRACT)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
-        """Have requests at a key handed to `take`, in the link's thread; returns what ends it.
+        """Have requests at a key handed to `take`, in the transport's thread; returns what ends it.
 
         `take` must not block: it answers at once, or hands the reply to another thread.
         """
@@ -179,7 +182,7 @@ class Link:
         return receive, self._keep(subscriber)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have the headers of frames at a key handed to `take`, in the link's thread."""
+        """Have the headers of frames at a key handed to `take`, in the transport's thread."""
 
         def handle(sample: zenoh.Sample) -> None:
             header = sample.attachment
@@ -196,7 +199,7 @@ class Link:
             self._keep(self._session.liveliness().declare_token(self._prefix + key))
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
-        """Have the coming and going of a token told, in the link's thread."""
+        """Have the coming and going of a token told, in the transport's thread."""
         self.watch_tokens(key, lambda _, alive: seen(alive))
 
     def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> None:
@@ -208,12 +211,12 @@ class Link:
 
         with _wrapped("watching for tokens"):
             tokens = self._session.liveliness()
-            place = self._prefix + keys
-            subscriber = tokens.declare_subscriber(place, _directly(handle), history=True)
+            address = self._prefix + keys
+            subscriber = tokens.declare_subscriber(address, _directly(handle), history=True)
         self._keep(subscriber)
 
     def close(self) -> None:
-        """End everything of this end, or of this part of it. Once is enough."""
+        """End everything of this end, or of this part of it. Idempotent."""
         kept = list(self._kept)
         self._kept.clear()
         if self._prefix:
@@ -270,3 +273,40 @@ def _wrapped(step: str) -> Iterator[None]:
     except zenoh.ZError as error:
         text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
         raise BridgeError(f"{step} failed: {text}", FailureReason.UNAVAILABLE) from error
+
+
+def configuration(
+    address: str,
+    *,
+    listen: bool,
+    timeout: float,
+    lease: float,
+    shared_memory: bool,
+    more: Mapping[str, object] = NO_MORE,
+) -> zenoh.Config:
+    """Return settings under which nothing is found by itself and nothing listens elsewhere."""
+    settings: dict[str, object] = {
+        "mode": "router" if listen else "client",
+        "listen/endpoints": [address] if listen else [],
+        "connect/endpoints": [] if listen else [address],
+        "connect/timeout_ms": int(timeout * 1000),
+        "connect/retry": {
+            "period_init_ms": _RETRY_MILLISECONDS,
+            "period_max_ms": _RETRY_MILLISECONDS,
+        },
+        "scouting/delay": 0,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": shared_memory,
+        "transport/unicast/open_timeout": int(timeout * 1000),
+        "transport/link/tx/lease": int(lease * 1000),
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
+            _FULL_MICROSECONDS
+        ),
+        **more,
+    }
+    configuration: zenoh.Config = zenoh.Config()
+    for name, value in settings.items():
+        configuration.insert_json5(name, json.dumps(value))
+    return configuration

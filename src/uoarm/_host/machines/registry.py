@@ -7,14 +7,13 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 
-from uoarm._host import _keys
-from uoarm._host._link import Link
-from uoarm._host._offset import ClockOffset
-from uoarm._host._security import MANAGER, Identity, access_list
+from uoarm._host.transport import keys
+from uoarm._host.transport.security import MANAGER, Identity, access_list
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import UoarmError
 from uoarm.model import Listening
 
-__all__ = ["MachineDesk"]
+__all__ = ["ClockOffset", "MachineRegistry"]
 
 _CLOCK_SECONDS = 1.0
 _ANSWER_SECONDS = 0.5
@@ -22,16 +21,18 @@ _JOIN_SECONDS = 2.0
 _MOST_HOSTS = 64
 _MOST_BRIDGES = 1024
 _END_OF_TIME = 2**63  # in nanoseconds, in the year 2262
+_SET_NANOSECONDS = 50_000_000
+_KEPT = 16
 
 
-class MachineDesk:
+class MachineRegistry:
     """Waits for hosts on other machines at one address, from its making until it is closed.
 
     Args:
         listening: the address, and the folder of the manager's certificate.
         machines: the names that may join; everybody else is denied everything.
-        changed: told in the link's thread that a host of a machine has come or gone: the name of
-            the machine, and the bridge that it serves, None for every one. Must not block.
+        changed: called in the transport's thread when a host of a machine has come or gone: with
+            the machine's name, and the bridge that it serves, None for every one. Must not block.
 
     Raises:
         BridgeError: the address cannot be had, or the certificate not be used.
@@ -55,9 +56,9 @@ class MachineDesk:
         self._offsets = {name: ClockOffset() for name in names}
         self._since = time.monotonic()
         self._stopped = threading.Event()
-        self._whole = Link(listening.place, listen=True, lease=listening.silence, more=more)
-        self._link = self._whole.part(_keys.MACHINES)
-        self._link.watch_tokens(_keys.here("*", "*", "*"), self._seen)
+        self._whole = Transport(listening.place, listen=True, lease=listening.silence, more=more)
+        self._transport = self._whole.part(keys.MACHINES)
+        self._transport.watch_tokens(keys.here("*", "*", "*"), self._seen)
         self._asking = threading.Thread(
             target=self._ask_for_times, name="uoarm-clocks", daemon=True
         )
@@ -74,7 +75,7 @@ class MachineDesk:
             self._news.wait_for(
                 lambda: (
                     self._stopped.is_set()
-                    or not self._came[machine].isdisjoint({bridge, _keys.ANY_BRIDGE})
+                    or not self._came[machine].isdisjoint({bridge, keys.ANY_BRIDGE})
                 ),
                 max(0.0, deadline - time.monotonic()),
             )
@@ -85,11 +86,11 @@ class MachineDesk:
         with self._news:
             return self._serving(machine, bridge) is not None
 
-    def part(self, prefix: str) -> Link:
-        """Return a link to what lies behind a prefix of the keys of machines."""
-        return self._link.part(prefix)
+    def part(self, prefix: str) -> Transport:
+        """Return a transport to what lies behind a prefix of the keys of machines."""
+        return self._transport.part(prefix)
 
-    def meet(self, machine: str, host: str, timeout: float) -> None:
+    def measure_clock(self, machine: str, host: str, timeout: float) -> None:
         """Ask a host for its time, which one that hangs does not tell.
 
         Raises:
@@ -97,7 +98,7 @@ class MachineDesk:
             BridgeTimeoutError: no answer in time.
         """
         asked, began = time.time_ns(), time.monotonic_ns()
-        theirs = self._link.ask(_keys.clock(machine, host), None, timeout=timeout)
+        theirs = self._transport.ask(keys.clock(machine, host), None, timeout=timeout)
         if type(theirs) is int and 0 <= theirs < _END_OF_TIME:
             self._offsets[machine].add(asked, theirs, time.time_ns(), time.monotonic_ns() - began)
 
@@ -108,14 +109,14 @@ class MachineDesk:
             UoarmError: what making it raised.
             BridgeError: UNAVAILABLE when the host has gone.
         """
-        self._link.ask(_keys.attach(machine, host), orders, timeout=timeout)
+        self._transport.ask(keys.attach(machine, host), orders, timeout=timeout)
 
     def offset(self, machine: str) -> ClockOffset:
         """Return what is known of a machine's clock; it goes on learning."""
         return self._offsets[machine]
 
     def close(self) -> None:
-        """Let every machine go. Once is enough."""
+        """Let every machine go. Idempotent."""
         self._stopped.set()
         with self._news:
             self._news.notify_all()
@@ -127,10 +128,10 @@ class MachineDesk:
         """Return the newest host that serves just this bridge, else the newest that serves all."""
         newest = self._hosts[machine][::-1]
         just = (host for served, host in newest if served == bridge)
-        every = (host for served, host in newest if served == _keys.ANY_BRIDGE)
+        every = (host for served, host in newest if served == keys.ANY_BRIDGE)
         return next(just, next(every, None))
 
-    def _seen(self, key: str, present: bool) -> None:  # noqa: FBT001 - told, not asked
+    def _seen(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
         machine, _, bridge, host = key.split("/")
         if machine not in self._hosts:
             return
@@ -145,7 +146,7 @@ class MachineDesk:
             if not hosts:
                 self._offsets[machine].clear()
             self._news.notify_all()
-        self._changed(machine, None if bridge == _keys.ANY_BRIDGE else bridge)
+        self._changed(machine, None if bridge == keys.ANY_BRIDGE else bridge)
 
     def _ask_for_times(self) -> None:
         while not self._stopped.wait(_CLOCK_SECONDS):
@@ -153,4 +154,45 @@ class MachineDesk:
                 present = {name: one[-1][1] for name, one in self._hosts.items() if one}
             for machine, host in present.items():
                 with suppress(UoarmError):  # whoever uses the machine notices that it is silent
-                    self.meet(machine, host, _ANSWER_SECONDS)
+                    self.measure_clock(machine, host, _ANSWER_SECONDS)
+
+
+class ClockOffset:
+    """Keeps the last answers to "what time is it", and trusts the one that was quickest.
+
+    The true offset is within half of that answer's round trip. Clocks drift, so old answers go.
+    """
+
+    def __init__(self) -> None:
+        self._answers: tuple[tuple[int, int], ...] = ()
+
+    def add(self, asked: int, theirs: int, answered: int, took: int | None = None) -> None:
+        """Take one answer: our times of question and answer and theirs between, nanoseconds.
+
+        With `took`, the same time by a clock that cannot be set, an answer during which our clock
+        was set is thrown away, and so are those before it, which knew the clock as it was.
+        """
+        if took is not None and abs(answered - asked - took) > _SET_NANOSECONDS:
+            self.clear()
+            return
+        answer = max(0, answered - asked), theirs - (asked + answered) // 2
+        self._answers = (*self._answers[1 - _KEPT :], answer)
+
+    def clear(self) -> None:
+        """Forget everything: the machine may come back with another clock."""
+        self._answers = ()
+
+    @property
+    def known(self) -> bool:
+        """Whether there was an answer."""
+        return bool(self._answers)
+
+    @property
+    def nanoseconds(self) -> int:
+        """By how much their clock is ahead of ours; 0 while nothing is known."""
+        return min(self._answers, default=(0, 0))[1]
+
+    @property
+    def round_trip(self) -> int:
+        """The quickest round trip, nanoseconds; the offset is right to half of it."""
+        return min(self._answers, default=(0, 0))[0]

@@ -15,13 +15,13 @@ from collections.abc import Callable
 import msgpack
 from attrs import astuple, frozen
 
-from uoarm._host._codec import pack, unpack
-from uoarm._host._link import Link
-from uoarm._host._tally import Counter
+from uoarm._host.transport.codec import pack, unpack
+from uoarm._host.transport.shared_counters import SharedCounter
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
 
-__all__ = ["Ending", "Handled", "Incoming", "Outgoing"]
+__all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
 
 _WINDOW = 64
 _CONFIRM_EACH = _WINDOW // 4
@@ -57,17 +57,17 @@ class Handled:
     lost: int
 
 
-class Outgoing:
+class FlowSender:
     """The sending end of a flow. `send` is called by one thread at a time.
 
     Args:
-        link: carries it.
+        transport: carries it.
         key: name of the flow on the link.
         patience: seconds that `send` waits while a whole window is under way.
     """
 
-    def __init__(self, link: Link, key: str, patience: float) -> None:
-        self._link = link
+    def __init__(self, transport: Transport, key: str, patience: float) -> None:
+        self._transport = transport
         self._key = key
         self._patience = patience
         self._number = 0
@@ -79,7 +79,7 @@ class Outgoing:
         self.failed = 0
         self.last_error = ""
         self.lost = 0
-        self._end = link.listen(f"{key}/handled", self._read_confirmation)
+        self._end = transport.listen(f"{key}/handled", self._read_confirmation)
 
     @property
     def sent(self) -> int:
@@ -123,14 +123,14 @@ class Outgoing:
             self._room.notify_all()
 
     def close(self) -> None:
-        """Send nothing more. Once is enough."""
+        """Send nothing more. Idempotent."""
         self.cut("it is closed")
         self._end()
 
     def _put(self, frame: bytes, ending: tuple[str, str] | None) -> None:
         self._number += 1
         header = msgpack.packb((self._number, self._skipped, time.time_ns(), ending))
-        self._link.publish(self._key, frame, header, must_arrive=ending is not None)
+        self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
 
     def _wait_for_room(self) -> None:
         """Return when there is room; without any, let one message a while through as a try.
@@ -172,11 +172,11 @@ class Outgoing:
                 _log.debug("%s: no confirmation: %.40s", self._key, told)
 
 
-class Incoming:
+class FlowReceiver:
     """The receiving end of a flow: a thread that takes one message after the other.
 
     Args:
-        link: carries it.
+        transport: carries it.
         key: name of the flow on the link.
         name: for the thread.
         take: the consumer; what it raises is counted and told to the sending end.
@@ -186,15 +186,15 @@ class Incoming:
 
     def __init__(
         self,
-        link: Link,
+        transport: Transport,
         key: str,
         *,
         name: str,
         take: Callable[[Message], None],
         ended: Callable[[Ending], None],
-        counter: Counter | None = None,
+        counter: SharedCounter | None = None,
     ) -> None:
-        self._link = link
+        self._transport = transport
         self._key = key
         self._take = take
         self._ended = ended
@@ -209,7 +209,7 @@ class Incoming:
         self.failed = 0
         self.last_error = ""
         self.latency = 0.0
-        self._receive, self._end = link.subscribe(key, 2 * _WINDOW)
+        self._receive, self._end = transport.subscribe(key, 2 * _WINDOW)
         self._thread = threading.Thread(target=self._run, name=f"uoarm-from-{name}", daemon=True)
         self._thread.start()
 
@@ -218,7 +218,7 @@ class Incoming:
         return Handled(self._number, self.failed, self.last_error, self.lost)
 
     def close(self) -> None:
-        """Begin no other `take`; one under way finishes alone. Once is enough."""
+        """Begin no other `take`; one under way finishes alone. Idempotent."""
         self._closed = True
         self._end()
 
@@ -253,7 +253,7 @@ class Incoming:
         number, skipped, sent_at, ending = told
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
-        self.latency = max(0.0, (time.time_ns() + self._link.ahead() - sent_at) / 1e9)
+        self.latency = max(0.0, (time.time_ns() + self._transport.ahead() - sent_at) / 1e9)
         if ending is not None:
             self._ended(ending)
         else:
@@ -275,7 +275,7 @@ class Incoming:
             return
         self._confirmed, self._confirmed_at = self._number, now
         header = msgpack.packb(astuple(self.handled()))
-        self._link.publish(f"{self._key}/handled", b"", header, must_arrive=True)
+        self._transport.publish(f"{self._key}/handled", b"", header, must_arrive=True)
 
 
 def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:

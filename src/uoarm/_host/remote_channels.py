@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from uoarm._host._flow import Incoming, Outgoing
-from uoarm._host._tally import Counter
+from uoarm._host.transport.flow import FlowReceiver, FlowSender
+from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import UoarmError
 from uoarm.model import Endpoint, Message
@@ -61,8 +61,8 @@ class RemoteSource(RemoteChannel, Source):
         given: how many were handed on.
     """
 
-    incoming: Incoming
-    counter: Counter | None = None
+    incoming: FlowReceiver
+    counter: SharedCounter | None = None
     given: int = 0
 
     def facts(self) -> Mapping[str, object]:
@@ -99,8 +99,8 @@ class RemoteSink(RemoteChannel, Sink):
         counter: of the messages that the component in the host took; None: not known at once.
     """
 
-    outgoing: Outgoing
-    counter: Counter | None = None
+    outgoing: FlowSender
+    counter: SharedCounter | None = None
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what became of the messages sent."""

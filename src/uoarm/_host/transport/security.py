@@ -12,7 +12,7 @@ from pathlib import Path
 
 from attrs import frozen
 
-from uoarm._host import _keys
+from uoarm._host.transport import keys
 from uoarm.errors import BridgeError, FailureReason
 
 __all__ = ["MANAGER", "Identity", "access_list"]
@@ -90,7 +90,7 @@ def access_list(machines: Iterable[str], *, named: bool) -> Mapping[str, object]
             "permission": "allow",
             "flows": ["ingress", "egress"],
             "messages": list(_MESSAGES),
-            "key_exprs": [f"{_keys.MACHINES}/{name}/**"],
+            "key_exprs": [f"{keys.MACHINES}/{name}/**"],
         }
         for name in names
     ]

@@ -11,17 +11,17 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
-from uoarm._host import _keys
-from uoarm._host._link import Link, Reply
-from uoarm._host._security import Identity
-from uoarm._host._served import Served
-from uoarm._host._workers import Workers
+from uoarm._host.agent.dispatcher import RequestDispatcher
+from uoarm._host.transport import keys
+from uoarm._host.transport.request_workers import RequestWorkers
+from uoarm._host.transport.security import Identity
+from uoarm._host.transport.zenoh_transport import Reply, Transport
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec
 
-__all__ = ["JoinedHost"]
+__all__ = ["HostAgent", "HostedBridge"]
 
 _TRY_SECONDS = 2.0
 _AGAIN_SECONDS = 0.3
@@ -29,16 +29,17 @@ _UNASKED_SECONDS = 10.0
 _log = logging.getLogger("uoarm")
 
 Orders = Mapping[str, Any]
+_CLOSE_SECONDS = 5.0
 
 
-class JoinedHost:
+class HostAgent:
     """Makes the bridges that the manager asks for, until it is closed.
 
     Each is made when the manager takes it up and closed when the manager lets it go, dies, or can
     no longer be reached; then the host waits for it to come back.
 
     Args:
-        place: where the manager listens.
+        address: where the manager listens.
         machine: the name of this machine, as its certificate and the configuration have it.
         identity: its certificate; None without TLS.
         bridges: names of the bridges to serve; empty: every one of this machine.
@@ -49,7 +50,7 @@ class JoinedHost:
 
     def __init__(
         self,
-        place: str,
+        address: str,
         machine: str,
         *,
         identity: Identity | None,
@@ -58,17 +59,17 @@ class JoinedHost:
         silence: float = 3.0,
         registry: Registry | None = None,
     ) -> None:
-        self._place = place
+        self._address = address
         self._machine = machine
         self._more = {} if identity is None else identity.settings(listen=False)
-        self._bridges = tuple(bridges) or (_keys.ANY_BRIDGE,)
+        self._bridges = tuple(bridges) or (keys.ANY_BRIDGE,)
         self._modules = str(Path(modules).resolve())
         self._silence = silence
         self._registry = registry or Registry()
         self._name = uuid.uuid4().hex[:12]
-        self._workers = Workers("uoarm-attach")
+        self._workers = RequestWorkers("uoarm-attach")
         self._lock = threading.Lock()
-        self._served: list[Served] = []
+        self._hosted: list[HostedBridge] = []
         self._asked = Event()
         self._closed = Event()
 
@@ -77,43 +78,43 @@ class JoinedHost:
         whole = self._connect()
         if whole is None:
             return
-        _log.info("the manager at %s is reached", self._place)
-        link = self._link = whole.part(_keys.MACHINES)
+        _log.info("the manager at %s is reached", self._address)
+        transport = self._transport = whole.part(keys.MACHINES)
         try:
-            link.answer(_keys.attach(self._machine, self._name), self._take)
-            link.answer(_keys.clock(self._machine, self._name), self._tell_time)
+            transport.answer(keys.attach(self._machine, self._name), self._take)
+            transport.answer(keys.clock(self._machine, self._name), self._tell_time)
             for bridge in self._bridges:
-                link.show_alive(_keys.here(self._machine, bridge, self._name))
+                transport.show_alive(keys.here(self._machine, bridge, self._name))
             if not self._asked.wait(_UNASKED_SECONDS) and not self._closed.is_set():
                 _log.warning(
                     "%s is reached, but does not ask: does its configuration know the machine %r, "
                     "and is this the name in the certificate?",
-                    self._place,
+                    self._address,
                     self._machine,
                 )
             self._closed.wait()
         finally:
             with self._lock:
-                served = list(self._served)
-            for one in served:
+                hosted = list(self._hosted)
+            for one in hosted:
                 one.let_go()  # all at once, since each may take its time
-            for one in served:
+            for one in hosted:
                 one.end()
             self._workers.close()
             whole.close()
 
     def close(self) -> None:
-        """Have `run` close every bridge and return. From any thread; once is enough."""
+        """Have `run` close every bridge and return. From any thread; idempotent."""
         self._closed.set()
         self._asked.set()
 
-    def _connect(self) -> Link | None:
+    def _connect(self) -> Transport | None:
         """Try until the manager is there; what is in the way is told once, not at each try."""
         told = ""
         while not self._closed.is_set():
             try:
-                return Link(
-                    self._place,
+                return Transport(
+                    self._address,
                     listen=False,
                     timeout=_TRY_SECONDS,
                     lease=self._silence,
@@ -125,7 +126,7 @@ class JoinedHost:
                     _log.warning(
                         "waiting for the manager at %s: it is not there, or the two do not "
                         "believe each other's certificates (%s)",
-                        self._place,
+                        self._address,
                         told,
                     )
                 self._closed.wait(_AGAIN_SECONDS)
@@ -142,34 +143,34 @@ class JoinedHost:
         """Make a bridge, after older ones of this name that are on their way out."""
         _require_same_version(orders)
         name: str = orders["name"]
-        if not {name, _keys.ANY_BRIDGE} & set(self._bridges):
+        if not {name, keys.ANY_BRIDGE} & set(self._bridges):
             raise BridgeError(f"this host does not serve {name!r}", FailureReason.NOT_FOUND)
         options = dict(orders["options"])
         if orders["plugin"] == "python":
             options.setdefault("path", [self._modules])
         with self._lock:
-            leaving = [one for one in self._served if one.name == name and one.is_leaving]
-        for one in leaving:
+            ending = [one for one in self._hosted if one.name == name and one.is_ending]
+        for one in ending:
             one.end()
-        served = Served(
+        hosted = HostedBridge(
             self._registry, BridgeSpec(name, orders["plugin"], options), self._part(orders)
         )
         with self._lock:
-            self._served = [one for one in self._served if not one.has_left]
-            self._served.append(served)
+            self._hosted = [one for one in self._hosted if not one.is_closed]
+            self._hosted.append(hosted)
         if self._closed.is_set():
-            served.end()
+            hosted.end()
 
-    def _part(self, orders: Orders) -> Link:
+    def _part(self, orders: Orders) -> Transport:
         prefix: str = orders["prefix"]
-        expected = _keys.talk(self._machine, orders["name"], "")
+        expected = keys.bridge_prefix(self._machine, orders["name"], "")
         if not prefix.startswith(expected):
             raise BridgeError(f"orders behind {prefix!r}, expected {expected}...")
-        return self._link.part(prefix)
+        return self._transport.part(prefix)
 
 
 def _require_same_version(orders: Orders) -> None:
-    ours = {"link": _keys.LINK_VERSION, "contract": CONTRACT_VERSION}
+    ours = {"protocol": keys.PROTOCOL_VERSION, "contract": CONTRACT_VERSION}
     for what, version in ours.items():
         if orders.get(what) != version:
             text = (
@@ -177,3 +178,70 @@ def _require_same_version(orders: Orders) -> None:
                 f"{orders.get(what)}: install the same uoarm on both machines"
             )
             raise BridgeError(text, FailureReason.UNSUPPORTED)
+
+
+class HostedBridge:
+    """One bridge while one manager uses it; closed when the manager says so, or its token goes.
+
+    Args:
+        registry: the plugins.
+        spec: the bridge.
+        transport: to the manager, for this bridge alone; closed with it.
+
+    Attributes:
+        name: of the bridge.
+
+    Raises:
+        UoarmError: the bridge could not be made.
+    """
+
+    def __init__(self, registry: Registry, spec: BridgeSpec, transport: Transport) -> None:
+        self.name = spec.name
+        self._transport = transport
+        self._ended = Event()
+        transport.watch_alive(keys.MANAGED, self._managed)
+        try:
+            self._bridge = registry.create(spec)
+        except BaseException:
+            transport.close()
+            raise
+        self._serving = RequestDispatcher(self._bridge, transport, self._ended)
+        self._serving.begin()
+        self._thread = threading.Thread(
+            target=self._wait, name=f"uoarm-served-{spec.name}", daemon=True
+        )
+        self._thread.start()
+        _log.info("bridge %s is taken up", self.name)
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether its manager has gone, or let it go."""
+        return self._ended.is_set()
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it is closed."""
+        return not self._thread.is_alive()
+
+    def let_go(self) -> None:
+        """Begin to close the bridge; returns at once."""
+        self._ended.set()
+
+    def end(self) -> None:
+        """Close the bridge and wait until that is done, five seconds at most."""
+        self.let_go()
+        self._thread.join(_CLOSE_SECONDS)
+
+    def _managed(self, present: bool) -> None:  # noqa: FBT001 - a callback
+        if not present:
+            self._ended.set()
+
+    def _wait(self) -> None:
+        self._ended.wait()
+        try:
+            self._bridge.close()
+        except UoarmError as error:
+            _log.warning("%s", error)
+        self._serving.end()
+        self._transport.close()
+        _log.info("bridge %s is let go", self.name)

@@ -1,45 +1,47 @@
-"""One host from start to end: its folder, link, process and pulse."""
+"""One host process from start to end: its folder, transport, process and heartbeat."""
 
 from __future__ import annotations
 
 import atexit
 import logging
 import os
+import re
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from uoarm._host import _keys
-from uoarm._host._folders import link_folder
-from uoarm._host._lifeline import Lifeline
-from uoarm._host._link import Link
-from uoarm._host._process import HostProcess, host_command
-from uoarm._host._pulse import Pulse
-from uoarm._host._settings import HostSettings
-from uoarm._host._tally import Tally
+from uoarm._host.process.host_process import HostProcess, host_command
+from uoarm._host.process.settings import HostSettings
+from uoarm._host.transport import keys
+from uoarm._host.transport.keys import FOLDER
+from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
+from uoarm._host.transport.shared_counters import SharedCounters
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec
 
-__all__ = ["HostConnection"]
+__all__ = ["ProcessConnection", "link_folder"]
 
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
 _JOIN_SECONDS = 2.0
 _LEASE_SECONDS = 10.0
+_OWNED = re.compile(re.escape(FOLDER) + r"(\d+)-")
 
 
-class HostConnection:
-    """Starts a host and returns when it is ready: its token seen and its greeting heard.
+class ProcessConnection:
+    """Starts a host and returns when it is ready: its token seen and its greeting received.
 
     Args:
         spec: the bridge that runs in it.
         settings: of the host.
-        heard: told what every answer of its pulse holds.
-        doubted: told that it does not answer, or does again, and the cause.
-        died: told once why it died; `dead` is set already.
+        on_answer: called with what every answer to a heartbeat holds.
+        on_doubt: called when it does not answer, or does again, and the cause.
+        on_death: called once with why it died; `dead` is set already.
         origin: the configuration file, which the host's command line shows.
 
     Raises:
@@ -53,36 +55,36 @@ class HostConnection:
         spec: BridgeSpec,
         settings: HostSettings,
         *,
-        heard: Callable[[Any], None],
-        doubted: Callable[[bool, str], None],
-        died: Callable[[str], None],
+        on_answer: Callable[[Any], None],
+        on_doubt: Callable[[bool, str], None],
+        on_death: Callable[[str], None],
         origin: str = "",
     ) -> None:
         self._name = spec.name
         self._memory = settings.memory
-        self._life = Lifeline(spec.name, doubted, died)
-        self._link: Link | None = None
+        self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
+        self._transport: Transport | None = None
         self._started: HostProcess | None = None
-        self._pulse: Pulse | None = None
+        self._heartbeat: Heartbeat | None = None
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter(), spec.name, origin)
         variables = settings.process_variables(os.environ)
-        folder, self.tally = _tallied_folder(spec.name)
+        folder, self.counters = _folder_with_counters(spec.name)
         try:
-            place = f"unixsock-stream/{folder}/link"
+            address = f"unixsock-stream/{folder}/link"
             lease = max(_LEASE_SECONDS, 3 * settings.silence)
             shared = settings.shared_memory
-            self._link = Link(place, listen=True, lease=lease, shared_memory=shared)
-            self._link.watch_alive(_keys.ALIVE, self._life.seen)
+            self._transport = Transport(address, listen=True, lease=lease, shared_memory=shared)
+            self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
             self._started = HostProcess(spec.name, command, variables, self._exited)
             self._started.tell(
                 {
                     "name": spec.name,
                     "plugin": spec.plugin,
                     "options": dict(spec.options),
-                    "place": place,
+                    "address": address,
                     "folder": str(folder),
-                    "tally": str(folder / "tally"),
+                    "counters": str(folder / "counters"),
                     "parent": os.getpid(),
                     "memory": settings.memory_bytes,
                     "lease": lease,
@@ -96,27 +98,27 @@ class HostConnection:
             raise
         finally:
             shutil.rmtree(folder, ignore_errors=True)  # both ends stand: nobody needs it now
-        self._pulse = Pulse(
+        self._heartbeat = Heartbeat(
             spec.name,
-            self._link,
+            self._transport,
             silence=settings.silence,
-            heard=heard,
-            doubted=self._life.doubt,
-            given_up=self._give_up,
+            on_answer=on_answer,
+            on_doubt=self._liveness.doubt,
+            on_silence=self._give_up,
         )
-        self._pulse.start()
+        self._heartbeat.start()
         atexit.register(self._end_with_python)
 
     @property
     def dead(self) -> str:
         """Why the host died, "" while it lives."""
-        return self._life.dead
+        return self._liveness.dead
 
     @property
-    def link(self) -> Link:
-        """The link to the host."""
-        assert self._link is not None, "the constructor raises when there is none"
-        return self._link
+    def transport(self) -> Transport:
+        """The transport to the host."""
+        assert self._transport is not None, "the constructor raises when there is none"
+        return self._transport
 
     @property
     def process(self) -> int:
@@ -131,7 +133,7 @@ class HostConnection:
             UoarmError: what the bridge raised.
             BridgeError: UNAVAILABLE when the host is dead; the text says of what it died.
         """
-        return self._life.ask(self.link, operation, values)
+        return self._liveness.ask(self.transport, operation, values)
 
     def close(self, say_close: Callable[[], object] | None) -> None:
         """End the host: with `say_close` when it is given and the host lives, else at once.
@@ -141,9 +143,9 @@ class HostConnection:
             BridgeError: its process does not end.
         """
         atexit.unregister(self._end_with_python)
-        self._life.give_back()
-        if self._pulse is not None:
-            self._pulse.stop()
+        self._liveness.expect_end()
+        if self._heartbeat is not None:
+            self._heartbeat.stop()
         try:
             if say_close is not None and not self.dead:
                 say_close()
@@ -153,11 +155,11 @@ class HostConnection:
                 if self._started is not None:
                     self._started.end(_POLITE_SECONDS if ends_alone else 0.0)
             finally:
-                if self._pulse is not None:
-                    self._pulse.join(_JOIN_SECONDS)
-                if self._link is not None:
-                    self._link.close()
-                    self.tally.close()
+                if self._heartbeat is not None:
+                    self._heartbeat.join(_JOIN_SECONDS)
+                if self._transport is not None:
+                    self._transport.close()
+                    self.counters.close()
 
     def _end_with_python(self) -> None:
         """End a host that nobody closed before the interpreter ends."""
@@ -169,7 +171,7 @@ class HostConnection:
     def _await_token(self, deadline: float) -> None:
         """Wait for the token; where the process ended instead, say what it printed last."""
         try:
-            self._life.await_token(deadline)
+            self._liveness.await_token(deadline)
         except BridgeError as error:
             if not self.dead or self._started is None:
                 raise
@@ -177,8 +179,8 @@ class HostConnection:
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
     def _greet(self, deadline: float) -> Mapping[str, Any]:
-        greeting = self._life.greet(self.link, deadline)
-        ours = {"link": _keys.LINK_VERSION, "contract": CONTRACT_VERSION}
+        greeting = self._liveness.greet(self.transport, deadline)
+        ours = {"protocol": keys.PROTOCOL_VERSION, "contract": CONTRACT_VERSION}
         for what, version in ours.items():
             if greeting.get(what) != version:
                 raise BridgeError(
@@ -190,15 +192,17 @@ class HostConnection:
         return greeting
 
     def _exited(self, how: str) -> None:
-        self._life.die(f"{how}; it might have {self._memory} of memory" if self._memory else how)
+        self._liveness.die(
+            f"{how}; it might have {self._memory} of memory" if self._memory else how
+        )
 
     def _give_up(self, silent: float) -> None:
-        self._life.die(f"it has not answered for {silent:.1f} s")
+        self._liveness.die(f"it has not answered for {silent:.1f} s")
         if self._started is not None:
             self._started.kill()
 
 
-def _tallied_folder(name: str) -> tuple[Path, Tally]:
+def _folder_with_counters(name: str) -> tuple[Path, SharedCounters]:
     """Make the folder of a link, with the counters that both ends share.
 
     Raises:
@@ -207,9 +211,32 @@ def _tallied_folder(name: str) -> tuple[Path, Tally]:
     folder: Path | None = None
     try:
         folder = link_folder()
-        return folder, Tally(folder / "tally", make=True)
+        return folder, SharedCounters(folder / "counters", make=True)
     except OSError as error:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
         text = f"bridge host {name!r} has no place for its link: {error}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+
+
+def link_folder() -> Path:
+    """Make a folder that only this user can enter, for the socket of one link.
+
+    Removes what processes left behind that were killed while their hosts started.
+    """
+    home = Path(tempfile.gettempdir())
+    for left in home.glob(f"{FOLDER}*"):
+        owner = _OWNED.match(left.name)
+        if owner is not None and not _lives(int(owner[1])):
+            shutil.rmtree(left, ignore_errors=True)  # another user's folder stays, as it should
+    return Path(tempfile.mkdtemp(prefix=f"{FOLDER}{os.getpid()}-"))
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True

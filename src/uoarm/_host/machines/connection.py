@@ -7,13 +7,12 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from uoarm._host import _keys
-from uoarm._host._desk import MachineDesk
-from uoarm._host._lifeline import Lifeline
-from uoarm._host._link import Link
-from uoarm._host._pulse import Pulse
-from uoarm._host._settings import HostSettings
-from uoarm._host._tally import Tally
+from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.process.settings import HostSettings
+from uoarm._host.transport import keys
+from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
+from uoarm._host.transport.shared_counters import SharedCounters
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import BridgeSpec
@@ -30,13 +29,13 @@ class MachineConnection:
     is told to do with `close` is to let the bridge go.
 
     Args:
-        desk: knows which hosts are there.
+        registry: knows which hosts are there.
         machine: its name.
         spec: the bridge.
         settings: of the host; `silence` and `start` count.
-        heard: told what every answer of its pulse holds.
-        doubted: told that it does not answer, or does again, and the cause.
-        died: told once why it was lost; `dead` is set already.
+        on_answer: called with what every answer to a heartbeat holds.
+        on_doubt: called when it does not answer, or does again, and the cause.
+        on_death: called once with why it was lost; `dead` is set already.
 
     Raises:
         UoarmError: what making the bridge there raised.
@@ -46,63 +45,63 @@ class MachineConnection:
 
     def __init__(
         self,
-        desk: MachineDesk,
+        registry: MachineRegistry,
         machine: str,
         spec: BridgeSpec,
         settings: HostSettings,
         *,
-        heard: Callable[[Any], None],
-        doubted: Callable[[bool, str], None],
-        died: Callable[[str], None],
+        on_answer: Callable[[Any], None],
+        on_doubt: Callable[[bool, str], None],
+        on_death: Callable[[str], None],
     ) -> None:
-        self._place = f"machine {machine!r}"
-        self._life = Lifeline(spec.name, doubted, died)
-        self._pulse: Pulse | None = None
-        self.tally: Tally | None = None  # no memory is shared with another machine
-        host = desk.find(machine, spec.name, settings.start)
+        self._subject = f"machine {machine!r}"
+        self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
+        self._heartbeat: Heartbeat | None = None
+        self.counters: SharedCounters | None = None  # no memory is shared with another machine
+        host = registry.find(machine, spec.name, settings.start)
         if host is None:
-            text = f"no host of {self._place} is there for bridge {spec.name!r}"
+            text = f"no host of {self._subject} is there for bridge {spec.name!r}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         try:
-            desk.meet(machine, host, min(settings.silence, settings.start))
+            registry.measure_clock(machine, host, min(settings.silence, settings.start))
         except BridgeError as error:
-            text = f"the host of {self._place} does not answer"
+            text = f"the host of {self._subject} does not answer"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         deadline = time.monotonic() + settings.start
-        prefix = _keys.talk(machine, spec.name, uuid.uuid4().hex[:12])
-        self.link: Link = desk.part(prefix)
-        self.link.ahead = lambda: desk.offset(machine).nanoseconds
+        prefix = keys.bridge_prefix(machine, spec.name, uuid.uuid4().hex[:12])
+        self.transport: Transport = registry.part(prefix)
+        self.transport.ahead = lambda: registry.offset(machine).nanoseconds
         try:
-            self.link.show_alive(_keys.MANAGED)
-            self.link.watch_alive(_keys.ALIVE, self._seen)
+            self.transport.show_alive(keys.MANAGED)
+            self.transport.watch_alive(keys.ALIVE, self._seen)
             orders = {
-                "link": _keys.LINK_VERSION,
+                "protocol": keys.PROTOCOL_VERSION,
                 "contract": CONTRACT_VERSION,
                 "prefix": prefix,
                 "name": spec.name,
                 "plugin": spec.plugin,
                 "options": dict(spec.options),
             }
-            desk.attach(machine, host, orders, settings.start)
-            self._life.await_token(deadline)
-            self.greeting = self._life.greet(self.link, deadline)
+            registry.attach(machine, host, orders, settings.start)
+            self._liveness.await_token(deadline)
+            self.greeting = self._liveness.greet(self.transport, deadline)
         except BaseException:
             self.close(None)
             raise
-        self._pulse = Pulse(
+        self._heartbeat = Heartbeat(
             spec.name,
-            self.link,
+            self.transport,
             silence=settings.silence,
-            heard=heard,
-            doubted=self._life.doubt,
-            given_up=self._give_up,
+            on_answer=on_answer,
+            on_doubt=self._liveness.doubt,
+            on_silence=self._give_up,
         )
-        self._pulse.start()
+        self._heartbeat.start()
 
     @property
     def dead(self) -> str:
         """Why the host was lost, "" while it is there."""
-        return self._life.dead
+        return self._liveness.dead
 
     @property
     def process(self) -> int:
@@ -111,7 +110,7 @@ class MachineConnection:
         Raises:
             BridgeError: always.
         """
-        text = f"the host is a process of {self._place}: it is not started or killed from here"
+        text = f"the host is a process of {self._subject}: it is not started or killed from here"
         raise BridgeError(text, FailureReason.UNSUPPORTED)
 
     def ask(self, operation: str, values: Mapping[str, Any]) -> Any:
@@ -121,7 +120,7 @@ class MachineConnection:
             UoarmError: what the bridge raised.
             BridgeError: UNAVAILABLE when the host is lost; the text says why.
         """
-        return self._life.ask(self.link, operation, values)
+        return self._liveness.ask(self.transport, operation, values)
 
     def close(self, say_close: Callable[[], object] | None) -> None:
         """Let the bridge go: the host closes it, and waits for the next manager.
@@ -129,21 +128,21 @@ class MachineConnection:
         Raises:
             UoarmError: the bridge failed while closing; it was let go all the same.
         """
-        self._life.give_back()
-        if self._pulse is not None:
-            self._pulse.stop()
+        self._liveness.expect_end()
+        if self._heartbeat is not None:
+            self._heartbeat.stop()
         try:
             if say_close is not None and not self.dead:
                 say_close()
         finally:
-            if self._pulse is not None:
-                self._pulse.join(_JOIN_SECONDS)
-            self.link.close()
+            if self._heartbeat is not None:
+                self._heartbeat.join(_JOIN_SECONDS)
+            self.transport.close()
 
-    def _seen(self, present: bool) -> None:  # noqa: FBT001 - told, not asked
-        self._life.seen(present)
+    def _seen(self, present: bool) -> None:  # noqa: FBT001 - a callback
+        self._liveness.seen(present)
         if not present:
-            self._life.die(f"{self._place} has left, or the link to it is cut")
+            self._liveness.die(f"{self._subject} has left, or the link to it is cut")
 
     def _give_up(self, silent: float) -> None:
-        self._life.die(f"{self._place} has not answered for {silent:.1f} s")
+        self._liveness.die(f"{self._subject} has not answered for {silent:.1f} s")

@@ -9,22 +9,22 @@ from contextlib import contextmanager
 
 from attrs import astuple, define, field
 
-from uoarm._host import _keys
-from uoarm._host._codec import pack
-from uoarm._host._flow import Ending, Incoming, Outgoing
-from uoarm._host._link import Link
-from uoarm._host._tally import Counter, Tally
+from uoarm._host.transport import keys
+from uoarm._host.transport.codec import pack
+from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
+from uoarm._host.transport.shared_counters import SharedCounter, SharedCounters
+from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.bridge import Channel, Sink
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message
 
-__all__ = ["Leaving", "OpenFlows"]
+__all__ = ["OpenFlows", "OutboundFlow"]
 
 _PATIENCE_SECONDS = 1.0
 _log = logging.getLogger("uoarm")
 
 
-class Leaving:
+class OutboundFlow:
     """The messages of one source on their way to the manager.
 
     Args:
@@ -36,7 +36,9 @@ class Leaving:
         channel: the source, from when it is open.
     """
 
-    def __init__(self, endpoint: Endpoint, outgoing: Outgoing, counter: Counter | None) -> None:
+    def __init__(
+        self, endpoint: Endpoint, outgoing: FlowSender, counter: SharedCounter | None
+    ) -> None:
         self.endpoint = endpoint
         self._counter = counter
         self._taken = 0
@@ -79,51 +81,51 @@ class Leaving:
 @define
 class _Open:
     channel: Channel
-    leaving: Leaving | None = None
-    arriving: Incoming | None = None
+    outbound: OutboundFlow | None = None
+    inbound: FlowReceiver | None = None
     facts: Mapping[str, object] = field(factory=dict)
 
 
 class OpenFlows:
     """Opens, lists and closes flows. All methods may be called from any thread."""
 
-    def __init__(self, link: Link, tally: Tally | None) -> None:
-        self._link = link
-        self._tally = tally
+    def __init__(self, transport: Transport, counters: SharedCounters | None) -> None:
+        self._transport = transport
+        self._counters = counters
         self._lock = threading.Lock()
         self._open: dict[int, _Open] = {}
-        self._opening: list[Leaving] = []
+        self._opening: list[OutboundFlow] = []
 
     @contextmanager
-    def leaving(self, number: int, slot: int | None, endpoint: Endpoint) -> Iterator[Leaving]:
+    def outbound(self, number: int, slot: int | None, endpoint: Endpoint) -> Iterator[OutboundFlow]:
         """Make the flow of a source, which the caller opens meanwhile and sets `channel` to."""
-        outgoing = Outgoing(self._link, _keys.flow(number), _PATIENCE_SECONDS)
-        leaving = Leaving(endpoint, outgoing, self._counter(slot))
+        outgoing = FlowSender(self._transport, keys.flow(number), _PATIENCE_SECONDS)
+        outbound = OutboundFlow(endpoint, outgoing, self._counter(slot))
         with self._lock:
-            self._opening.append(leaving)
+            self._opening.append(outbound)
         try:
-            yield leaving
+            yield outbound
         except BaseException:
-            leaving.close()
+            outbound.close()
             raise
         finally:
             with self._lock:
-                self._opening.remove(leaving)
-                if leaving.channel is not None:
-                    self._open[number] = _Open(leaving.channel, leaving=leaving)
+                self._opening.remove(outbound)
+                if outbound.channel is not None:
+                    self._open[number] = _Open(outbound.channel, outbound=outbound)
 
-    def arriving(self, number: int, slot: int | None, sink: Sink) -> None:
+    def inbound(self, number: int, slot: int | None, sink: Sink) -> None:
         """Feed a sink with the messages of a flow from now on."""
-        incoming = Incoming(
-            self._link,
-            _keys.flow(number),
+        incoming = FlowReceiver(
+            self._transport,
+            keys.flow(number),
             name=f"manager-{number}",
             take=sink.send,
             ended=lambda _: None,
             counter=self._counter(slot),
         )
         with self._lock:
-            self._open[number] = _Open(sink, arriving=incoming)
+            self._open[number] = _Open(sink, inbound=incoming)
 
     def plain(self, number: int, channel: Channel) -> None:
         """Keep a channel that has no flow."""
@@ -133,32 +135,32 @@ class OpenFlows:
     def sent(self, number: int) -> int:
         """Return how many messages of a source were sent."""
         found = self._open.get(number)
-        return 0 if found is None or found.leaving is None else found.leaving.sent
+        return 0 if found is None or found.outbound is None else found.outbound.sent
 
     def drain(self, number: int, sent: int, timeout: float) -> bool:
         """Wait until a sink has handled the messages up to the number `sent`."""
         found = self._open.get(number)
-        return found is None or found.arriving is None or found.arriving.drain(sent, timeout)
+        return found is None or found.inbound is None or found.inbound.drain(sent, timeout)
 
     def number_of(self, channel: Channel) -> int | None:
         """Return the number of an open channel, None for one that is not listed."""
         with self._lock:
             return next((n for n, one in self._open.items() if one.channel is channel), None)
 
-    def leaving_of(self, channel: Channel) -> Leaving | None:
+    def outbound_of(self, channel: Channel) -> OutboundFlow | None:
         """Return the flow of a source, also of one whose opening has not returned yet."""
         with self._lock:
             for one in self._open.values():
                 if one.channel is channel:
-                    return one.leaving
+                    return one.outbound
             return next((one for one in self._opening if one.endpoint == channel.endpoint), None)
 
-    def pulse(self) -> list[tuple[int, tuple[int, int, str, int] | None, Mapping[str, object]]]:
+    def heartbeat(self) -> list[tuple[int, tuple[int, int, str, int] | None, Mapping[str, object]]]:
         """Return for every channel its number, how far a sink is, and the facts last looked at."""
         with self._lock:
             found = list(self._open.items())
         return [
-            (n, None if one.arriving is None else astuple(one.arriving.handled()), one.facts)
+            (n, None if one.inbound is None else astuple(one.inbound.handled()), one.facts)
             for n, one in found
         ]
 
@@ -175,7 +177,7 @@ class OpenFlows:
             one.facts = facts
 
     def close(self, number: int, sent: int, timeout: float) -> None:
-        """Close a channel and end its flow. Once is enough.
+        """Close a channel and end its flow. Idempotent.
 
         A sink is given a second to handle the messages up to the number `sent`.
 
@@ -186,14 +188,16 @@ class OpenFlows:
             found = self._open.pop(number, None)
         if found is None:
             return
-        if found.arriving is not None:
-            found.arriving.drain(sent, min(_PATIENCE_SECONDS, timeout / 2))
-            found.arriving.close()
+        if found.inbound is not None:
+            found.inbound.drain(sent, min(_PATIENCE_SECONDS, timeout / 2))
+            found.inbound.close()
         try:
             found.channel.close(timeout=timeout)
         finally:
-            if found.leaving is not None:
-                found.leaving.close()
+            if found.outbound is not None:
+                found.outbound.close()
 
-    def _counter(self, slot: int | None) -> Counter | None:
-        return None if slot is None or self._tally is None else Counter(self._tally, slot)
+    def _counter(self, slot: int | None) -> SharedCounter | None:
+        return (
+            None if slot is None or self._counters is None else SharedCounter(self._counters, slot)
+        )

@@ -9,16 +9,16 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, final
 
-from uoarm._host import _keys
-from uoarm._host._channels import RemoteChannel, RemoteSink, RemoteSource
-from uoarm._host._connection import HostConnection
-from uoarm._host._desk import MachineDesk
-from uoarm._host._flow import Ending, Handled, Incoming, Outgoing
-from uoarm._host._link import Reply
-from uoarm._host._machine import MachineConnection
-from uoarm._host._settings import HostSettings
-from uoarm._host._tally import Counter
-from uoarm._host._workers import Workers
+from uoarm._host.machines.connection import MachineConnection
+from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.process.connection import ProcessConnection
+from uoarm._host.process.settings import HostSettings
+from uoarm._host.remote_channels import RemoteChannel, RemoteSink, RemoteSource
+from uoarm._host.transport import keys
+from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender, Handled
+from uoarm._host.transport.request_workers import RequestWorkers
+from uoarm._host.transport.shared_counters import SharedCounter
+from uoarm._host.transport.zenoh_transport import Reply
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -58,7 +58,7 @@ class RemoteBridge(Bridge):
 
     Args:
         spec: name, plugin and options of the bridge; `spec.host` are the settings of its host.
-        desk: where other machines join; for a host that has a `machine`.
+        registry: where other machines join; for a host that has a `machine`.
         origin: the configuration file, which the host's command line shows.
 
     Raises:
@@ -68,28 +68,32 @@ class RemoteBridge(Bridge):
     """
 
     def __init__(
-        self, spec: BridgeSpec, desk: MachineDesk | None = None, *, origin: str = ""
+        self, spec: BridgeSpec, registry: MachineRegistry | None = None, *, origin: str = ""
     ) -> None:
         super().__init__(spec.name, spec.options)
         self._numbers = itertools.count(1)
         self._channels: dict[int, RemoteChannel] = {}
-        self._services = Workers(f"uoarm-serve-{spec.name}")
-        self._told_death = threading.Lock()
+        self._services = RequestWorkers(f"uoarm-serve-{spec.name}")
+        self._reported_death = threading.Lock()
         settings = HostSettings.read(spec.host or {})
-        connect: Callable[..., HostConnection | MachineConnection] = partial(
-            HostConnection, origin=origin
+        connect: Callable[..., ProcessConnection | MachineConnection] = partial(
+            ProcessConnection, origin=origin
         )
         if settings.machine is not None:
-            if desk is None:
+            if registry is None:
                 text = f"bridge {spec.name!r} is on machine {settings.machine!r}: ask its manager"
                 raise BridgeError(text, FailureReason.UNSUPPORTED)
-            connect = partial(MachineConnection, desk, settings.machine)
+            connect = partial(MachineConnection, registry, settings.machine)
         self._host = connect(
-            spec, settings, heard=self._heard, doubted=self._doubted, died=self._died
+            spec,
+            settings,
+            on_answer=self._on_answer,
+            on_doubt=self._on_doubt,
+            on_death=self._on_death,
         )
         try:
             self.capabilities = from_json(self._host.greeting["capabilities"], Capabilities)
-            self._host.link.answer(_keys.TOLD, self._told)
+            self._host.transport.answer(keys.HEALTH, self._on_health_event)
         except BaseException:
             self._host.close(None)
             raise
@@ -106,7 +110,7 @@ class RemoteBridge(Bridge):
     @property
     def process_id(self) -> int | None:
         """The id of the host's process; None where it is another machine's."""
-        return self._host.process if isinstance(self._host, HostConnection) else None
+        return self._host.process if isinstance(self._host, ProcessConnection) else None
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return from_json(self._ask("describe", endpoint=to_json(endpoint)), Description)
@@ -128,9 +132,9 @@ class RemoteBridge(Bridge):
             deliver(message)
 
         channel.counter = self._counter()
-        channel.incoming = Incoming(
-            self._host.link,
-            _keys.flow(number),
+        channel.incoming = FlowReceiver(
+            self._host.transport,
+            keys.flow(number),
             name=f"{endpoint.component}.{endpoint.port}",
             take=give,
             ended=ended,
@@ -153,10 +157,10 @@ class RemoteBridge(Bridge):
             opening = _opening(number, channel.counter, endpoint, structure)
             channel.blocking = self._ask("sink", **opening)
         except BaseException:
-            self._take_back(channel.counter)
+            self._release(channel.counter)
             raise
         patience = _BLOCKING_SECONDS if channel.blocking else _PROMPT_SECONDS
-        channel.outgoing = Outgoing(self._host.link, _keys.flow(number), patience)
+        channel.outgoing = FlowSender(self._host.transport, keys.flow(number), patience)
         self._channels[number] = channel
         if self._host.dead:
             channel.outgoing.cut(self._host.dead)
@@ -181,7 +185,7 @@ class RemoteBridge(Bridge):
         def take(message: Message, reply: Reply) -> None:
             self._services.answer(reply, lambda: handler(message))
 
-        end = self._host.link.answer(_keys.service(number), take)
+        end = self._host.transport.answer(keys.service(number), take)
         try:
             self._ask(
                 "serve",
@@ -211,7 +215,7 @@ class RemoteBridge(Bridge):
             return self._host.ask(operation, values)
         finally:
             if self._host.dead:
-                self._tell_death()
+                self._report_death()
 
     def _ask_to_close(self, operation: str, **values: Any) -> Any:
         """Ask about an open channel; one of a dead host is closed already."""
@@ -226,17 +230,17 @@ class RemoteBridge(Bridge):
     def _drop(self, number: int) -> None:
         channel = self._channels.pop(number, None)
         if isinstance(channel, RemoteSource | RemoteSink) and not self._host.dead:
-            self._take_back(channel.counter)
+            self._release(channel.counter)
 
-    def _counter(self) -> Counter | None:
-        tally = self._host.tally
-        return None if tally is None else tally.counter()
+    def _counter(self) -> SharedCounter | None:
+        counters = self._host.counters
+        return None if counters is None else counters.counter()
 
-    def _take_back(self, counter: Counter | None) -> None:
-        if self._host.tally is not None:
-            self._host.tally.take_back(counter)
+    def _release(self, counter: SharedCounter | None) -> None:
+        if self._host.counters is not None:
+            self._host.counters.take_back(counter)
 
-    def _heard(self, answer: list[Any]) -> None:
+    def _on_answer(self, answer: list[Any]) -> None:
         for number, handled, facts in answer:
             channel = self._channels.get(number)
             if channel is not None:
@@ -244,32 +248,32 @@ class RemoteBridge(Bridge):
             if isinstance(channel, RemoteSink) and handled is not None:
                 channel.outgoing.confirm(Handled(*handled))
 
-    def _doubted(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - told, not asked
+    def _on_doubt(self, in_doubt: bool, cause: str) -> None:  # noqa: FBT001 - a callback
         self.report(Health.DEGRADED if in_doubt else Health.OK, cause)
 
-    def _died(self, cause: str) -> None:
+    def _on_death(self, cause: str) -> None:
         for channel in list(self._channels.values()):
             if isinstance(channel, RemoteSink):
                 channel.outgoing.cut(f"bridge host {self.name!r} died: {cause}")
-        self._tell_death()
+        self._report_death()
 
-    def _tell_death(self) -> None:
+    def _report_death(self) -> None:
         """Report the death once, when there is somebody to hear it."""
-        if self._listener is not None and self._told_death.acquire(blocking=False):
+        if self._listener is not None and self._reported_death.acquire(blocking=False):
             self.report(Health.LOST, f"its bridge host died: {self._host.dead}")
 
-    def _told(self, told: Mapping[str, Any], reply: Reply) -> None:
+    def _on_health_event(self, event: Mapping[str, Any], reply: Reply) -> None:
         self.report(
-            Health(told["health"]),
-            told["cause"],
-            channel=self._channels.get(told["flow"]),
-            component=told["component"],
+            Health(event["health"]),
+            event["cause"],
+            channel=self._channels.get(event["flow"]),
+            component=event["component"],
         )
         reply(None)
 
 
 def _opening(
-    number: int, counter: Counter | None, endpoint: Endpoint, structure: MessageStructure
+    number: int, counter: SharedCounter | None, endpoint: Endpoint, structure: MessageStructure
 ) -> dict[str, Any]:
     return {
         "flow": number,

@@ -1,0 +1,1 @@
+"""The host's side: it runs bridges and answers what the manager asks of them."""
