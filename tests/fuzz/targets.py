@@ -37,7 +37,7 @@ from uoarm.model import (
     read_control,
     scan_json,
 )
-from uoarm.server._request_head import RefusedError, read_head
+from uoarm.server.access._request_head import RefusedError, read_head
 
 BUDGET = Budget(octets=65_536, elements=200, depth=12, dimensions=4)
 _LONGEST_ERROR = 2000

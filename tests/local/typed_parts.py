@@ -120,10 +120,6 @@ def ask_scan(scan: Scan) -> Scan:
     return pass_scan(scan)
 
 
-def ask_scan_unseen(scan: Scan) -> Scan:
-    return scan
-
-
 def numpy_numbers() -> Iterator[Number]:
     yield {"value": np.int64(7)}
 

@@ -56,7 +56,12 @@ class Talk:
     def __init__(self, url: str, *, binary: bool = False, **options: Any) -> None:
         self.binary = binary
         protocols = [Subprotocol("uoarm.v1.cbor" if binary else "uoarm.v1.json")]
-        options = {"subprotocols": protocols, "max_size": None, "compression": None} | options
+        options = {
+            "subprotocols": protocols,
+            "max_size": None,
+            "compression": None,
+            "ping_interval": None,  # a machine that has other work answers late, too
+        } | options
         self._open = ExitStack()
         self.socket = self._open.enter_context(_connected(url, options))
         self._ids = itertools.count(1)

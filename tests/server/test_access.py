@@ -20,9 +20,9 @@ from websockets.typing import Origin, Subprotocol
 
 from uoarm.errors import ConfigurationError
 from uoarm.server import Server, hash_token, make_token
-from uoarm.server._access_file import BUDGET, read_access
-from uoarm.server._role import Operation, Role
-from uoarm.server._tokens import AccessBook, Grant
+from uoarm.server.access._access_file import BUDGET, read_access
+from uoarm.server.access._policy import AccessPolicy, Grant
+from uoarm.server.access._role import Operation, Role
 from uoarm.testing import patience
 
 Write = Callable[..., Path]
@@ -321,12 +321,12 @@ def test_the_access_file_is_read_beside_the_loop_that_serves(
 ) -> None:
     reading, go_on = threading.Event(), threading.Event()
 
-    def slow(path: Path) -> AccessBook:
+    def slow(path: Path) -> AccessPolicy:
         reading.set()
         assert go_on.wait(SECONDS)
         return read_access(path)
 
-    monkeypatch.setattr("uoarm.server._admission.read_access", slow)
+    monkeypatch.setattr("uoarm.server.access._admission.read_access", slow)
     _replace(access, access.read_text(encoding="utf-8") + "\n# another\n")
     assert reading.wait(SECONDS)
     try:
@@ -353,7 +353,7 @@ def test_no_access_file_at_all_crashes_the_reader(data: bytes) -> None:
 def test_a_grant_ends_when_it_expires() -> None:
     role = Role("r", {Operation.SEE: ("*",)})
     end = datetime(2030, 1, 1, tzinfo=timezone.utc)
-    book = AccessBook({hash_token("t"): Grant("g", role, end)})
+    book = AccessPolicy({hash_token("t"): Grant("g", role, end)})
     assert book.grant_of(hash_token("t"), end - timedelta(seconds=1)) is not None
     assert book.grant_of(hash_token("t"), end) is None
     assert book.grant_of(hash_token("u"), end - timedelta(days=1)) is None

@@ -19,10 +19,11 @@ from websockets.typing import Subprotocol
 
 from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
-from uoarm.server import Limits, Server, _front_ends
-from uoarm.server._doors import OWN_PATHS
-from uoarm.server._front_ends import FrontEnds
+from uoarm.server import Limits, Server
 from uoarm.server.front_end import Backend, Client, FrontEnd, Held, MakeSession, Session
+from uoarm.server.http import _front_ends
+from uoarm.server.http._front_ends import FrontEnds
+from uoarm.server.http._handshake import OWN_PATHS
 
 ADD = 'call add {"a": 1, "b": 2}'
 

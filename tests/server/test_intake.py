@@ -16,7 +16,7 @@ from tests.server.conftest import Serve
 from tests.server.talk import Talk, eventually, frame, open_socket
 
 from uoarm.server import Limits, Server
-from uoarm.server._intake import Decoder, Pace
+from uoarm.server.session._intake import Decoder, RateLimiter
 from uoarm.testing import patience
 
 MESSAGES = st.lists(
@@ -29,7 +29,7 @@ def test_no_rate_is_passed_by_a_client_that_is_made_to_wait(
     messages: list[tuple[float, int, int]],
 ) -> None:
     limits = Limits(messages_per_second=10, octets_per_second=1000, elements_per_second=100)
-    pace, now = Pace(limits, 0.0), 0.0
+    pace, now = RateLimiter(limits, 0.0), 0.0
     octets = elements = 0
     for place, (pause, size, values) in enumerate(messages):
         now += pause
@@ -42,19 +42,19 @@ def test_no_rate_is_passed_by_a_client_that_is_made_to_wait(
 
 
 def test_a_client_within_its_rates_never_waits() -> None:
-    pace = Pace(Limits(messages_per_second=10, octets_per_second=1000), 0.0)
+    pace = RateLimiter(Limits(messages_per_second=10, octets_per_second=1000), 0.0)
     assert not any(pace.spend(0.1 * one, octets=100, elements=1) for one in range(1, 1000))
 
 
 def test_a_large_message_is_taken_and_waited_for_afterwards() -> None:
-    pace = Pace(Limits(octets_per_second=1000), 0.0)
+    pace = RateLimiter(Limits(octets_per_second=1000), 0.0)
     assert pace.spend(0.0, octets=5000, elements=1) == 4.0
     assert pace.spend(4.0, octets=500, elements=1) == 0.5
     assert pace.spend(100.0, octets=1000, elements=1) == 0.0
 
 
 def test_a_clock_that_goes_back_takes_nothing_away() -> None:
-    pace = Pace(Limits(messages_per_second=10), 100.0)
+    pace = RateLimiter(Limits(messages_per_second=10), 100.0)
     assert pace.spend(50.0, octets=1, elements=1) == 0.0
 
 

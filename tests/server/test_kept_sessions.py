@@ -18,8 +18,8 @@ from tests.server.talk import Talk, eventually, frame, open_socket
 from tests.server.test_serving import figures
 
 from uoarm.server import Limits, Server, hash_token
-from uoarm.server._answers import Answers
-from uoarm.server._memory import Memory
+from uoarm.server.session._session_store import ReplyCache
+from uoarm.server.streams._memory import Memory
 
 
 def test_a_key_is_for_a_session_that_is_kept_and_comes_first(talk: Connect) -> None:
@@ -98,7 +98,7 @@ tokens: [{{name: one, role: all, sha256: {one}}}, {{name: other, role: all, sha2
 def test_kept_answers_are_bounded_and_the_newest(
     steps: list[tuple[str, int, bool]], most: int, most_bytes: int
 ) -> None:
-    answers = Answers(most, most_bytes, Memory(10**6, 10**6).open())
+    answers = ReplyCache(most, most_bytes, Memory(10**6, 10**6).open())
     newest: dict[str, bytes] = {}
     for identity, size, begins in steps:
         if begins:

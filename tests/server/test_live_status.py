@@ -17,8 +17,8 @@ from tests.server.robot import END, script
 from uoarm import RobotManager
 from uoarm.cli import main
 from uoarm.server import Server, Settings, serve_in_thread
-from uoarm.server._role import Operation, Role
-from uoarm.server._view import visible_status
+from uoarm.server.access._role import Operation, Role
+from uoarm.server.session._view import visible_status
 from uoarm.testing import patience
 
 

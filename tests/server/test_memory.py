@@ -20,11 +20,11 @@ from uoarm._control import Connection
 from uoarm._wire import TEXT_FORM
 from uoarm.model import MessageStructure
 from uoarm.server import Limits, Server
-from uoarm.server._failures import LimitError
-from uoarm.server._hop import Hop
-from uoarm.server._memory import Account, Charge, Held, Memory
-from uoarm.server._sending import InputSender
-from uoarm.server._workers import BusyError, Workers
+from uoarm.server._failures import BusyError, LimitError
+from uoarm.server.streams._input_sender import InputSender
+from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._memory import Account, Charge, Held, Memory
+from uoarm.server.streams._workers import Workers
 from uoarm.testing import patience
 
 MANY = 10**9
@@ -148,7 +148,7 @@ def test_what_waits_is_told_and_let_go_with_the_client_though_the_component_hang
         gates[len(taken) - 1].wait(patience())
 
     async def work() -> None:
-        workers = Workers(4, Hop(asyncio.get_running_loop()))
+        workers = Workers(4, LoopMailbox(asyncio.get_running_loop()))
         account = Memory(MANY, MANY).open()
         one = sending(SimpleNamespace(send=take), workers, account)
         told: list[BaseException | None] = []
@@ -181,7 +181,7 @@ def test_many_wait_for_one_flush() -> None:
         return True
 
     async def work() -> None:
-        workers = Workers(4, Hop(asyncio.get_running_loop()))
+        workers = Workers(4, LoopMailbox(asyncio.get_running_loop()))
         one = sending(SimpleNamespace(flush=flush), workers, Memory(MANY, MANY).open())
         done: list[int] = []
         for number in range(100):

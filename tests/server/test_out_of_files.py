@@ -24,7 +24,7 @@ from websockets.exceptions import InvalidHandshake
 
 from uoarm import RobotManager
 from uoarm.server import Server, Settings
-from uoarm.server._listener import Listener, NoRoomError, connections_possible, listen
+from uoarm.server.http._listener import Listener, NoRoomError, connections_possible, listen
 from uoarm.testing import ManualClock, patience
 
 FILES = 64

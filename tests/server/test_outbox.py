@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.model import OverflowPolicy, QueuePolicy
-from uoarm.server._outbox import Lane, Outbox
+from uoarm.server.streams._outbox import Lane, Outbox
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:

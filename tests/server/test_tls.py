@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 from uoarm.errors import ConfigurationError
 from uoarm.server import Limits, Server, fingerprint_of, hash_token
-from uoarm.server._own_certificate import own_certificate
+from uoarm.server.http._own_certificate import own_certificate
 
 ACCESS = """
 version: 1

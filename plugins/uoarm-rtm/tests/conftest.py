@@ -18,8 +18,6 @@ from uoarm_rtm._nameserver import NameServer
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
 
-# The longest that the bridge allows: only what is about a limit has a shorter one.
-MOST_SECONDS = 60.0
 settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("rtm-long", max_examples=2000, deadline=None)
 settings.load_profile(f"rtm-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
@@ -39,8 +37,7 @@ def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
     registry = Registry()
 
     def make(name: str = "rtm", **options: object) -> Bridge:
-        usual = {"nameserver": nameserver, "watch": 0.1, "call_timeout": MOST_SECONDS}
-        given = {**usual, **options}
+        given = {"nameserver": nameserver, "watch": 0.1, **options}
         bridge = registry.create(BridgeSpec(name, "rtm", given))
         made.append(bridge)
         return bridge

@@ -1,4 +1,4 @@
-"""Errors as clients are told of them: a code to branch on and a text to read."""
+"""Errors as clients receive them: a code to branch on and a text to read."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from typing import TypeAlias
 
 from uoarm import errors
-from uoarm.server._role import DeniedError
-from uoarm.server._workers import BusyError
+from uoarm.server.access import DeniedError
 
-__all__ = ["LimitError", "UnknownError", "code_of", "tell_error", "without_frames"]
+__all__ = ["BusyError", "LimitError", "UnknownError", "code_of", "tell_error", "without_frames"]
 
 _log = logging.getLogger("uoarm.server")
+
+
+class BusyError(errors.UoarmError):
+    """Every worker is taken; nothing was begun. Ask again later."""
 
 
 class LimitError(errors.UoarmError):

@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from uoarm._control import RobotManager
-from uoarm.server._listener import NoRoomError
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings
 from uoarm.server.front_end import FrontEnd
+from uoarm.server.http import NoRoomError
 
 __all__ = ["run", "serve_in_thread"]
 

@@ -19,21 +19,28 @@ from websockets.frames import CloseCode
 from uoarm._control import RobotManager
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
-from uoarm.server._address import host_of
-from uoarm.server._admission import Admission
-from uoarm.server._audit import Audit
-from uoarm.server._client import Client, Session
-from uoarm.server._connection import TurnConnection
-from uoarm.server._desk import Desk
-from uoarm.server._doors import OWN_PATHS, Doors
-from uoarm.server._front_ends import FrontEnds
-from uoarm.server._intake import Decoder
-from uoarm.server._listener import connections_possible, listen
-from uoarm.server._lobby import Lobby
-from uoarm.server._metrics import Metrics, Totals
-from uoarm.server._native import NativeSession
 from uoarm.server._settings import Settings
+from uoarm.server.access import Admission, Audit
 from uoarm.server.front_end import FrontEnd, MakeSession
+from uoarm.server.http import (
+    OWN_PATHS,
+    FrontEnds,
+    HandshakeHandler,
+    Metrics,
+    Totals,
+    connections_possible,
+    listen,
+)
+from uoarm.server.session import (
+    Client,
+    Decoder,
+    NativeSession,
+    Session,
+    SessionStore,
+    TurnConnection,
+    host_of,
+)
+from uoarm.server.streams import FeedRegistry
 
 __all__ = ["Server"]
 
@@ -86,12 +93,12 @@ class Server:
         self._make_session: dict[str, MakeSession] = {}
         self._connected: Counter[str] = Counter()
         self._clients: dict[Client, None] = {}
-        self._lobby = Lobby(self._limits, self._end)
+        self._store = SessionStore(self._limits, self._end)
         self._listening: list[Listening] = []
         self._ports: list[int] = []
         self._room = connections_possible(self._limits.connections + _UNFINISHED)
         self._sockets: set[TurnConnection] = set()
-        self._desk: Desk | None = None
+        self._registry: FeedRegistry | None = None
         self._watches: list[asyncio.Task[None]] = []
 
     @property
@@ -107,7 +114,7 @@ class Server:
     @property
     def held_octets(self) -> int:
         """Octets of decoded values that are held for all clients; 0 before it is started."""
-        return 0 if self._desk is None else self._desk.memory.held
+        return 0 if self._registry is None else self._registry.memory.held
 
     @property
     def unread_octets(self) -> int:
@@ -120,13 +127,13 @@ class Server:
         Raises:
             OSError: a port is taken, or the address is none of this machine; the text names it.
         """
-        desk = self._desk = Desk(self._robot, self._limits)
-        metrics = Metrics(desk, self._totals, lambda: self._clients, self._lobby)
+        registry = self._registry = FeedRegistry(self._robot, self._limits)
+        metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
-            self._start_front_ends(desk)
-            await self._listen(self._settings.port, desk, metrics.text, None)
+            self._start_front_ends(registry)
+            await self._listen(self._settings.port, registry, metrics.text, None)
             for name, port in self._settings.front_end_ports.items():
-                await self._listen(port, desk, metrics.text, self._front_ends.find(name))
+                await self._listen(port, registry, metrics.text, self._front_ends.find(name))
         except BaseException:
             await self.stop()
             raise
@@ -154,15 +161,15 @@ class Server:
         for socket in tuple(self._sockets):
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
-        self._lobby.close()
+        self._store.close()
         self._decoder.close()
-        if self._desk is not None:
-            await self._desk.close()
+        if self._registry is not None:
+            await self._registry.close()
 
-    def _start_front_ends(self, desk: Desk) -> None:
+    def _start_front_ends(self, registry: FeedRegistry) -> None:
         for one in self._front_ends.usable:
             try:
-                self._make_session[one.name] = one.start(desk)
+                self._make_session[one.name] = one.start(registry)
             except Exception as error:
                 if one.name in self._settings.front_end_ports:
                     raise ConfigurationError(f"{one}: {error}") from error
@@ -170,10 +177,10 @@ class Server:
                 self._front_ends.drop(one.name, "it did not start")
 
     async def _listen(
-        self, port: int, desk: Desk, metrics: Callable[[], bytes], only: FrontEnd | None
+        self, port: int, registry: FeedRegistry, metrics: Callable[[], bytes], only: FrontEnd | None
     ) -> None:
         limits = self._limits
-        doors = Doors(
+        handshakes = HandshakeHandler(
             self._admission,
             self._audit,
             limits,
@@ -186,7 +193,7 @@ class Server:
 
         async def handle(socket: ServerConnection) -> None:
             assert isinstance(socket, TurnConnection), "_make_connection makes no others"
-            await self._handle(socket, doors, desk)
+            await self._handle(socket, handshakes, registry)
 
         try:
             sockets = await listen(self._settings.host, port)
@@ -202,8 +209,8 @@ class Server:
                 handle,
                 sock=one,
                 ssl=self._tls,
-                process_request=doors.process_request,
-                select_subprotocol=doors.select_subprotocol,
+                process_request=handshakes.process_request,
+                select_subprotocol=handshakes.select_subprotocol,
                 create_connection=self._make_connection,  # type: ignore[arg-type] # it is only called
                 compression=None,
                 server_header=None,
@@ -219,25 +226,27 @@ class Server:
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
         return TurnConnection(self._sockets, self._room, *arguments, **options)
 
-    async def _handle(self, socket: TurnConnection, doors: Doors, desk: Desk) -> None:
-        entry = doors.entry(socket)
-        role = self._admission.role(entry.shown)
+    async def _handle(
+        self, socket: TurnConnection, handshakes: HandshakeHandler, registry: FeedRegistry
+    ) -> None:
+        entry = handshakes.entry(socket)
+        role = self._admission.role(entry.credentials)
         if role is None:
             await socket.close(CloseCode.POLICY_VIOLATION, "the token is no longer valid")
             return
         client = Client(
             socket,
             secrets.token_hex(6),
-            entry.shown,
+            entry.credentials,
             role,
             self._limits,
             self._decoder,
-            desk.memory.open(),
+            registry.memory.open(),
             self._audit,
         )
         host = host_of(socket)
         try:
-            session = self._session(client, desk, socket, entry.front_end)
+            session = self._session(client, registry, socket, entry.front_end)
         except Exception:  # noqa: BLE001 - a front end may raise anything
             client.account.close()
             who = entry.front_end or "the native protocol"
@@ -249,7 +258,7 @@ class Server:
         self._audit.arrival(client.address, client.identity, role.name)
         try:
             await self._attend(client, session, socket)
-            kept = await self._lobby.successor(client)
+            kept = await self._store.successor(client)
             if kept is not None:
                 self._audit.resumed(client.address, kept.client.identity)
                 await self._attend(kept.client, kept.session, socket)
@@ -266,7 +275,7 @@ class Server:
             await socket.close(CloseCode.INTERNAL_ERROR, "the server failed")
         finally:
             del self._clients[client]
-            if self._lobby.park(client):
+            if self._store.retain(client):
                 self._audit.dropped(client.identity)
             else:
                 self._end(client, session)
@@ -281,20 +290,24 @@ class Server:
         self._audit.departure(client.identity)
 
     def _session(
-        self, client: Client, desk: Desk, socket: ServerConnection, front_end: FrontEnd | None
+        self,
+        client: Client,
+        registry: FeedRegistry,
+        socket: ServerConnection,
+        front_end: FrontEnd | None,
     ) -> Session:
         if front_end is not None:
             return self._make_session[front_end.name](client)
         form = FORMS.get(socket.subprotocol or "", TEXT_FORM)
-        return NativeSession(client, desk, form, self._lobby)
+        return NativeSession(client, registry, form, self._store)
 
     async def _look_after_clients(self) -> None:
         """Look after clients that are stuck or whose rights have changed."""
         now = time.monotonic()
         role = cache(self._admission.role)
-        self._lobby.refresh(now, role)
+        self._store.refresh(now, role)
         for client in list(self._clients):
-            if role(client.shown) != client.role:
+            if role(client.credentials) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")
             client.check(now)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from attrs import field, frozen
 
 from uoarm.errors import ConfigurationError
-from uoarm.server._admission import is_loopback
 from uoarm.server._limits import Limits
-from uoarm.server._own_certificate import own_certificate, state_folder
+from uoarm.server.access import is_loopback
+from uoarm.server.http import own_certificate, state_folder
 
 __all__ = ["Settings"]
 

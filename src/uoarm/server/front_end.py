@@ -25,16 +25,31 @@ from uoarm._wire import (
     write_binary,
 )
 from uoarm.model import Message, MessageStructure, Plan
-from uoarm.server._client import Session
-from uoarm.server._desk import FeedKey, Read
-from uoarm.server._failures import LimitError, UnknownError, code_of, tell_error, without_frames
-from uoarm.server._feed import Envelope, Feed, Listener
+from uoarm.server._failures import (
+    BusyError,
+    LimitError,
+    UnknownError,
+    code_of,
+    tell_error,
+    without_frames,
+)
 from uoarm.server._limits import Limits
-from uoarm.server._memory import Account, Charge, Held
-from uoarm.server._outbox import Lane
-from uoarm.server._role import DeniedError, Operation, Role
-from uoarm.server._sending import Done, InputSender, read_message
-from uoarm.server._workers import BusyError
+from uoarm.server.access import DeniedError, Operation, Role
+from uoarm.server.session import Session
+from uoarm.server.streams import (
+    Account,
+    Charge,
+    Done,
+    Envelope,
+    Feed,
+    FeedKey,
+    Held,
+    InputSender,
+    Lane,
+    Listener,
+    Read,
+    read_message,
+)
 
 __all__ = [
     "BINARY_FORM",

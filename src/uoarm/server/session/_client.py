@@ -1,4 +1,4 @@
-"""One WebSocket connection: read at a fair pace, written from its outbox, cut off when stuck."""
+"""One WebSocket connection: read at a bounded rate, written from its outbox, cut off when stuck."""
 
 from __future__ import annotations
 
@@ -15,15 +15,11 @@ from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
 from uoarm.model import Spending
-from uoarm.server._address import address_of
-from uoarm.server._admission import Pass
-from uoarm.server._audit import Audit
-from uoarm.server._connection import TurnConnection
-from uoarm.server._intake import Decoder, Pace
 from uoarm.server._limits import Limits
-from uoarm.server._memory import Account
-from uoarm.server._outbox import Outbox
-from uoarm.server._role import Operation, Role
+from uoarm.server.access import Audit, Credentials, Operation, Role
+from uoarm.server.session._connection import TurnConnection, address_of
+from uoarm.server.session._intake import Decoder, RateLimiter
+from uoarm.server.streams import Account, Outbox
 
 __all__ = ["Client", "Session"]
 
@@ -60,12 +56,12 @@ class Client:
     Args:
         socket: after its handshake.
         identity: name of the session, for logs and the client itself.
-        shown: what it showed to be let in.
+        credentials: with which it was admitted.
         role: its rights.
         limits: bounds.
         decoder: where its frames are decoded.
         account: of what is held for it.
-        audit: hears what it was allowed and denied.
+        audit: records what it was allowed and denied.
 
     Attributes:
         is_cut: whether the server ended its connection.
@@ -79,7 +75,7 @@ class Client:
         self,
         socket: TurnConnection,
         identity: str,
-        shown: Pass,
+        credentials: Credentials,
         role: Role,
         limits: Limits,
         decoder: Decoder,
@@ -87,7 +83,7 @@ class Client:
         audit: Audit,
     ) -> None:
         self.identity = identity
-        self.shown = shown
+        self.credentials = credentials
         self.role = role
         self.limits = limits
         self._decoder = decoder
@@ -177,7 +173,7 @@ class Client:
 
     async def _read(self, session: Session) -> None:
         began = time.monotonic()
-        pace = Pace(self.limits, began)
+        rates = RateLimiter(self.limits, began)
         async for frame in self._socket:
             self.received += 1
             octets = len(frame)
@@ -188,7 +184,7 @@ class Client:
             if self.outbox.overflowed:
                 self.cut("it does not read its replies")
                 return
-            wait = pace.spend(time.monotonic(), octets=octets, elements=spending.elements)
+            wait = rates.spend(time.monotonic(), octets=octets, elements=spending.elements)
             if wait or time.monotonic() - began >= _TURN_SECONDS:
                 await asyncio.sleep(wait)
                 began = time.monotonic()

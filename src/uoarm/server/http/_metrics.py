@@ -9,9 +9,8 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from uoarm.model import StatusMap
-from uoarm.server._client import Client
-from uoarm.server._desk import Desk
-from uoarm.server._lobby import Lobby
+from uoarm.server.session import Client, SessionStore
+from uoarm.server.streams import FeedRegistry
 
 __all__ = ["Metrics", "Totals"]
 
@@ -39,29 +38,33 @@ class Metrics:
     """Collects from the living objects; holds no counts of its own.
 
     Args:
-        desk: feeds and workers.
+        registry: feeds and workers.
         totals: of clients that have gone.
         clients: those connected now.
-        lobby: sessions that are kept.
+        store: sessions that are kept.
     """
 
     def __init__(
-        self, desk: Desk, totals: Totals, clients: Callable[[], Iterable[Client]], lobby: Lobby
+        self,
+        registry: FeedRegistry,
+        totals: Totals,
+        clients: Callable[[], Iterable[Client]],
+        store: SessionStore,
     ) -> None:
-        self._lobby = lobby
-        self._desk = desk
+        self._store = store
+        self._registry = registry
         self._totals = totals
         self._clients = clients
-        self._registry = CollectorRegistry(auto_describe=False)
-        self._registry.register(self)
+        self._collectors = CollectorRegistry(auto_describe=False)
+        self._collectors.register(self)
 
     def text(self) -> bytes:
         """Return everything in the text format, version 0.0.4."""
-        return generate_latest(self._registry)
+        return generate_latest(self._collectors)
 
     def collect(self) -> Iterator[Metric]:
         """Yield the figures as they are now."""
-        connected, waiting = tuple(self._clients()), self._lobby.waiting
+        connected, waiting = tuple(self._clients()), self._store.waiting
         clients = connected + waiting
         totals = self._totals
         yield _gauge("clients", "clients connected", len(connected))
@@ -80,21 +83,23 @@ class Metrics:
         held = GaugeMetricFamily(
             "uoarm_serve_held_bytes", "memory held for clients, by kind", labels=["kind"]
         )
-        for kind, octets in self._desk.memory.kinds.items():
+        for kind, octets in self._registry.memory.kinds.items():
             held.add_metric([kind.value], octets)
         yield held
         unread = sum(one.unread_octets for one in clients)
         yield _gauge("unread_bytes", "bytes that arrived and were not read yet", unread)
-        largest = self._desk.memory.largest
+        largest = self._registry.memory.largest
         yield _gauge("held_bytes_largest", "memory held for the client that has most", largest)
         dropped = sum(one.outbox.dropped for one in clients)
         yield _gauge("dropped_messages", "messages lost to slow clients not yet gone", dropped)
-        yield _gauge("workers_busy", "requests that wait for the robot", self._desk.workers.busy)
-        feeds = self._desk.feeds
+        yield _gauge(
+            "workers_busy", "requests that wait for the robot", self._registry.workers.busy
+        )
+        feeds = self._registry.feeds
         yield _gauge("feeds", "functions that clients have open", len(feeds))
         lost = sum(feed.lost for feed in feeds)
         yield _gauge("feed_lost", "messages lost before the loop got to them", lost)
-        yield from _routes(self._desk.robot.status())
+        yield from _routes(self._registry.robot.status())
 
 
 def _routes(status: StatusMap) -> Iterator[Metric]:

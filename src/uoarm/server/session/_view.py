@@ -6,7 +6,7 @@ from typing import Any
 
 from uoarm._wire import Form
 from uoarm.model import Component, Function, Plan, Robot, StatusMap, to_json
-from uoarm.server._role import Operation, Role
+from uoarm.server.access import Operation, Role
 
 __all__ = ["list_functions", "show_plan", "visible_status"]
 

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import pytest
 
-from uoarm.server._hop import Hop
+from uoarm.server.streams._loop_mailbox import LoopMailbox
 
 
 def test_an_action_that_fails_holds_up_none_after_it(caplog: pytest.LogCaptureFixture) -> None:
@@ -16,7 +16,7 @@ def test_an_action_that_fails_holds_up_none_after_it(caplog: pytest.LogCaptureFi
         raise ValueError("a mistake of ours")
 
     async def work() -> None:
-        hop, done = Hop(asyncio.get_running_loop()), asyncio.Event()
+        hop, done = LoopMailbox(asyncio.get_running_loop()), asyncio.Event()
         hop.put(fail)
         hop.put(done.set)
         await done.wait()

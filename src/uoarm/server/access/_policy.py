@@ -10,9 +10,9 @@ from datetime import datetime
 
 from attrs import field, frozen
 
-from uoarm.server._role import Role
+from uoarm.server.access._role import Role
 
-__all__ = ["AccessBook", "Grant", "Now", "hash_token", "make_token"]
+__all__ = ["AccessPolicy", "Grant", "Now", "hash_token", "make_token"]
 
 Now = Callable[[], datetime]
 
@@ -35,8 +35,8 @@ class Grant:
 
 
 @frozen
-class AccessBook:
-    """What an access file says.
+class AccessPolicy:
+    """Which credentials have which role, as an access file says.
 
     Attributes:
         tokens: grants by the SHA-256 of the token, in lower-case hex.

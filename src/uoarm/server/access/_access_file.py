@@ -10,8 +10,8 @@ from typing import Any
 
 from uoarm._yaml import Budget, Document, Path, Problem, clip, read_file, write_path
 from uoarm.errors import ConfigurationError
-from uoarm.server._role import Operation, Role
-from uoarm.server._tokens import AccessBook, Grant
+from uoarm.server.access._policy import AccessPolicy, Grant
+from uoarm.server.access._role import Operation, Role
 
 __all__ = ["BUDGET", "read_access"]
 
@@ -24,7 +24,7 @@ _TIME = re.compile(
 _KINDS = {dict: "names and values", list: "a list", type(None): "nothing"}
 
 
-def read_access(path: File) -> AccessBook:
+def read_access(path: File) -> AccessPolicy:
     """Read an access file.
 
     Raises:
@@ -32,7 +32,7 @@ def read_access(path: File) -> AccessBook:
     """
     document = read_file(path, BUDGET)
     reader = _Reader(document, str(path))
-    book = reader.book() if document.whole else AccessBook({})
+    book = reader.book() if document.whole else AccessPolicy({})
     problems = sorted([*document.problems, *reader.problems], key=lambda one: one.place)
     if problems:
         lines = [str(problem) for problem in problems[:_SHOWN]]
@@ -48,7 +48,7 @@ class _Reader:
         self._document = document
         self._file = file
 
-    def book(self) -> AccessBook:
+    def book(self) -> AccessPolicy:
         parts = self._mapping(self._document.value, ())
         self._check_names(parts, (), ("version", "roles", "tokens", "certificates"))
         version = parts.get("version")
@@ -66,7 +66,7 @@ class _Reader:
         for place, one in enumerate(listed):
             self._token(one, ("tokens", place), roles, tokens)
         certificates = self._mapping(parts.get("certificates", {}), ("certificates",))
-        return AccessBook(
+        return AccessPolicy(
             tokens,
             {
                 name: self._grant(name, one, ("certificates", name), roles, ("role", "expires"))

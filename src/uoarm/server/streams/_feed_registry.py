@@ -1,4 +1,4 @@
-"""The desk: what all clients share. Feeds, the manager's blocking calls, and its events."""
+"""What all clients share: feeds, the manager's blocking calls in workers, and its events."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from uoarm._control import Connection, RobotManager
 from uoarm._wire import TEXT_FORM, Form
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
-from uoarm.server._encoder import Encoder
-from uoarm.server._feed import Feed
-from uoarm.server._hop import Hop
+from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
-from uoarm.server._memory import Account, Memory
-from uoarm.server._sending import InputSender
-from uoarm.server._workers import BusyError, Workers
+from uoarm.server.streams._encoder import Encoder
+from uoarm.server.streams._feed import Feed
+from uoarm.server.streams._input_sender import InputSender
+from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.server.streams._memory import Account, Memory
+from uoarm.server.streams._workers import Workers
 
-__all__ = ["Desk", "FeedKey", "Read", "Watcher"]
+__all__ = ["FeedKey", "FeedRegistry", "Read", "Watcher"]
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
 Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
-"""Hears of a change and of the function concerned, empty where it is not known."""
+"""Callback: a change, and the function concerned, empty where it is not known."""
 
 _REMEMBERED = 200
 _CLOSINGS = 8
@@ -57,8 +58,8 @@ class FeedKey:
         return self.name.partition(".")[0]
 
 
-class Desk:
-    """Everything here runs in the loop's thread; what waits goes to the workers.
+class FeedRegistry:
+    """Feeds by what was asked for; all in the loop's thread, and what blocks goes to the workers.
 
     Args:
         robot: the manager; it is not closed here.
@@ -73,8 +74,8 @@ class Desk:
         self.robot = robot
         self.limits = limits
         self.memory = Memory(limits.total_memory_bytes, limits.memory_bytes)
-        self.hop = Hop(asyncio.get_running_loop())
-        self.workers = Workers(limits.workers, self.hop)
+        self.mailbox = LoopMailbox(asyncio.get_running_loop())
+        self.workers = Workers(limits.workers, self.mailbox)
         self.encoder = Encoder()
         self._feeds: dict[FeedKey, Feed] = {}
         self._by_id: dict[str, Feed] = {}
@@ -91,7 +92,7 @@ class Desk:
             for component in function.components
         }
         self._stop_listening = robot.listen(
-            lambda event: self.hop.put(functools.partial(self._heard, event))
+            lambda event: self.mailbox.put(functools.partial(self._heard, event))
         )
 
     @property
@@ -119,7 +120,7 @@ class Desk:
                 raise BusyError(
                     f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
                 )
-            feed = self._feeds[wanted] = Feed(self.hop, self.limits.feed_messages)
+            feed = self._feeds[wanted] = Feed(self.mailbox, self.limits.feed_messages)
             opening = asyncio.ensure_future(self._open(wanted, feed))
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._openings[feed] = opening
@@ -233,11 +234,11 @@ class Desk:
             return {}
 
     def watch(self, watcher: Watcher) -> None:
-        """Tell a watcher every change and the function that it concerns, from now on."""
+        """Notify a watcher of every change and the function that it concerns, from now on."""
         self._watchers[watcher] = None
 
     def unwatch(self, watcher: Watcher) -> None:
-        """Tell a watcher nothing more."""
+        """Notify a watcher no more. Idempotent."""
         self._watchers.pop(watcher, None)
 
     async def close(self) -> None:

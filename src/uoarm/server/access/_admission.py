@@ -1,4 +1,4 @@
-"""Who is let in: Host and Origin against strange web pages, then tokens or certificates."""
+"""Admission: Host and Origin against foreign web pages, then tokens or client certificates."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from urllib.parse import urlsplit
 from attrs import frozen
 
 from uoarm.errors import ConfigurationError
-from uoarm.server._access_file import read_access
-from uoarm.server._request_head import RefusedError, RequestHead
-from uoarm.server._role import EVERYTHING, Role
-from uoarm.server._tokens import AccessBook, Now, hash_token
+from uoarm.server.access._access_file import read_access
+from uoarm.server.access._policy import AccessPolicy, Now, hash_token
+from uoarm.server.access._request_head import RefusedError, RequestHead
+from uoarm.server.access._role import EVERYTHING, Role
 
-__all__ = ["Admission", "Pass", "is_loopback"]
+__all__ = ["Admission", "Credentials", "is_loopback"]
 
 _log = logging.getLogger("uoarm.server")
 
 
 @frozen
-class Pass:
-    """What a client showed to be let in; its role can be asked for again later.
+class Credentials:
+    """What a client authenticates with; its role can be asked for again later.
 
     Attributes:
         digest: hash of its token, empty where it has none.
@@ -38,7 +38,7 @@ class Pass:
 
 
 class Admission:
-    """Decides about handshakes.
+    """Authenticates clients in their handshake.
 
     Args:
         access: the access file; None lets everyone in with every right, for loopback only.
@@ -66,7 +66,7 @@ class Admission:
         self._local = local
         self._now = now
         self._stamp = self._look()
-        self._book: AccessBook | None = None if access is None else read_access(access)
+        self._policy: AccessPolicy | None = None if access is None else read_access(access)
 
     def check_page(self, head: RequestHead) -> None:
         """Refuse what a strange web page, or a strange name for this machine, brings here.
@@ -85,27 +85,27 @@ class Admission:
                 f"pages from {origin[:100]!r} may not connect; allow them with --origin",
             )
 
-    def admit(self, head: RequestHead, certificate: Mapping[str, Any]) -> Pass:
-        """Return what the client showed.
+    def admit(self, head: RequestHead, certificate: Mapping[str, Any]) -> Credentials:
+        """Return the credentials of a client.
 
         Raises:
-            RefusedError: 401, it showed nothing that is known.
+            RefusedError: 401, none that are known.
         """
         digest = hash_token(head.token) if head.token else ""
-        shown = Pass(digest, _common_name(certificate))
-        if self.role(shown) is None:
-            had = "a token that is not valid" if shown.digest else "no token"
+        credentials = Credentials(digest, _common_name(certificate))
+        if self.role(credentials) is None:
+            had = "a token that is not valid" if credentials.digest else "no token"
             raise RefusedError(HTTPStatus.UNAUTHORIZED, f"this server needs a token; got {had}")
-        return shown
+        return credentials
 
-    def role(self, shown: Pass) -> Role | None:
+    def role(self, credentials: Credentials) -> Role | None:
         """Return the role that a client has at this moment, None when it may not stay."""
-        if self._book is None:
+        if self._policy is None:
             return EVERYTHING
         now = self._now()
-        grant = self._book.grant_of(shown.digest, now) if shown.digest else None
-        if grant is None and shown.certificate:
-            grant = self._book.certificate_grant(shown.certificate, now)
+        grant = self._policy.grant_of(credentials.digest, now) if credentials.digest else None
+        if grant is None and credentials.certificate:
+            grant = self._policy.certificate_grant(credentials.certificate, now)
         return None if grant is None else grant.role
 
     def refresh(self) -> None:
@@ -118,7 +118,7 @@ class Admission:
             return
         self._stamp = stamp
         try:
-            self._book = read_access(self._path)
+            self._policy = read_access(self._path)
         except ConfigurationError as error:
             _log.error("the access file is not used, what it said before still holds: %s", error)
 

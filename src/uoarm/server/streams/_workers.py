@@ -7,17 +7,13 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from uoarm._workers import WorkerPool
-from uoarm.errors import UoarmError
-from uoarm.server._hop import Hop
+from uoarm.server._failures import BusyError
+from uoarm.server.streams._loop_mailbox import LoopMailbox
 
-__all__ = ["BusyError", "Workers"]
+__all__ = ["Workers"]
 
 T = TypeVar("T")
 _FREEING = 16
-
-
-class BusyError(UoarmError):
-    """Every worker is taken; nothing was begun. Ask again later."""
 
 
 class Workers:
@@ -27,12 +23,12 @@ class Workers:
 
     Args:
         limit: jobs at one time; one that finds no thread free is refused, never queued.
-        hop: brings results back into the loop.
+        mailbox: brings results back into the loop.
     """
 
-    def __init__(self, limit: int, hop: Hop) -> None:
+    def __init__(self, limit: int, mailbox: LoopMailbox) -> None:
         self._limit = limit
-        self._hop = hop
+        self._mailbox = mailbox
         self._asking = WorkerPool("uoarm-serve-call", limit)
         self._freeing = _freeing_pool()
 
@@ -74,7 +70,7 @@ class Workers:
         future: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
         def done(result: T, error: BaseException | None) -> None:
-            self._hop.put(lambda: _finish(future, result, error))
+            self._mailbox.put(lambda: _finish(future, result, error))
 
         if not pool.submit(action, done=done, queue=queue):
             if pool.closed:

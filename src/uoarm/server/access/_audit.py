@@ -1,4 +1,4 @@
-"""The audit log: who was let in, and what each was allowed and denied."""
+"""The audit log: who was admitted, and what each was allowed and denied."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 
 import orjson
 
-from uoarm.server._role import Operation, Role
+from uoarm.server.access._role import Operation, Role
 
 __all__ = ["Audit"]
 
@@ -38,7 +38,7 @@ class Audit:
             )
 
     def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
-        """Record a client that was let in, or, with a cause, that was not."""
+        """Record a client that was admitted, or, with a cause, that was not."""
         level = logging.WARNING if cause else logging.INFO
         self._write(level, address=address, session=session, role=role, refused=cause)
 

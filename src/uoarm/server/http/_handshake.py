@@ -1,4 +1,4 @@
-"""What happens before a WebSocket is open: pages over HTTP, and who is let in where."""
+"""What happens before a WebSocket is open: pages over HTTP, and opening handshakes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,22 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from uoarm._wire import FORMS
-from uoarm.server._address import address_of, host_of
-from uoarm.server._admission import Admission, Pass
-from uoarm.server._audit import Audit
-from uoarm.server._front_ends import FrontEnds
 from uoarm.server._limits import Limits
-from uoarm.server._metrics import Totals
-from uoarm.server._request_head import RefusedError, RequestHead, read_head
-from uoarm.server._role import Operation
+from uoarm.server.access import (
+    Admission,
+    Audit,
+    Credentials,
+    Operation,
+    RefusedError,
+    RequestHead,
+    read_head,
+)
 from uoarm.server.front_end import FrontEnd
+from uoarm.server.http._front_ends import FrontEnds
+from uoarm.server.http._metrics import Totals
+from uoarm.server.session import address_of, host_of
 
-__all__ = ["OWN_PATHS", "Doors", "Entry"]
+__all__ = ["OWN_PATHS", "Entry", "HandshakeHandler"]
 
 _NATIVE_PATHS = frozenset({"/", "/uoarm"})
 OWN_PATHS = _NATIVE_PATHS | {"/healthz", "/metrics"}
@@ -55,23 +60,23 @@ _PAGE_HEADERS = {
 
 @frozen
 class Entry:
-    """A handshake that was let in.
+    """A handshake that was accepted.
 
     Attributes:
-        shown: what the client showed.
+        credentials: of the client.
         front_end: whose protocol the path asks for; None: the native one.
     """
 
-    shown: Pass
+    credentials: Credentials
     front_end: FrontEnd | None
 
 
-class Doors:
-    """Answers requests before the handshake; one for each port.
+class HandshakeHandler:
+    """ReplyCache requests before the handshake; one for each port.
 
     Args:
-        admission: decides who is let in.
-        audit: hears of refusals.
+        admission: authenticates clients.
+        audit: records refusals.
         limits: bounds of connections.
         totals: count refusals.
         connected: addresses of the clients connected now, shared between ports.
@@ -155,7 +160,7 @@ class Doors:
             raise RefusedError(
                 HTTPStatus.TOO_MANY_REQUESTS, "too many clients of this address are connected"
             )
-        self._entries[connection] = Entry(self._shown(connection, head), front_end)
+        self._entries[connection] = Entry(self._credentials(connection, head), front_end)
 
     def _front_end_at(self, path: str) -> FrontEnd | None:
         if not isinstance(self._others, FrontEnds):
@@ -166,7 +171,7 @@ class Doors:
             raise RefusedError(HTTPStatus.NOT_FOUND, f"there is no endpoint here; try {there}")
         return front_end
 
-    def _shown(self, connection: ServerConnection, head: RequestHead) -> Pass:
+    def _credentials(self, connection: ServerConnection, head: RequestHead) -> Credentials:
         certificate = connection.transport.get_extra_info("peercert") or {}
         return self._admission.admit(head, certificate)
 
@@ -175,7 +180,7 @@ class Doors:
         if path == "/healthz":
             return _response(HTTPStatus.OK, _TYPES[".json"], orjson.dumps(self._health()))
         if path == "/metrics":
-            role = self._admission.role(self._shown(connection, head))
+            role = self._admission.role(self._credentials(connection, head))
             if role is None or not role.allows(Operation.SEE, "*"):
                 raise RefusedError(HTTPStatus.FORBIDDEN, "metrics need a role that may see all")
             return _response(HTTPStatus.OK, "text/plain; version=0.0.4", self._metrics())
@@ -188,7 +193,7 @@ class Doors:
 @cache
 def _static_files() -> Mapping[str, tuple[str, bytes]]:
     """Return the pages that ship with the server: only these names can ever be asked for."""
-    folder = Path(__file__).parent / "static"
+    folder = Path(__file__).parents[1] / "static"
     return {
         one.relative_to(folder).as_posix(): (_TYPES[one.suffix], one.read_bytes())
         for one in folder.rglob("*")

@@ -1,4 +1,4 @@
-"""Sessions that outlive a short drop of their connection, until their client comes back."""
+"""Sessions that outlive a short drop of their connection, with their last replies."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 import logging
 import secrets
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Protocol
 
@@ -14,14 +15,13 @@ from attrs import define, field
 from uoarm._deadlines import result_within
 from uoarm.errors import UsageError
 from uoarm.model import ControlMessage
-from uoarm.server._admission import Pass
-from uoarm.server._client import Client, Session
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._limits import Limits
-from uoarm.server._role import Role
-from uoarm.server._tokens import hash_token
+from uoarm.server.access import Credentials, Role, hash_token
+from uoarm.server.session._client import Client, Session
+from uoarm.server.streams import Account, Held
 
-__all__ = ["Kept", "Lobby", "Resumable"]
+__all__ = ["KeptSession", "ReplyCache", "Resumable", "SessionStore"]
 
 _log = logging.getLogger("uoarm.server")
 _KEY_BYTES = 32
@@ -33,12 +33,12 @@ class Resumable(Session, Protocol):
     form: str
 
     def go_on(self, asked: ControlMessage) -> None:
-        """Answer the Resume that took the session up, and what its client did not hear."""
+        """Answer the Resume that took the session up, and what its client may not have received."""
 
 
 @define(eq=False)
-class Kept:
-    """A session that its client asked to keep.
+class KeptSession:
+    """A session that its client asked to retain.
 
     Attributes:
         client: its transport, with everything that waits for the client.
@@ -53,7 +53,7 @@ class Kept:
     free: asyncio.Event = field(factory=asyncio.Event)
 
 
-class Lobby:
+class SessionStore:
     """All sessions that are kept, by the hash of their key; in the loop's thread.
 
     Args:
@@ -64,9 +64,9 @@ class Lobby:
     def __init__(self, limits: Limits, end: Callable[[Client, Session], None]) -> None:
         self._limits = limits
         self._end = end
-        self._kept: dict[str, Kept] = {}
+        self._kept: dict[str, KeptSession] = {}
         self._keys: dict[Client, str] = {}
-        self._successors: dict[Client, tuple[Kept, ControlMessage]] = {}
+        self._successors: dict[Client, tuple[KeptSession, ControlMessage]] = {}
 
     @property
     def waiting(self) -> tuple[Client, ...]:
@@ -86,7 +86,7 @@ class Lobby:
         key = secrets.token_urlsafe(_KEY_BYTES)
         client.is_kept = True
         self._keys[client] = hash_token(key)
-        self._kept[self._keys[client]] = Kept(client, session)
+        self._kept[self._keys[client]] = KeptSession(client, session)
         return key
 
     def claim(self, key: str, client: Client, form: str, asked: ControlMessage) -> None:
@@ -97,7 +97,10 @@ class Lobby:
             UsageError: it speaks another form.
         """
         kept = self._kept.get(hash_token(key))
-        if kept is None or (kept.client.shown, kept.client.role) != (client.shown, client.role):
+        if kept is None or (kept.client.credentials, kept.client.role) != (
+            client.credentials,
+            client.role,
+        ):
             raise UnknownError("there is no such session, or its time is over; begin anew")
         if kept.session.form != form:
             raise UsageError(f"that session speaks {kept.session.form}, not {form}")
@@ -107,7 +110,7 @@ class Lobby:
         client.is_leaving = True
         kept.client.release()
 
-    async def successor(self, client: Client) -> Kept | None:
+    async def successor(self, client: Client) -> KeptSession | None:
         """Return the session that a leaving client's connection goes on with, once it is free."""
         if client not in self._successors:
             return None
@@ -125,7 +128,7 @@ class Lobby:
         kept.session.go_on(asked)
         return kept
 
-    def park(self, client: Client) -> bool:
+    def retain(self, client: Client) -> bool:
         """Keep the session of a client whose connection has ended, if it dropped."""
         key = self._keys.get(client)
         if key is None:
@@ -138,14 +141,14 @@ class Lobby:
         self._forget(kept)
         return False
 
-    def refresh(self, now: float, roles: Callable[[Pass], Role | None]) -> None:
+    def refresh(self, now: float, roles: Callable[[Credentials], Role | None]) -> None:
         """End sessions that waited too long, that hold too much, or whose rights changed."""
         for kept in list(self._kept.values()):
             client, since = kept.client, kept.since
             if since is not None and (
                 now - since > self._limits.resume_seconds
                 or client.outbox.overflowed
-                or roles(client.shown) != client.role
+                or roles(client.credentials) != client.role
             ):
                 self._finish(kept)
         self._make_room()
@@ -164,9 +167,56 @@ class Lobby:
             _log.warning(text, largest.identity, self._limits.kept_bytes)
             self._finish(self._kept[self._keys[largest]])
 
-    def _finish(self, kept: Kept) -> None:
+    def _finish(self, kept: KeptSession) -> None:
         self._forget(kept)
         self._end(kept.client, kept.session)
 
-    def _forget(self, kept: Kept) -> None:
+    def _forget(self, kept: KeptSession) -> None:
         del self._kept[self._keys.pop(kept.client)]
+
+
+class ReplyCache:
+    """The last replies of one session by id, and what is under way; all in the loop's thread.
+
+    They are repeated to a client that comes back after a drop.
+
+    Args:
+        most: answers that are kept.
+        most_bytes: bytes that they may have together; fewer where the client's account is full.
+        account: the client's.
+    """
+
+    def __init__(self, most: int, most_bytes: int, account: Account) -> None:
+        self._most = most
+        self._most_bytes = most_bytes
+        self._account = account
+        self._held = account.hold(Held.ANSWERS)
+        self._under_way: set[str] = set()
+        self._frames: OrderedDict[str, bytes] = OrderedDict()
+        self._bytes = 0
+
+    def begin(self, identity: str) -> None:
+        """Note a message that will be answered."""
+        self._under_way.add(identity)
+
+    def add(self, identity: str, frame: bytes) -> None:
+        """Keep an answer, at the cost of the oldest."""
+        self._under_way.discard(identity)
+        self._bytes += len(frame) - len(self._frames.pop(identity, b""))
+        self._frames[identity] = frame
+        self._held.resize(self._bytes)
+        while self._frames and (
+            len(self._frames) > self._most
+            or self._bytes > self._most_bytes
+            or not self._account.has_room(0)
+        ):
+            self._bytes -= len(self._frames.popitem(last=False)[1])
+            self._held.resize(self._bytes)
+
+    def is_under_way(self, identity: str) -> bool:
+        """Say whether an answer is still to come."""
+        return identity in self._under_way
+
+    def get(self, identity: str) -> bytes | None:
+        """Return an answer that is kept."""
+        return self._frames.get(identity)

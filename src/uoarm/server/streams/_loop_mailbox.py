@@ -7,12 +7,12 @@ import logging
 from collections import deque
 from collections.abc import Callable
 
-__all__ = ["Hop"]
+__all__ = ["LoopMailbox"]
 
 _log = logging.getLogger("uoarm.server")
 
 
-class Hop:
+class LoopMailbox:
     """Runs actions of other threads in the loop's thread, in order.
 
     However many come before the loop gets to them, it is woken once. One that fails is logged, and
@@ -31,7 +31,7 @@ class Hop:
             self._woken = True
             try:
                 self._loop.call_soon_threadsafe(self._run)
-            except RuntimeError:  # the loop is closed: nobody is left to be told
+            except RuntimeError:  # the loop is closed: nobody is left to notify
                 self._actions.clear()
 
     def _run(self) -> None:

@@ -24,16 +24,12 @@ from uoarm.model import (
     message_octets,
     to_json,
 )
-from uoarm.server._answers import Answers
-from uoarm.server._client import Client
-from uoarm.server._desk import Desk
 from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
-from uoarm.server._holdings import Holdings, wanted_by
-from uoarm.server._lobby import Lobby
-from uoarm.server._memory import Charge, Held
-from uoarm.server._role import Operation
-from uoarm.server._sending import read_message
-from uoarm.server._view import list_functions, show_plan, visible_status
+from uoarm.server.access import Operation
+from uoarm.server.session._client import Client
+from uoarm.server.session._session_store import ReplyCache, SessionStore
+from uoarm.server.session._view import list_functions, show_plan, visible_status
+from uoarm.server.streams import Charge, ClientStreams, FeedRegistry, Held, feed_key, read_message
 
 __all__ = ["NativeSession"]
 
@@ -48,15 +44,17 @@ class NativeSession:
     holds up nothing.
     """
 
-    def __init__(self, client: Client, desk: Desk, form: Form, lobby: Lobby) -> None:
+    def __init__(
+        self, client: Client, registry: FeedRegistry, form: Form, store: SessionStore
+    ) -> None:
         self.form = form.name
         self._client = client
-        self._lobby = lobby
-        self._answers: Answers | None = None
-        self._desk = desk
+        self._store = store
+        self._replies: ReplyCache | None = None
+        self._registry = registry
         self._form = form
-        self._holdings = Holdings(
-            desk,
+        self._streams = ClientStreams(
+            registry,
             client.outbox,
             client.account,
             form,
@@ -96,8 +94,8 @@ class NativeSession:
         return functools.partial(self._handle, asked), message_octets(asked.jsonMessage)
 
     def _handle(self, asked: ControlMessage) -> None:
-        if self._answers is not None and asked.id is not None:
-            self._answers.begin(asked.id)
+        if self._replies is not None and asked.id is not None:
+            self._replies.begin(asked.id)
         try:
             if asked.op in self._quick:
                 self._quick[asked.op](asked)
@@ -107,28 +105,28 @@ class NativeSession:
             self._failed(asked, error)
 
     def go_on(self, asked: ControlMessage) -> None:
-        """Answer the Resume that took this session up, and what its client did not hear.
+        """Answer the Resume that took this session up, and what its client may not have received.
 
-        What it asked and was not kept or never came gets an error. Ends are told again: a client
+        What it asked and was not kept or never came gets an error. Ends are sent again: a client
         that missed one would wait for messages for ever.
         """
-        self._reply(asked, {"session": self._client.identity, "own": self._holdings.counters()})
-        assert self._answers is not None, "only a session that is kept can go on"
+        self._reply(asked, {"session": self._client.identity, "own": self._streams.counters()})
+        assert self._replies is not None, "only a session that is kept can go on"
         for identity in dict.fromkeys((asked.jsonMessage or {}).get("waiting", ())):
-            frame = self._answers.get(identity)
-            if frame is None and not self._answers.is_under_way(identity):
+            frame = self._replies.get(identity)
+            if frame is None and not self._replies.is_under_way(identity):
                 text = "it did not arrive before the connection dropped, or its answer is lost"
                 self._fail(identity, "", ConnectionClosedError(text))
             elif frame is not None and not self._client.outbox.holds(frame):
                 self._client.outbox.tell(frame, text=self._form.text)
-        self._holdings.tell_ends_again()
+        self._streams.tell_ends_again()
 
     def close(self) -> None:
         """Give back everything that only this client used."""
-        self._desk.unwatch(self._changed)
+        self._registry.unwatch(self._changed)
         for task in self._tasks:
             task.cancel()
-        self._holdings.close()
+        self._streams.close()
 
     def _begin(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
         try:
@@ -155,11 +153,11 @@ class NativeSession:
 
     async def _request(self, asked: ControlMessage) -> None:
         options = asked.jsonMessage or {}
-        wanted = wanted_by(str(asked.type), options)
+        wanted = feed_key(str(asked.type), options)
         self._client.require(
             Operation.REQUEST if wanted.receive else Operation.SEND, wanted.function
         )
-        stream = await self._holdings.open(wanted, options)
+        stream = await self._streams.open(wanted, options)
         plan = stream.connection.plan
         opened = {
             "connection": stream.connection.id,
@@ -169,7 +167,7 @@ class NativeSession:
             "warnings": list(plan.warnings),
         }
         self._reply(asked, opened)
-        self._holdings.begin(stream)
+        self._streams.begin(stream)
 
     async def _call(self, asked: ControlMessage) -> None:
         name = str(asked.type)
@@ -178,7 +176,7 @@ class NativeSession:
         assert isinstance(limit, int | float), "the schema says so"
         read = functools.partial(read_message, self._form)
         act = functools.partial(self._written, asked)
-        frame = await self._desk.call_and(act, name, asked.jsonMessage, read, float(limit))
+        frame = await self._registry.call_and(act, name, asked.jsonMessage, read, float(limit))
         self._tell_frame(asked.id, frame)
 
     async def _resolve(self, asked: ControlMessage) -> None:
@@ -188,24 +186,24 @@ class NativeSession:
         def act(plan: Plan) -> bytes:
             return self._written(asked, show_plan(plan, self._form))
 
-        self._tell_frame(asked.id, await self._desk.resolve_and(act, name))
+        self._tell_frame(asked.id, await self._registry.resolve_and(act, name))
 
     def _list(self, asked: ControlMessage) -> None:
-        functions = list_functions(self._desk.robot.config, self._client.role)
+        functions = list_functions(self._registry.robot.config, self._client.role)
         self._reply(asked, {"functions": functions})
 
     def _status(self, asked: ControlMessage) -> None:
         if asked.type == "watch":
-            self._desk.watch(self._changed)
+            self._registry.watch(self._changed)
         elif asked.type == "unwatch":
-            self._desk.unwatch(self._changed)
-        robot = self._desk.robot
+            self._registry.unwatch(self._changed)
+        robot = self._registry.robot
         status = visible_status(robot.config, robot.status(), self._client.role)
-        told = {**status, "own": self._holdings.counters()}
+        told = {**status, "own": self._streams.counters()}
         if asked.type == "watch":
             told["past"] = [
                 {**to_json(event), "age": age}
-                for age, event, function in self._desk.past()
+                for age, event, function in self._registry.past()
                 if self._client.role.allows(Operation.SEE, function)
             ]
         self._reply(asked, told)
@@ -214,20 +212,20 @@ class NativeSession:
         options = asked.jsonMessage
         limits = self._client.limits
         if options is None:
-            key = self._lobby.keep(self._client, self)
+            key = self._store.keep(self._client, self)
             account = self._client.account
-            self._answers = Answers(limits.control_messages, limits.queue_bytes, account)
+            self._replies = ReplyCache(limits.control_messages, limits.queue_bytes, account)
             self._reply(asked, {"key": key, "seconds": limits.resume_seconds})
-        elif self._tasks or self._holdings.counters() or self._answers is not None:
+        elif self._tasks or self._streams.counters() or self._replies is not None:
             raise UsageError("Resume with a key must be the first message of a connection")
         else:
-            self._lobby.claim(options["key"], self._client, self.form, asked)
+            self._store.claim(options["key"], self._client, self.form, asked)
 
     def _send(self, asked: ControlMessage) -> None:
         identity, _, port = str(asked.type).partition(".")
-        stream = self._holdings.own(identity)
+        stream = self._streams.own(identity)
         self._client.require(Operation.SEND, stream.connection.plan.function)
-        self._holdings.send(
+        self._streams.send(
             stream,
             asked.jsonMessage,
             port or None,
@@ -239,11 +237,11 @@ class NativeSession:
         if (asked.jsonMessage or {}).get("everyone"):
             self._kill_for_everyone(asked)
         else:
-            stream = self._holdings.own(str(asked.type))
-            self._holdings.kill(stream, lambda: self._reply(asked, None))
+            stream = self._streams.own(str(asked.type))
+            self._streams.kill(stream, lambda: self._reply(asked, None))
 
     def _kill_for_everyone(self, asked: ControlMessage) -> None:
-        connection = self._desk.connection(str(asked.type))
+        connection = self._registry.connection(str(asked.type))
         seen = connection is not None and self._client.role.allows(
             Operation.SEE, connection.plan.function
         )
@@ -253,7 +251,7 @@ class NativeSession:
         self._begin(asked, self._ended_by(asked, connection))
 
     async def _ended_by(self, asked: ControlMessage, connection: Connection) -> None:
-        await asyncio.shield(self._desk.kill(connection))
+        await asyncio.shield(self._registry.kill(connection))
         self._reply(asked, None)
 
     def _changed(self, event: StatusEvent, function: str) -> None:
@@ -292,7 +290,7 @@ class NativeSession:
     def _written(self, asked: ControlMessage, message: Message) -> bytes:
         """Write a reply in a worker, which waits where that takes long."""
         write = functools.partial(write_or_tell, self._form, _reply_of(asked, message))
-        return self._desk.encoder.wait(message, write)
+        return self._registry.encoder.wait(message, write)
 
     def _fail(
         self,
@@ -314,8 +312,8 @@ class NativeSession:
         self._tell_frame(message.get("id"), write_or_tell(self._form, message))
 
     def _tell_frame(self, identity: str | None, frame: bytes) -> None:
-        if self._answers is not None and identity is not None:
-            self._answers.add(identity, frame)
+        if self._replies is not None and identity is not None:
+            self._replies.add(identity, frame)
         self._client.outbox.tell(frame, text=self._form.text)
 
 

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from enum import Enum
 from typing import final
 
-from uoarm.server._failures import LimitError
-from uoarm.server._workers import BusyError
+from uoarm.server._failures import BusyError, LimitError
 
 __all__ = ["Account", "Charge", "Held", "Memory"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import functools
 import time
 from collections import deque
@@ -9,43 +10,111 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm._control import Connection
+from uoarm._dataplane import Clock
 from uoarm._wire import Form
 from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.server._desk import Desk, FeedKey
 from uoarm.server._failures import LimitError, UnknownError
-from uoarm.server._feed import Feed
 from uoarm.server._limits import Limits
-from uoarm.server._memory import Account
-from uoarm.server._outbox import Lane, Outbox
-from uoarm.server._sending import Done, InputSender
-from uoarm.server._stream import Stream
+from uoarm.server.streams._encoder import Encoder
+from uoarm.server.streams._feed import Envelope, Feed
+from uoarm.server.streams._feed_registry import FeedKey, FeedRegistry
+from uoarm.server.streams._input_sender import Done, InputSender
+from uoarm.server.streams._memory import Account
+from uoarm.server.streams._outbox import Lane, Outbox
 
-__all__ = ["Holdings", "wanted_by"]
+__all__ = ["ClientStreams", "Stream", "feed_key"]
 
 
-class Holdings:
-    """Streams and sendings of one client by connection id, in the loop's thread.
+class Stream:
+    """Hands the messages of a feed to one client.
 
     Args:
-        desk: where feeds are shared.
+        feed: an open feed.
         outbox: the client's.
-        account: the client's.
-        form: in which its messages are.
-        limits: bounds.
-        on_refused: hears the connection and why one of its messages could not be written.
+        form: in which messages are written.
+        queue: the client's own queue for this feed.
+        every: least seconds between two messages; those between are left out.
+        clock: seconds.
+        on_refused: called once for each reason for which a message could not be written.
+        on_end: called when the feed has ended, with state and cause.
     """
 
     def __init__(
         self,
-        desk: Desk,
+        feed: Feed,
+        outbox: Outbox,
+        form: Form,
+        queue: QueuePolicy,
+        *,
+        every: float,
+        clock: Clock,
+        on_refused: Callable[[MessageError], None],
+        on_end: Callable[[str, str], None],
+    ) -> None:
+        assert feed.connection is not None, "a stream is made when its feed is open"
+        self.feed = feed
+        self.connection = feed.connection
+        self.lane = Lane(queue, form.text)
+        self.skipped = 0
+        self._outbox = outbox
+        self._key = form.name
+        self._write = functools.partial(form.write_data, feed.connection.id)
+        self._every = every
+        self._clock = clock
+        self._due = 0.0
+        self._on_refused = on_refused
+        self._on_end = on_end
+
+    def prepare(self, encoder: Encoder, envelope: Envelope) -> asyncio.Future[object] | None:
+        """Have a long message written beside the loop, unless it comes too soon anyway."""
+        if self._every and self._clock() < self._due:
+            return None
+        return envelope.prepare(self._key, self._write, encoder)
+
+    def offer(self, envelope: Envelope) -> None:
+        """Take one message unless it comes too soon after the last."""
+        if self._every:
+            now = self._clock()
+            if now < self._due:
+                self.skipped += 1
+                return
+            self._due = now + self._every
+        self._outbox.put(self.lane, envelope.written(self._key, self._write))
+
+    def refuse(self, envelope: Envelope, error: MessageError) -> None:
+        """Count a message that has no form, and tell why."""
+        del envelope
+        if self.lane.refuse(error):
+            self._on_refused(error)
+
+    def ended(self, state: str, cause: str) -> None:
+        """Pass the end on."""
+        self._on_end(state, cause)
+
+
+class ClientStreams:
+    """Streams and input senders of one client by connection id, in the loop's thread.
+
+    Args:
+        registry: where feeds are shared.
+        outbox: the client's.
+        account: the client's.
+        form: in which its messages are.
+        limits: bounds.
+        on_refused: called with the connection, and why one of its messages could not be written.
+    """
+
+    def __init__(
+        self,
+        registry: FeedRegistry,
         outbox: Outbox,
         account: Account,
         form: Form,
         limits: Limits,
         on_refused: Callable[[str, MessageError], None],
     ) -> None:
-        self._desk = desk
+        self._registry = registry
         self._outbox = outbox
         self._account = account
         self._form = form
@@ -69,20 +138,20 @@ class Holdings:
             raise LimitError(f"{self._limits.streams} connections are open; kill one first")
         self._opening += 1
         try:
-            feed = await self._desk.join(wanted)
+            feed = await self._registry.join(wanted)
         finally:
             self._opening -= 1
         connection = feed.connection
         assert connection is not None, "join returns feeds that are open"
         if connection.id in self._streams:
-            self._desk.leave(feed)
+            self._registry.leave(feed)
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
         stream = self._streams[connection.id] = self._stream(feed, connection, options)
         return stream
 
     def begin(self, stream: Stream) -> None:
         """Let the messages of a stream come, first those that wait."""
-        stream.feed.add(stream, functools.partial(stream.prepare, self._desk.encoder))
+        stream.feed.add(stream, functools.partial(stream.prepare, self._registry.encoder))
 
     def own(self, identity: str) -> Stream:
         """Return the client's stream of a connection.
@@ -102,7 +171,7 @@ class Holdings:
         identity = stream.connection.id
         sending = self._sendings.get(identity)
         if sending is None:
-            sending = self._sendings[identity] = self._desk.sender(
+            sending = self._sendings[identity] = self._registry.sender(
                 stream.connection, self._account, self._form
             )
         sending.send(message, port, done, octets)
@@ -156,7 +225,7 @@ class Holdings:
         ]
 
     def tell_ends_again(self) -> None:
-        """Tell the last ends once more: after a drop the client may not have heard them."""
+        """Send the last ends once more: after a drop the client may not have received them."""
         for lane, frame in self._ends:
             if not lane.waiting:
                 self._outbox.finish(lane, frame)
@@ -174,7 +243,7 @@ class Holdings:
         )
 
     def _ended(self, identity: str, state: str, cause: str) -> None:
-        """Tell the end after the last message, and free the name."""
+        """Send the end after the last message, and free the name."""
         stream = self._remove(identity)
         if stream is not None:
             told = {"connection": identity, "state": state, "cause": cause}
@@ -189,11 +258,11 @@ class Holdings:
             sending.close()
         if stream is not None:
             stream.feed.remove(stream)
-            self._desk.leave(stream.feed)
+            self._registry.leave(stream.feed)
         return stream
 
 
-def wanted_by(name: str, options: Mapping[str, Any]) -> FeedKey:
+def feed_key(name: str, options: Mapping[str, Any]) -> FeedKey:
     """Return what a Request with these options asks for."""
     return FeedKey(
         name, ValidationMode(options.get("validate", "off")), options.get("receive", True)

@@ -14,10 +14,11 @@ from uoarm._dataplane import make_check
 from uoarm._wire import Form
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import Message, MessageStructure, ValidationMode
-from uoarm.server._memory import Account, Charge, Held
-from uoarm.server._workers import BusyError, Workers
+from uoarm.server._failures import BusyError
+from uoarm.server.streams._memory import Account, Charge, Held
+from uoarm.server.streams._workers import Workers
 
-__all__ = ["InputSender", "read_message"]
+__all__ = ["Done", "InputSender", "read_message"]
 
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
@@ -26,7 +27,7 @@ Done: TypeAlias = Callable[[BaseException | None], None]
 
 
 @define
-class _Letter:
+class _QueuedMessage:
     message: Message
     port: str | None
     done: Done
@@ -55,14 +56,14 @@ class InputSender:
         self._workers = workers
         self._account = account
         self._limit = limit
-        self._waiting: deque[_Letter] = deque()
+        self._waiting: deque[_QueuedMessage] = deque()
         self._running = False
         self._closed = False
         self._flushing = False
         self._after: list[Callable[[], None]] = []
 
     def send(self, message: Message, port: str | None, done: Done, octets: int) -> None:
-        """Hand one message over, after those before it; `done` hears how it went.
+        """Hand one message over, after those before it; `done` is called with how it went.
 
         Args:
             message: as it came.
@@ -77,7 +78,7 @@ class InputSender:
         if len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
         charge = self._account.charge(Held.SENDING, octets)
-        self._waiting.append(_Letter(message, port, done, charge))
+        self._waiting.append(_QueuedMessage(message, port, done, charge))
         if not self._running:
             try:
                 self._run()
@@ -96,12 +97,12 @@ class InputSender:
             self._flush()
 
     def close(self) -> None:
-        """Hand over nothing more; what waits is told so and let go. Idempotent."""
+        """Hand over nothing more; what waits fails with that, and is released. Idempotent."""
         self._closed = True
         while self._waiting:
-            letter = self._waiting.popleft()
-            letter.charge.release()
-            letter.done(self._has_ended())
+            queued = self._waiting.popleft()
+            queued.charge.release()
+            queued.done(self._has_ended())
 
     def structure(self, port: str | None) -> MessageStructure:
         """Return the structure of an input; None stands for the only one.
@@ -133,28 +134,28 @@ class InputSender:
     def _run(self) -> None:
         batch = self._next_batch()
         future = self._workers.start(
-            lambda: [self._hand_over(letter) for letter in batch], always=self._running
+            lambda: [self._hand_over(queued) for queued in batch], always=self._running
         )
         self._running = True
         for _ in batch:
             self._waiting.popleft()
         future.add_done_callback(lambda done: self._handed(batch, done.result()))
 
-    def _next_batch(self) -> list[_Letter]:
+    def _next_batch(self) -> list[_QueuedMessage]:
         """Return what waits, oldest first, up to a count and an amount of memory."""
-        batch: list[_Letter] = []
+        batch: list[_QueuedMessage] = []
         octets = 0
-        for letter in self._waiting:
-            octets += letter.charge.octets
+        for queued in self._waiting:
+            octets += queued.charge.octets
             if batch and (octets > _BATCH_OCTETS or len(batch) == _BATCH):
                 break
-            batch.append(letter)
+            batch.append(queued)
         return batch
 
-    def _handed(self, batch: list[_Letter], outcomes: list[BaseException | None]) -> None:
-        for letter, outcome in zip(batch, outcomes, strict=True):
-            letter.charge.release()
-            letter.done(outcome)
+    def _handed(self, batch: list[_QueuedMessage], outcomes: list[BaseException | None]) -> None:
+        for queued, outcome in zip(batch, outcomes, strict=True):
+            queued.charge.release()
+            queued.done(outcome)
         if self._waiting:
             self._run()
             return
@@ -166,19 +167,19 @@ class InputSender:
         cause = self._connection.cause or "kill"
         return ConnectionClosedError(f"connection {self._connection.id} has ended: {cause}")
 
-    def _hand_over(self, letter: _Letter) -> BaseException | None:
+    def _hand_over(self, queued: _QueuedMessage) -> BaseException | None:
         """Return what went wrong with one message, in a worker."""
         try:
             if self._closed:
                 return self._has_ended()
-            structure = self.structure(letter.port)
-            place = f"{self._connection.plan.provider.component.name}.{letter.port or 'input'}"
-            message = read_message(self._form, structure, letter.message)
+            structure = self.structure(queued.port)
+            place = f"{self._connection.plan.provider.component.name}.{queued.port or 'input'}"
+            message = read_message(self._form, structure, queued.message)
             check = make_check(structure, ValidationMode.ALWAYS, place)
             if check is not None:
                 check(message)
-            self._connection.send(message, letter.port)
-        except Exception as error:  # noqa: BLE001 - told to the one who sent it
+            self._connection.send(message, queued.port)
+        except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
         return None
 

@@ -14,8 +14,8 @@ from attrs import define, field
 from uoarm._control import Connection
 from uoarm.errors import MessageError
 from uoarm.model import Message, message_octets
-from uoarm.server._encoder import Encoder, takes_long
-from uoarm.server._hop import Hop
+from uoarm.server.streams._encoder import Encoder, takes_long
+from uoarm.server.streams._loop_mailbox import LoopMailbox
 
 __all__ = ["Envelope", "Feed", "Listener", "Prepare"]
 
@@ -115,10 +115,10 @@ class Listener(Protocol):
         """Take one message; MessageError when it cannot be written."""
 
     def refuse(self, envelope: Envelope, error: MessageError) -> None:
-        """Hear that a message could not be written."""
+        """Called for a message that could not be written."""
 
     def ended(self, state: str, cause: str) -> None:
-        """Hear that no more will come, and why."""
+        """Called once: no more will come, and why."""
 
 
 class Feed:
@@ -128,7 +128,7 @@ class Feed:
     What `Backend.join` returns is open. Only the server calls `take` and `finish`.
 
     Args:
-        hop: the way into the loop.
+        mailbox: the way into the loop.
         limit: messages that wait for the loop; then the oldest is lost, as a gap in the numbers.
 
     Attributes:
@@ -137,8 +137,8 @@ class Feed:
         end: state and cause, once no more will come.
     """
 
-    def __init__(self, hop: Hop, limit: int) -> None:
-        self._hop = hop
+    def __init__(self, mailbox: LoopMailbox, limit: int) -> None:
+        self._mailbox = mailbox
         self._waiting: deque[Envelope] = deque(maxlen=limit)
         self._number = 0
         self._pending = False
@@ -162,7 +162,7 @@ class Feed:
         self._waiting.append(Envelope(self._number, message))
         if not self._pending:
             self._pending = True
-            self._hop.put(self._hand_out)
+            self._mailbox.put(self._hand_out)
 
     def add(self, listener: Listener, prepare: Prepare | None = None) -> None:
         """Hand messages to a listener from now on; to the first one what came before it, too.
@@ -186,7 +186,7 @@ class Feed:
         return not self._listeners
 
     def finish(self, state: str, cause: str) -> None:
-        """Hand out what waits, then tell every listener that this was all.
+        """Hand out what waits, then notify every listener of the end.
 
         At once, unless a long message is being written: then after it.
         """
@@ -214,7 +214,7 @@ class Feed:
             self._schedule()
 
     def _hand_all(self) -> None:
-        """Hand out the last messages, then tell the end."""
+        """Hand out the last messages, then notify of the end."""
         while self._hand_next():
             pass
         if self._is_writing or self._is_done or not self._listeners:

@@ -9,15 +9,15 @@ from typing import TypeVar
 
 from uoarm.server._limits import Limits
 
-__all__ = ["Decoder", "Pace"]
+__all__ = ["Decoder", "RateLimiter"]
 
 T = TypeVar("T")
 # Decoding costs at most some 0.3 us for each octet, so 2 ms for a frame of this length.
 _QUICK_OCTETS = 8192
 
 
-class Pace:
-    """Says how long to wait before a client is read on; a token bucket for each rate, no clock.
+class RateLimiter:
+    """Says how long to wait before a client is read on: a token bucket for each rate, no clock.
 
     A bucket holds one second's worth. A message is always taken, and may overdraw a bucket by
     whatever it costs: the wait after it makes up for that.

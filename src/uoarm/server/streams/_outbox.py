@@ -10,7 +10,7 @@ from attrs import define, field
 
 from uoarm.errors import MessageError
 from uoarm.model import OverflowPolicy, QueuePolicy
-from uoarm.server._memory import Account, Charge, Held, Memory
+from uoarm.server.streams._memory import Account, Charge, Held, Memory
 
 __all__ = ["Lane", "Outbox"]
 
@@ -44,9 +44,9 @@ class Lane:
         return 1 if self.policy.policy is OverflowPolicy.LATEST else self.policy.length
 
     def refuse(self, error: MessageError) -> bool:
-        """Count a message that cannot be written as lost; True: the client is to be told why.
+        """Count a message that cannot be written as lost; True: the client is to be notified.
 
-        Each reason is told once, and again only after another one.
+        Each reason is reported once, and again only after another one.
         """
         self.dropped += 1
         told, self._refusal = self._refusal, str(error)

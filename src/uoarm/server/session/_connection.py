@@ -11,11 +11,12 @@ from websockets.asyncio.server import ServerConnection
 from websockets.frames import DATA_OPCODES, Frame
 from websockets.http11 import Request
 
-__all__ = ["TurnConnection"]
+__all__ = ["TurnConnection", "address_of", "host_of"]
 
 _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
 _TURN_SECONDS = 0.001
+_UNKNOWN = "unknown"
 _CONTROL_PER_SECOND = 200.0
 
 
@@ -123,3 +124,15 @@ class TurnConnection(ServerConnection):
         self._full = False
         if self._timer is None:
             self._timer = self.loop.call_soon(self._turn)
+
+
+def host_of(connection: ServerConnection) -> str:
+    """Return the host alone."""
+    name = connection.remote_address
+    return str(name[0]) if isinstance(name, tuple) else _UNKNOWN
+
+
+def address_of(connection: ServerConnection) -> str:
+    """Return `host:port`."""
+    name = connection.remote_address
+    return ":".join(str(part) for part in name[:2]) if isinstance(name, tuple) else _UNKNOWN

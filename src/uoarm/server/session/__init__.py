@@ -1,0 +1,18 @@
+"""One client: its connection, the native protocol, and sessions that outlive a drop."""
+
+from uoarm.server.session._client import Client, Session
+from uoarm.server.session._connection import TurnConnection, address_of, host_of
+from uoarm.server.session._intake import Decoder
+from uoarm.server.session._native import NativeSession
+from uoarm.server.session._session_store import SessionStore
+
+__all__ = [
+    "Client",
+    "Decoder",
+    "NativeSession",
+    "Session",
+    "SessionStore",
+    "TurnConnection",
+    "address_of",
+    "host_of",
+]

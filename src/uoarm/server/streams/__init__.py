@@ -1,0 +1,27 @@
+"""Messages between robot and clients: feeds, queues, senders, and the memory they hold."""
+
+from uoarm.server.streams._client_streams import ClientStreams, feed_key
+from uoarm.server.streams._feed import Envelope, Feed, Listener
+from uoarm.server.streams._feed_registry import FeedKey, FeedRegistry, Read
+from uoarm.server.streams._input_sender import Done, InputSender, read_message
+from uoarm.server.streams._memory import Account, Charge, Held
+from uoarm.server.streams._outbox import Lane, Outbox
+
+__all__ = [
+    "Account",
+    "Charge",
+    "ClientStreams",
+    "Done",
+    "Envelope",
+    "Feed",
+    "FeedKey",
+    "FeedRegistry",
+    "Held",
+    "InputSender",
+    "Lane",
+    "Listener",
+    "Outbox",
+    "Read",
+    "feed_key",
+    "read_message",
+]
