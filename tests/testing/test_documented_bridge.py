@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from uoarm.bridge import Bridge, Registry
+from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing.conformance import BridgeConformance, Pair, World
 
@@ -31,13 +31,15 @@ class CanWorld(World):
     """One frame on a virtual bus of this test's own."""
 
     def __init__(self) -> None:
-        (kind,) = plugin()["uoarm_bridge_types"]()
-        self._registry = Registry([])
-        self._registry.add(kind)
         self._options = {"channel": f"test {next(CHANNELS)}", "frames": {"wheel": 0x120}}
 
-    def bridge(self) -> Bridge:
-        return self._registry.create(BridgeSpec("can", "can", self._options))
+    def spec(self) -> BridgeSpec:
+        return BridgeSpec("can", "can", self._options)
+
+    def registry(self) -> Registry:
+        made = Registry([])
+        made.add(plugin()["uoarm_bridge_types"]()[0])
+        return made
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(kind, Role.INPUT), at(kind, Role.OUTPUT))

@@ -141,14 +141,35 @@ def test_a_component_that_dies_ends_the_connections_that_need_it() -> None:
         assert bridge.open_channels == 0
 
 
-def test_garbled_messages_raise_at_the_emitter_and_the_link_goes_on() -> None:
-    bridge, got = MemoryBridge(), Collector()
+def test_garbled_messages_are_told_and_counted_and_the_link_goes_on() -> None:
+    bridge, got, told = MemoryBridge(), Collector(), list[HealthEvent]()
     camera = bridge.emitter("camera", BYTE)
-    bridge.open_source(output("camera"), MessageStructure(BYTE), got.deliver)
-    with camera.garbled(), pytest.raises(BridgeError, match="reading failed"):
+    bridge.watch(told.append)
+    channel = bridge.open_source(output("camera"), MessageStructure(BYTE), got.deliver)
+    with camera.garbled():
         camera.emit({"value": 1})
     camera.emit({"value": 2})
     assert got.messages == [{"value": 2}]
+    assert [event.health for event in told] == [Health.DEGRADED]
+    assert channel.facts() == {"unreadable": 1}
+    bridge.close()
+
+
+def test_nothing_passes_a_link_that_is_cut() -> None:
+    bridge, got, told = MemoryBridge(), Collector(), list[HealthEvent]()
+    camera, screen = bridge.emitter("camera", BYTE), bridge.taker("screen", BYTE)
+    bridge.watch(told.append)
+    bridge.open_source(output("camera"), MessageStructure(BYTE), got.deliver)
+    sink = bridge.open_sink(sink_of("screen"), MessageStructure(BYTE))
+    bridge.cut("unplugged")
+    camera.emit({"value": 1})
+    with pytest.raises(BridgeError, match="unplugged"):
+        sink.send({"value": 1})
+    bridge.mend()
+    camera.emit({"value": 2})
+    sink.send({"value": 2})
+    assert got.messages == screen.taken.messages == [{"value": 2}]
+    assert [event.health for event in told] == [Health.DEGRADED] * 2 + [Health.OK] * 2
     bridge.close()
 
 

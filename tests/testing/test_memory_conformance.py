@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
 
-from uoarm.bridge import Bridge
-from uoarm.model import Endpoint, Role
-from uoarm.testing import Hang, MemoryBridge
-from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
+from uoarm.bridge import Bridge, BridgeType, Registry
+from uoarm.model import BridgeSpec, Endpoint, Message, Options, Role
+from uoarm.testing import Emitter, Hang, Loop, MemoryBridge
+from uoarm.testing.conformance import (
+    BridgeConformance,
+    Pair,
+    Retained,
+    Served,
+    Victim,
+    World,
+)
 
 SCHEMAS: dict[str, Any] = {
     "byte": {"type": "integer", "minimum": 0, "maximum": 255},
     "text": {"type": "string"},
     "number": {"type": "number"},
     "list": {"type": "array", "items": {"type": "boolean"}},
+    "octets": {
+        "type": "array",
+        "items": {"type": "integer", "minimum": 0, "maximum": 255},
+        "x-octets": True,
+    },
 }
 
 
@@ -28,18 +42,39 @@ def record(field: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+OPTIONS: dict[str, Any] = {
+    "type": "object",
+    "properties": {"links": {"type": "boolean"}},
+    "required": ["links"],
+    "additionalProperties": False,
+}
+
+
 class MemoryWorld(World):
-    """Loops, an emitter to be killed, and three services, made anew on every bridge."""
+    """Loops, emitters to be killed, and three services, made anew on every bridge."""
 
     def __init__(self) -> None:
-        self._bridge: MemoryBridge | None = None
+        self._made: MemoryBridge | None = None
         self._hang = Hang()
+        self._loops: dict[str, Loop] = {}
+        self._latch: Emitter | None = None
 
-    def bridge(self) -> Bridge:
-        made = self._bridge = MemoryBridge(links=True)
+    def spec(self) -> BridgeSpec:
+        return BridgeSpec("memory", "memory", {"links": True})
+
+    def registry(self) -> Registry:
+        made = Registry([])
+        check = lambda address, _: "" if len(address) == 1 else "expected one name"  # noqa: E731
+        made.add(BridgeType("memory", "for tests", self.create, OPTIONS, check, contract=2))
+        return made
+
+    def create(self, name: str, options: Options) -> Bridge:
+        made = self._made = MemoryBridge(name, options, links=options["links"] is True)
         for kind, field in SCHEMAS.items():
-            made.loop(kind, record(field))
-        made.emitter("victim", record(SCHEMAS["byte"]))
+            self._loops[kind] = made.loop(kind, record(field))
+        self._latch = made.emitter("latched", record(SCHEMAS["byte"]), latched=True)
+        for victim in ("victim", "second"):
+            made.emitter(victim, record(SCHEMAS["byte"]))
         made.emitter("producer", record(SCHEMAS["byte"]))
         made.taker("consumer", record(SCHEMAS["byte"]))
         value = record(SCHEMAS["byte"])
@@ -54,10 +89,37 @@ class MemoryWorld(World):
     def missing(self) -> Endpoint:
         return at("nowhere", Role.OUTPUT)
 
+    @property
+    def made(self) -> MemoryBridge:
+        assert self._made is not None
+        return self._made
+
     def victim(self) -> Victim:
-        bridge = self._bridge
-        assert bridge is not None
-        return Victim(at("victim", Role.OUTPUT), lambda: bridge.die("victim"))
+        return self.victims()[0]
+
+    def victims(self) -> list[Victim]:
+        return [
+            Victim(at(name, Role.OUTPUT), partial(self.made.die, name))
+            for name in ("victim", "second")
+        ]
+
+    def broken(self) -> bool:
+        self.made.cut()
+        return True
+
+    def mended(self) -> None:
+        self.made.mend()
+
+    def unreadable(self, kind: str) -> Callable[[], object]:
+        return lambda: self._loops[kind].emit_native(("garbled", "beyond", "repair"))
+
+    def retained(self) -> Retained:
+        def emit() -> Message:
+            assert self._latch is not None
+            self._latch.emit({"value": 7})
+            return {"value": 7}
+
+        return Retained(at("latched", Role.OUTPUT), emit)
 
     def served(self) -> Served:
         services = [at(name, Role.SERVICE) for name in ("double", "broken", "silent")]

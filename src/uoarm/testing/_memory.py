@@ -7,6 +7,7 @@ emitted it, and a component dies only when a test says so.
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from typing import TypeVar
 
 from uoarm.bridge import (
@@ -49,6 +50,7 @@ class MemoryBridge(Bridge):
         super().__init__(name, options or {})
         self.capabilities = Capabilities(discover=True, call=True, serve=True, link=links)
         self._components: dict[str, Emitter | Taker | Loop | Service] = {}
+        self._is_cut = ""
 
     def emitter(self, name: str, schema: Schema, *, latched: bool = False) -> Emitter:
         """Make a component with one output, from which the test emits.
@@ -70,6 +72,18 @@ class MemoryBridge(Bridge):
     def service(self, name: str, request: Schema, reply: Schema, handler: Handler) -> Service:
         """Make a component with a service that the test's function answers."""
         return self._add(name, Service(MessageStructure(request), MessageStructure(reply), handler))
+
+    def cut(self, cause: str = "the link was cut") -> None:
+        """Break the link to all components: nothing passes until `mend`, and that is reported."""
+        self._is_cut = cause
+        for channel in self._channels():
+            self.report(Health.DEGRADED, cause, channel=channel)
+
+    def mend(self) -> None:
+        """Mend the link: the channels that are open go on."""
+        self._is_cut = ""
+        for channel in self._channels():
+            self.report(Health.OK, "the link is there again", channel=channel)
 
     def die(self, name: str, cause: str = "the component was killed") -> None:
         """Let a component be gone: its channels are lost and it can be found no more."""
@@ -98,8 +112,22 @@ class MemoryBridge(Bridge):
             raise _without(endpoint, "output")
         _same(endpoint, component.structure, structure)
         read = codec(structure.schema, ROWS).read
-        channel = Source(endpoint, lambda: component.leave(channel), latched=component.latched)
-        component.join(channel, lambda row: deliver(read(row)))
+
+        def take(row: object) -> None:
+            if self._is_cut:
+                return
+            try:
+                message = read(row)
+            except BridgeError as error:
+                channel.unreadable += 1
+                self.report(Health.DEGRADED, str(error), channel=channel)
+            else:
+                deliver(message)
+
+        channel = _MemorySource(
+            endpoint, lambda: component.leave(channel), latched=component.latched
+        )
+        component.join(channel, take)
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -108,12 +136,12 @@ class MemoryBridge(Bridge):
             raise _without(endpoint, "input")
         _same(endpoint, component.structure, structure)
         write = codec(structure.schema, PAIRS).write
-        sink = Sink(
-            endpoint,
-            lambda message: component.take(write(message)),
-            lambda: component.leave(sink),
-            blocking=component.blocking,
-        )
+
+        def send(message: Message) -> None:
+            self._require_link()
+            component.take(write(message))
+
+        sink = Sink(endpoint, send, lambda: component.leave(sink), blocking=component.blocking)
         component.join(sink, None)
         return sink
 
@@ -155,6 +183,14 @@ class MemoryBridge(Bridge):
     def _close(self) -> None:
         self._components.clear()
 
+    def _channels(self) -> tuple[Channel, ...]:
+        ports = (one for one in self._components.values() if not isinstance(one, Service))
+        return tuple(channel for port in ports for channel in port.channels())
+
+    def _require_link(self) -> None:
+        if self._is_cut:
+            raise BridgeError(self._is_cut, FailureReason.UNAVAILABLE)
+
     def _withdraw(self, name: str) -> None:
         self._components.pop(name, None)
 
@@ -163,6 +199,7 @@ class MemoryBridge(Bridge):
         return tuple(Endpoint(self.name, name, role, (name,)) for role in component.roles)
 
     def _find(self, endpoint: Endpoint) -> Emitter | Taker | Loop | Service:
+        self._require_link()
         name = endpoint.address[0] if len(endpoint.address) == 1 else ""
         component = self._components.get(name)
         if component is None:
@@ -171,6 +208,16 @@ class MemoryBridge(Bridge):
             text = f"there is no component at {list(endpoint.address)}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         return component
+
+
+class _MemorySource(Source):
+    """A source that counts what it could not read."""
+
+    unreadable: int = 0
+
+    def facts(self) -> Mapping[str, object]:
+        """Return the count of messages that could not be read."""
+        return {"unreadable": self.unreadable}
 
 
 def _without(endpoint: Endpoint, kind: str) -> BridgeError:

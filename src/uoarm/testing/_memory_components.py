@@ -39,7 +39,8 @@ class _Port:
         with self._lock:
             self._open.pop(channel, None)
 
-    def _spread(self, row: object) -> None:
+    def emit_native(self, row: object) -> None:
+        """Emit something as it is, also what no structure allows."""
         with self._lock:
             takers = [take for take in self._open.values() if take is not None]
         for take in takers:
@@ -68,16 +69,16 @@ class Emitter(_Port):
         """Emit a message of the component's own structure.
 
         Raises:
-            BridgeError: it does not fit that structure, or is garbled and cannot be read.
+            BridgeError: it does not fit that structure.
         """
         row = self._write(message)
         self.emit_native((row, row, "garbled") if self._garbles else row)
 
     def emit_native(self, row: object) -> None:
-        """Emit something as it is, also what no structure allows."""
+        """Emit something as it is, and keep it where the output is latched."""
         if self.latched:
             self._last = row
-        self._spread(row)
+        super().emit_native(row)
 
     @contextmanager
     def garbled(self) -> Iterator[None]:
@@ -137,7 +138,7 @@ class Loop(_Port):
 
     def take(self, pairs: object) -> None:
         """Emit again what was taken, in the thread that sent it."""
-        self._spread(self._write(self._read(pairs)))
+        self.emit_native(self._write(self._read(pairs)))
 
 
 class Service:

@@ -38,13 +38,17 @@ def patience() -> float:
     return _IDLE_SECONDS * slowness()
 
 
-def wait(ready: Callable[[], object], never: str = "it did not come to pass") -> None:
+def wait(
+    ready: Callable[[], object],
+    never: str = "it did not come to pass",
+    timeout: float | None = None,
+) -> None:
     """Wait until something is true that no event tells of, looking every five milliseconds.
 
     Raises:
-        AssertionError: with the text of `never`, after `patience` seconds.
+        AssertionError: with the text of `never`, after `timeout` or else `patience` seconds.
     """
-    deadline = time.monotonic() + patience()
+    deadline = time.monotonic() + (patience() if timeout is None else timeout)
     pause = threading.Event()
     while not ready():
         assert time.monotonic() < deadline, never

@@ -11,6 +11,7 @@ from jsonschema import Draft202012Validator
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing.conformance._line import example_of, structure_of
+from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["Describing"]
@@ -18,6 +19,7 @@ __all__ = ["Describing"]
 _ABSENT = (FailureReason.NOT_FOUND, FailureReason.UNAVAILABLE)
 
 
+@rules("the-steps")
 class Describing:
     """`describe` and `discover`."""
 
@@ -33,15 +35,18 @@ class Describing:
     def test_describing_twice_says_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
         pair = world.pair(kind)
         for endpoint in (pair.sink, pair.source):
-            assert bridge.describe(endpoint) == bridge.describe(endpoint)
+            first, again = bridge.describe(endpoint), bridge.describe(endpoint)
+            assert first == again, f"{endpoint} was described by {first}, then by {again}"
 
     def test_what_is_not_there_is_named(self, world: World, bridge: Bridge) -> None:
         endpoint = world.missing()
         with pytest.raises(BridgeError) as caught:
             bridge.describe(endpoint)
-        assert caught.value.reason in _ABSENT
+        reason = caught.value.reason
+        assert reason in _ABSENT, f"the reason is {reason}, expected NOT_FOUND or UNAVAILABLE"
         words = re.split(r"[^\w]+", " ".join(endpoint.address))
-        assert any(word in str(caught.value) for word in words if word)
+        told = str(caught.value.__cause__ or caught.value)
+        assert any(word in told for word in words if word), f"{told!r} does not name it"
 
     def test_what_is_not_there_does_not_open(self, world: World, bridge: Bridge, kind: str) -> None:
         structure = structure_of(bridge, world.pair(kind), incoming=False)
@@ -62,4 +67,5 @@ class Describing:
         assert found, "nothing was discovered, though the world has components"
         for component in found:
             for endpoint, description in component.endpoints:
-                assert bridge.describe(endpoint) == description
+                told = bridge.describe(endpoint)
+                assert told == description, f"{endpoint} is described by {told}, not {description}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
+from contextlib import suppress
 
 import pytest
 
@@ -12,13 +14,17 @@ from uoarm.model import Message
 from uoarm.testing._census import Census
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing.conformance._line import line, structure_of
+from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["Ending"]
 
 _CYCLES = 10
+_BACKLOG = 5
+_SHORT_SECONDS = 0.2
 
 
+@rules("the-steps")
 class Ending:
     """Closing channels and bridges."""
 
@@ -115,6 +121,55 @@ class Ending:
                 refused()
             assert caught.value.reason is FailureReason.CLOSED
 
+    def test_facts_can_be_asked_for_after_the_close(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+            for channel in (through.sink, through.source):
+                assert isinstance(channel.facts(), Mapping)
+                channel.close()
+                assert isinstance(channel.facts(), Mapping)
+
+    def test_what_drain_says_to_have_arrived_arrives(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """A backlog before a receiver that is slow enough to see; drained, then closed."""
+        taken: list[Message] = []
+        with line(world, bridge, kind) as through:
+
+            def send() -> None:
+                for _ in range(_BACKLOG):
+                    through.send(message)
+                    taken.append(message)
+
+            message = through.example()
+            with through.collector.held():
+                sending = Background(send)
+                through.collector.wait_begun(1, world.patience)
+                _settle(taken)
+                before = len(taken)
+                is_drained = Background(lambda: through.sink.drain(_SHORT_SECONDS)).result(
+                    world.patience
+                )
+                if is_drained:
+                    with suppress(BridgeError):
+                        through.sink.close()
+            if is_drained:
+                through.collector.wait(before, world.patience)
+            with suppress(BridgeError):  # the sink was closed under it
+                sending.result(world.patience)
+
+    def test_what_was_sent_before_an_orderly_end_arrives(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as through:
+            message = through.example()
+            for _ in range(_BACKLOG):
+                through.send(message)
+            assert through.sink.drain(world.patience), "not drained though nothing is stuck"
+            through.sink.close()
+            through.collector.wait(_BACKLOG, world.patience)
+
     def test_bridges_live_side_by_side(self, world: World, kind: str) -> None:
         first, second = world.bridge(), world.bridge()
         try:
@@ -139,3 +194,11 @@ class Ending:
         for _ in range(_CYCLES):
             cycle()
         census.check(world.patience)
+
+
+def _settle(taken: list[Message]) -> None:
+    """Wait until a sender that gets stuck is stuck: twice the same count."""
+    pause, before = threading.Event(), -1
+    while before != len(taken):
+        before = len(taken)
+        pause.wait(_SHORT_SECONDS)

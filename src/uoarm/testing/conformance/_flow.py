@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -10,8 +10,12 @@ from hypothesis import strategies as st
 
 from uoarm.bridge import Bridge
 from uoarm.model import Message
+from uoarm.testing._collector import Collector
 from uoarm.testing._instances import instances
+from uoarm.testing._same import same
 from uoarm.testing.conformance._line import line
+from uoarm.testing.conformance._rules import rules
+from uoarm.testing.conformance._types import find_other_type, with_integers, with_length
 from uoarm.testing.conformance._world import World
 
 __all__ = ["Flow"]
@@ -24,8 +28,11 @@ _SETTINGS: dict[str, Any] = {
 }
 
 
+@rules("the-steps")
 class Flow:
     """Messages on their way through one bridge, in and out."""
+
+    kinds: ClassVar[tuple[str, ...]] = ()
 
     def test_every_message_of_the_structure_survives(
         self, world: World, bridge: Bridge, kind: str
@@ -38,6 +45,50 @@ class Flow:
                 through.carries_or_refuses(message)
 
             survives()
+
+    def test_what_is_long_survives(self, world: World, bridge: Bridge, kind: str) -> None:
+        """Texts and lists of three hundred, where the structure sets no limit."""
+        with line(world, bridge, kind) as through:
+            through.carries_or_refuses(with_length(through.structure.schema, through.example()))
+
+    def test_values_arrive_with_their_types(self, world: World, bridge: Bridge, kind: str) -> None:
+        """Octets as bytes, integers as int, truth values as bool."""
+        with line(world, bridge, kind) as through:
+
+            @settings(max_examples=20, **_SETTINGS)
+            @given(instances(through.structure.schema))
+            def keeps(message: Message) -> None:
+                message = with_integers(through.structure.schema, message)
+                if world.takes(kind, message):
+                    (came,) = through.carries(message)
+                    wrong = find_other_type(through.structure.schema, came)
+                    assert not wrong, wrong
+
+            keeps()
+
+    def test_kinds_do_not_mix(self, world: World, bridge: Bridge, kind: str) -> None:
+        others = [other for other in self.kinds if other != kind]
+        if not others:
+            pytest.skip("the world has one kind")
+        with line(world, bridge, kind) as through, line(world, bridge, others[0]) as other:
+            through.carries(through.example())
+            other.carries(other.example())
+            for one in (through, other):
+                came = one.collector.messages
+                assert len(came) == 1, f"what was sent elsewhere came, too: {came}"
+
+    def test_a_retained_message_comes_first(self, world: World, bridge: Bridge) -> None:
+        retained = world.retained()
+        if retained is None:
+            pytest.skip("the world retains nothing")
+        message, collector = retained.emit(), Collector()
+        structure = bridge.describe(retained.source).message
+        assert structure is not None
+        source = bridge.open_source(retained.source, structure, collector.deliver)
+        came = collector.wait(1, world.patience)
+        assert same(came[0], message), f"{message!r} is retained, {came[0]!r} came"
+        assert source.latched, "what retains messages says so: `latched`"
+        source.close()
 
     def test_bursts_keep_their_order(self, world: World, bridge: Bridge, kind: str) -> None:
         with line(world, bridge, kind) as through:

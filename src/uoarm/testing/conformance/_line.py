@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,7 +15,7 @@ from uoarm.model import Message, MessageStructure
 from uoarm.schema import check
 from uoarm.testing._collector import Collector
 from uoarm.testing._same import same
-from uoarm.testing.conformance._octets import with_octets
+from uoarm.testing.conformance._types import with_octets
 from uoarm.testing.conformance._world import Pair, World
 
 __all__ = ["Line", "example_of", "line", "structure_of"]
@@ -33,7 +34,10 @@ class Line:
 
     def send(self, message: Message) -> None:
         """Send one message, its octets as bytes."""
-        self.sink.send(with_octets(self.structure.schema, message))
+        given = with_octets(self.structure.schema, message)
+        before = copy.deepcopy(given)
+        self.sink.send(given)
+        assert same(given, before), f"sending changed the message from {before!r} to {given!r}"
 
     def example(self) -> Message:
         """Return a simple message of the structure."""
@@ -47,8 +51,8 @@ class Line:
         with pytest.raises(MessageError):
             self.send(message)
 
-    def carries(self, *messages: Message) -> None:
-        """Send messages and hold that they come out, each once and in order."""
+    def carries(self, *messages: Message) -> list[Message]:
+        """Send messages, hold that they come out, each once and in order, and return them."""
         before = len(self.collector.messages)
         for message in messages:
             self.send(message)
@@ -57,6 +61,7 @@ class Line:
         for sent, got in zip(wanted, came, strict=False):
             assert same(got, sent), f"sent {sent!r}, came {got!r}"
         assert len(came) == len(wanted), f"{len(wanted)} were sent, {len(came)} came"
+        return came
 
 
 @contextmanager

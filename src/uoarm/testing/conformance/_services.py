@@ -10,6 +10,7 @@ from uoarm.model import Message
 from uoarm.testing._collector import Background
 from uoarm.testing._same import same
 from uoarm.testing.conformance._line import example_of
+from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import Served, World
 
 __all__ = ["Services"]
@@ -18,6 +19,7 @@ _CALLERS = 8
 _SHORT_SECONDS = 0.5
 
 
+@rules("the-steps")
 class Services:
     """`call`, `serve` and `link`."""
 
@@ -33,11 +35,12 @@ class Services:
         self, bridge: Bridge, served: Served
     ) -> None:
         description = bridge.describe(served.endpoint)
-        assert description.request is not None
-        assert description.reply is not None
+        assert description.request is not None, "it is described without a request"
+        assert description.reply is not None, "it is described without a reply"
 
     def test_a_call_returns_the_reply(self, bridge: Bridge, served: Served) -> None:
-        assert same(bridge.call(served.endpoint, served.request), served.reply)
+        reply = bridge.call(served.endpoint, served.request)
+        assert same(reply, served.reply), f"the reply is {reply!r}, expected {served.reply!r}"
 
     def test_several_threads_may_call_at_once(
         self, world: World, bridge: Bridge, served: Served

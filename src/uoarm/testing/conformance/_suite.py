@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import ClassVar
 
 import pytest
+from attrs import evolve
 
 from uoarm.bridge import Bridge
+from uoarm.testing._patience import patience
+from uoarm.testing.conformance._breaking import Breaking
+from uoarm.testing.conformance._declaring import Declaring
 from uoarm.testing.conformance._describing import Describing
 from uoarm.testing.conformance._ending import Ending
 from uoarm.testing.conformance._flow import Flow
@@ -18,14 +23,28 @@ from uoarm.testing.conformance._world import World
 __all__ = ["BridgeConformance"]
 
 
-class BridgeConformance(Describing, Flow, Ending, Trouble, Services):
+class BridgeConformance(Declaring, Describing, Flow, Ending, Trouble, Breaking, Services):
     """Every test that a bridge must pass. Subclasses set `kinds` and override `world`.
 
     Attributes:
         kinds: names of the pairs that the world has; tests of messages run for each.
+        hosted: whether the bridge of the world's `spec` runs in a process of its own. A class
+            that inherits the suite and sets it is the suite for the hosted bridge.
     """
 
     kinds: ClassVar[tuple[str, ...]] = ()
+    hosted: ClassVar[bool] = False
+
+    @pytest.fixture(autouse=True)
+    def _in_a_host(self, world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Have the world make its bridges in hosts, where that is asked."""
+        if self.hosted:
+            from uoarm._host import RemoteBridge  # noqa: PLC0415 - needs the extra `hosts`
+
+            spec = world.spec()
+            assert spec is not None, "a hosted bridge is made of the world's `spec`"
+            host = {"silence": patience(), "start": patience()}
+            monkeypatch.setattr(world, "bridge", partial(RemoteBridge, evolve(spec, host=host)))
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Run tests that take a `kind` once for each."""

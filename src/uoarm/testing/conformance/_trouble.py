@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
 
 import pytest
 
-from uoarm.bridge import Bridge, Channel, HealthEvent
+from uoarm.bridge import Bridge, Channel, HealthEvent, Sink
 from uoarm.errors import UoarmError
-from uoarm.model import Health, Message
+from uoarm.model import Endpoint, Health, Message
 from uoarm.testing._collector import Background
+from uoarm.testing._patience import wait
 from uoarm.testing._same import same
-from uoarm.testing.conformance._line import line
+from uoarm.testing.conformance._breaking import Told
+from uoarm.testing.conformance._line import Line, line, structure_of
+from uoarm.testing.conformance._rules import rules
 from uoarm.testing.conformance._world import World
 
 __all__ = ["Trouble"]
@@ -25,6 +27,7 @@ _NONSENSE: tuple[Message, ...] = (
 )
 
 
+@rules("telling-what-happens")
 class Trouble:
     """What goes wrong outside the bridge."""
 
@@ -54,22 +57,94 @@ class Trouble:
         victim.kill()
         assert told.wait(world.patience), f"a killed component was not reported: {events}"
         event = next(filter(is_it, events))
-        assert event.cause
+        assert event.cause, f"{event} has no cause"
         assert event.bridge == bridge.name
         Background(channel.close).result(world.patience)
 
-    def test_a_message_that_fits_nothing_harms_nothing(
+    def test_each_death_is_told_of_its_own_component(self, world: World, bridge: Bridge) -> None:
+        victims = world.victims()
+        if len(victims) < 2:  # noqa: PLR2004 - several
+            pytest.skip("the world has not several components that die alone")
+        told = Told(world, bridge)
+        channels = [_open(bridge, victim.source) for victim in victims]
+        for victim, channel in zip(victims, channels, strict=True):
+            early = [one for one in told.of(victim.source, channel) if one.health is Health.LOST]
+            assert not early, f"{victim.source} was told to be lost while it lived: {early}"
+            victim.kill()
+            told.wait(victim.source, channel, lambda one: one.health is Health.LOST)
+        for channel in channels:
+            Background(channel.close).result(world.patience)
+
+    def test_a_message_that_fits_nothing_is_refused_in_words_or_carried(
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
-        """A bridge may refuse such a message, or carry it; it may not break, nor hang."""
+        """It may not vanish, break anything, nor hang."""
         with line(world, bridge, kind) as through:
             for nonsense in _NONSENSE:
-                with suppress(UoarmError):
+                before = _refused(through.sink)
+                try:
                     through.sink.send(nonsense)
+                except UoarmError:
+                    continue
+                if nonsense is not None:
+                    _came_or_counted(through, before, nonsense)
             message = through.example()
             wanted = world.carried(kind, message)
             through.send(message)
             through.collector.wait_for(lambda came: same(came, wanted), world.patience)
+
+    def test_what_cannot_be_read_is_told_or_counted_and_ends_nothing(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        emit = world.unreadable(kind)
+        if emit is None:
+            pytest.skip("nothing in this world can be made unreadable")
+        told = Told(world, bridge)
+        with line(world, bridge, kind) as through:
+            before = dict(through.source.facts())
+            emit()
+            wait(
+                lambda: (
+                    told.of(through.source.endpoint, through.source)
+                    or dict(through.source.facts()) != before
+                ),
+                "a payload that cannot be read was neither reported nor counted in `facts`",
+                world.patience,
+            )
+            through.carries(through.example())
+            assert len(through.collector.messages) == 1, "the payload was delivered"
+            lost = [one for one in told.events if one.health is Health.LOST]
+            assert not lost, f"one payload ended the channel: {lost}"
+
+    def test_another_channel_opens_while_a_consumer_is_stuck(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        pair, opened = world.pair(kind), list[Channel]()
+        with line(world, bridge, kind) as stuck, stuck.collector.held():
+            sending = Background(lambda: stuck.send(stuck.example()))
+            stuck.collector.wait_begun(1, world.patience)
+            structure = structure_of(bridge, pair, incoming=False)
+            try:
+                for opening in (
+                    lambda: bridge.open_source(pair.source, structure, lambda _: None),
+                    lambda: bridge.open_sink(pair.sink, structure),
+                ):
+                    opened.append(Background(opening).result(world.patience))
+            finally:
+                stuck.source.close()
+        sending.result(world.patience)
+        for channel in opened:
+            channel.close()
+
+    def test_a_sink_that_does_not_block_returns_while_a_consumer_is_stuck(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        with line(world, bridge, kind) as stuck:
+            if stuck.sink.blocking:
+                pytest.skip("the sink says that it blocks")
+            with stuck.collector.held():
+                for _ in range(2):
+                    Background(lambda: stuck.send(stuck.example())).result(world.patience)
 
     def test_a_delivery_that_lasts_does_not_stop_others(
         self, world: World, bridge: Bridge, kind: str
@@ -83,3 +158,26 @@ class Trouble:
             finally:
                 stuck.source.close()
         sending.result(world.patience)
+
+
+def _came_or_counted(through: Line, refused: int, nonsense: Message) -> None:
+    wait(
+        lambda: through.collector.messages or _refused(through.sink) > refused,
+        f"{nonsense!r} was taken and vanished: raise, or count it in `facts`",
+        through.world.patience,
+    )
+
+
+def _refused(sink: Sink) -> int:
+    """Return how many messages a sink counts as refused, where it learns of that later."""
+    facts = sink.facts().items()
+    words = ("failed", "invalid", "lost", "refused")
+    return sum(
+        count for name, count in facts if isinstance(count, int) and any(map(name.count, words))
+    )
+
+
+def _open(bridge: Bridge, endpoint: Endpoint) -> Channel:
+    structure = bridge.describe(endpoint).message
+    assert structure is not None, f"{endpoint} is described without a message"
+    return bridge.open_source(endpoint, structure, lambda _: None)

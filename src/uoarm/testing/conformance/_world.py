@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 from attrs import frozen
 
-from uoarm.bridge import Bridge
-from uoarm.model import Endpoint, Message
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Message
 from uoarm.testing._patience import patience
 
-__all__ = ["Pair", "Served", "Victim", "World"]
+__all__ = ["Pair", "Retained", "Served", "Victim", "World"]
 
 
 @frozen
@@ -28,6 +28,14 @@ class Victim:
 
     source: Endpoint
     kill: Callable[[], object]
+
+
+@frozen
+class Retained:
+    """An output whose last message stands: `emit` has the component emit one and returns it."""
+
+    source: Endpoint
+    emit: Callable[[], Message]
 
 
 @frozen
@@ -52,8 +60,8 @@ class Served:
 class World(ABC):
     """The framework as the suite sees it, made anew for each test.
 
-    Must implement: `bridge`, `pair`, `missing`. What else is not overridden is not tested, and
-    the test says that it was skipped and why.
+    Must implement: `pair`, `missing`, and `spec` or `bridge`. What else is not overridden is not
+    tested, and the test says that it was skipped and why.
     """
 
     @property
@@ -61,9 +69,25 @@ class World(ABC):
         """Seconds that a message, or the news of a death, may take at most."""
         return patience()
 
-    @abstractmethod
+    def spec(self) -> BridgeSpec | None:
+        """Return the bridge as a configuration has it: name, plugin, options.
+
+        It is what runs in a host where the class of tests says `hosted = True`.
+        """
+        return None
+
+    def registry(self) -> Registry:
+        """Return where the plugin of `spec` is found; those installed, unless overridden."""
+        return Registry()
+
     def bridge(self) -> Bridge:
-        """Return a new bridge to this world; the test closes it. May be called several times."""
+        """Return a new bridge to this world; the test closes it. May be called several times.
+
+        The one of `spec`, unless overridden.
+        """
+        spec = self.spec()
+        assert spec is not None, f"{type(self).__name__} implements neither `bridge` nor `spec`"
+        return self.registry().create(spec)
 
     @abstractmethod
     def pair(self, kind: str) -> Pair:
@@ -94,6 +118,32 @@ class World(ABC):
 
     def victim(self) -> Victim | None:
         """Return a component that can be killed; None where nothing ever dies alone."""
+        return None
+
+    def victims(self) -> Sequence[Victim]:
+        """Return several components that can be killed, each alone; none where there are not."""
+        return ()
+
+    def broken(self) -> bool:
+        """Break what the bridge stands on, as a cable or a broker does; False where nothing can.
+
+        Called while a line of a pair is open, at most once before `mended`.
+        """
+        return False
+
+    def mended(self) -> None:  # noqa: B027 - nothing to mend
+        """Mend what `broken` broke."""
+
+    def unreadable(self, kind: str) -> Callable[[], object] | None:
+        """Return what emits a payload that cannot be read at a pair's source; None: there is none.
+
+        The first of the kinds is asked for it.
+        """
+        del kind
+        return None
+
+    def retained(self) -> Retained | None:
+        """Return an output whose last message stands; None where the framework has none."""
         return None
 
     def served(self) -> Served | None:

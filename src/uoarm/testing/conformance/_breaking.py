@@ -1,0 +1,204 @@
+"""Does a link that breaks and is mended say so, lose nothing in silence, and go on?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import pytest
+
+from uoarm.bridge import Bridge, Channel, HealthEvent
+from uoarm.errors import BridgeError, UoarmError
+from uoarm.model import Endpoint, Health
+from uoarm.testing._collector import Background, Collector
+from uoarm.testing._patience import wait
+from uoarm.testing.conformance._line import Line, line, structure_of
+from uoarm.testing.conformance._rules import rules
+from uoarm.testing.conformance._world import World
+
+__all__ = ["Breaking", "Told"]
+
+_AGAIN = 3
+
+
+class Told:
+    """What a bridge reported, in order, and of which channel or component."""
+
+    def __init__(self, world: World, bridge: Bridge) -> None:
+        self.patience = world.patience
+        self.events: list[HealthEvent] = []
+        bridge.watch(self.events.append)
+
+    def of(self, endpoint: Endpoint, channel: Channel | None = None) -> list[HealthEvent]:
+        """Return what concerns an endpoint: its channel, its component, or the whole bridge."""
+        return [
+            event
+            for event in tuple(self.events)
+            if (event.channel is not None and event.channel is channel)
+            or (event.channel is None and event.component in {None, endpoint.component})
+        ]
+
+    def wait(
+        self, endpoint: Endpoint, channel: Channel | None, fits: Callable[[HealthEvent], bool]
+    ) -> HealthEvent:
+        """Wait for an event that fits and return the first.
+
+        Raises:
+            AssertionError: none came in time.
+        """
+        wait(
+            lambda: any(map(fits, self.of(endpoint, channel))),
+            f"{endpoint}: it was not reported; what was: {self.events}",
+            self.patience,
+        )
+        return next(filter(fits, self.of(endpoint, channel)))
+
+
+@contextmanager
+def _broken(world: World) -> Iterator[None]:
+    """Break the world for a while, or skip the test where it cannot be broken."""
+    if not world.broken():
+        pytest.skip("nothing in this world can be broken and mended")
+    try:
+        yield
+    finally:
+        world.mended()
+
+
+@rules("telling-what-happens")
+class Breaking:
+    """Breaking what the bridge stands on (a link, a broker, a device) and mending it."""
+
+    def test_a_break_is_told_with_its_cause_and_so_is_its_end(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        told = Told(world, bridge)
+        with line(world, bridge, kind) as through:
+            through.carries(through.example())
+            with _broken(world):
+                event = _worse(told, through)
+                assert event.cause, f"{event} has no cause"
+            if event.health is Health.DEGRADED:
+                told.wait(*_end(told, through), lambda one: one.health in {Health.OK, Health.LOST})
+            _once(told)
+
+    def test_messages_pass_again_once_it_is_mended_each_once(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        told = Told(world, bridge)
+        with line(world, bridge, kind) as through:
+            with _broken(world):
+                is_lost = _worse(told, through).health is Health.LOST
+            if not is_lost:
+                _well(told, through)
+                for _ in range(_AGAIN):
+                    through.carries(*[through.example()] * _AGAIN)
+                came = len(through.collector.messages)
+                assert came == _AGAIN * _AGAIN, "a message came more than once"
+                return
+        again = world.bridge()
+        try:
+            with line(world, again, kind) as through:
+                through.carries(through.example())
+        finally:
+            again.close()
+
+    def test_what_is_sent_while_it_is_broken_is_refused_or_counted_or_arrives(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        told = Told(world, bridge)
+        with line(world, bridge, kind) as through:
+            with _broken(world):
+                _worse(told, through)
+                before = _lost(through)
+                try:
+                    Background(lambda: through.send(through.example())).result(world.patience)
+                except UoarmError:
+                    return
+            wait(
+                lambda: through.collector.messages or _lost(through) > before,
+                "a message that was sent while the link was broken vanished: raise, keep it until "
+                "the link is mended, or count it as `lost_on_link`",
+                world.patience,
+            )
+
+    def test_what_is_broken_can_be_closed(self, world: World, bridge: Bridge, kind: str) -> None:
+        told = Told(world, bridge)
+        with line(world, bridge, kind) as through, _broken(world):
+            _worse(told, through)
+            for channel in (through.source, through.sink):
+                with suppress(BridgeError):  # that it could not say goodbye
+                    Background(channel.close).result(world.patience)
+                assert not channel.is_closing, f"{channel.endpoint} was not let go"
+
+    def test_what_opens_while_it_is_broken_carries_once_it_is_mended(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        """Refusing to open is right; opening something that never carries is not."""
+        told, pair, collector = Told(world, bridge), world.pair(kind), Collector()
+        structure = structure_of(bridge, pair, incoming=False)
+        with line(world, bridge, kind) as through:
+            with _broken(world):
+                _worse(told, through)
+                try:
+                    source = Background(
+                        lambda: bridge.open_source(pair.source, structure, collector.deliver)
+                    ).result(world.patience)
+                except BridgeError:
+                    return
+            _well(told, through)
+            through.send(through.example())
+            collector.wait(1, world.patience)
+            source.close()
+
+
+def _worse(told: Told, through: Line) -> HealthEvent:
+    """Wait until a break was told of either end."""
+    bad = {Health.DEGRADED, Health.LOST}
+    wait(
+        lambda: any(one.health in bad for one in _about(told, through)),
+        f"a break was not reported, of neither end; what was: {told.events}",
+        told.patience,
+    )
+    return next(one for one in _about(told, through) if one.health in bad)
+
+
+def _well(told: Told, through: Line) -> None:
+    """Wait until all that was degraded of a line is told to be well."""
+
+    def all_well() -> bool:
+        last = {_subject(one): one.health for one in _about(told, through)}
+        return all(health is Health.OK for health in last.values())
+
+    never = f"what was degraded was not told to be well again: {told.events}"
+    wait(all_well, never, told.patience)
+
+
+def _end(told: Told, through: Line) -> tuple[Endpoint, Channel]:
+    """Return the end of a line of which a break was told."""
+    for channel in (through.source, through.sink):
+        if told.of(channel.endpoint, channel):
+            return channel.endpoint, channel
+    return through.source.endpoint, through.source
+
+
+def _about(told: Told, through: Line) -> list[HealthEvent]:
+    ends = (through.source, through.sink)
+    return [one for one in told.events if any(one in told.of(end.endpoint, end) for end in ends)]
+
+
+def _once(told: Told) -> None:
+    """Hold that nothing was told twice in a row of one subject."""
+    last: dict[object, Health] = {}
+    for event in told.events:
+        assert last.get(_subject(event)) is not event.health, f"told again: {event}"
+        last[_subject(event)] = event.health
+
+
+def _subject(event: HealthEvent) -> object:
+    return event.component if event.channel is None else id(event.channel)
+
+
+def _lost(through: Line) -> int:
+    counts = [end.facts().get("lost_on_link", 0) for end in (through.sink, through.source)]
+    return sum(count for count in counts if isinstance(count, int))
