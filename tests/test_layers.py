@@ -35,7 +35,7 @@ LAYERS = [
     {"_resolve"},
     {"_control"},
     {"__init__"},
-    {"testing"},
+    {"testing", "_pytest_plugin"},
     {"server", "client"},
     {"cli", "__main__"},
 ]

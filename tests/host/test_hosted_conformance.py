@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from uoarm._host import RemoteBridge
-from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Endpoint, Role
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
@@ -20,9 +18,9 @@ class HostedWorld(World):
     def __init__(self, folder: Path) -> None:
         self._killed = folder / "killed"
 
-    def bridge(self) -> Bridge:
+    def spec(self) -> BridgeSpec:
         path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
-        return RemoteBridge(BridgeSpec("python", "python", {"path": path}, {}))
+        return BridgeSpec("python", "python", {"path": path})
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(f"parts:{kind}", Role.INPUT), at(f"parts:{kind}", Role.OUTPUT))
@@ -47,6 +45,7 @@ def at(target: str, role: Role, **parameters: object) -> Endpoint:
 class TestHostedPythonBridge(BridgeConformance):
     """The whole suite."""
 
+    hosted = True
     kinds = ("Numbers", "Texts", "Pixels", "Everything")
 
     @pytest.fixture
