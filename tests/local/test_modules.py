@@ -111,6 +111,15 @@ def test_a_module_of_the_program_does_not_stand_in_for_that_of_a_folder(
     monkeypatch.delitem(sys.modules, their_words.__name__)
 
 
+def test_a_folder_further_back_on_the_path_of_the_program_runs_its_own_module(
+    two: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(two[1])
+    monkeypatch.syspath_prepend(two[0])
+    assert call(two[1], "their_service:who", {"name": ""}) == {"name": "second says second"}
+    assert "their_words" not in sys.modules
+
+
 def test_a_module_that_the_program_could_import_is_the_same_for_both(
     two: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

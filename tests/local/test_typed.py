@@ -160,6 +160,19 @@ def test_a_class_with_named_inputs_and_outputs_needs_no_call() -> None:
         assert sums.get(patience()) == {"value": -2}
 
 
+def test_a_class_that_cannot_be_called_has_no_default_input() -> None:
+    with pytest.raises(BridgeError, match="no method '__call__' for the port 'default'") as caught:
+        talk.describe("Named", Role.INPUT)
+    assert caught.value.reason is FailureReason.NOT_FOUND
+
+
+@pytest.mark.parametrize("numbers", ["2 ** 20", "0.5"])
+def test_numbers_that_the_promised_type_cannot_hold_are_refused(numbers: str) -> None:
+    with pytest.raises(BridgeError, match="expected an array of int16, any, got numbers"):
+        talk.call("ask_small", {"of": numbers})
+    assert same(talk.call("ask_small", {"of": "2 ** 10"}), [2**10])
+
+
 def test_nothing_heavy_is_imported_for_plain_components() -> None:
     import subprocess
     import sys

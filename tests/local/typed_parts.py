@@ -120,6 +120,19 @@ def ask_scan(scan: Scan) -> Scan:
     return pass_scan(scan)
 
 
+def ask_scan_unseen(scan: Scan) -> Scan:
+    return scan
+
+
+class Of(TypedDict):
+    of: str
+
+
+def ask_small(asked: Of) -> NDArray[np.int16]:
+    numbers = {"2 ** 20": 2**20, "2 ** 10": 2**10, "0.5": 0.5}
+    return np.array([numbers[asked["of"]]])
+
+
 def numpy_numbers() -> Iterator[Number]:
     yield {"value": np.int64(7)}
 
