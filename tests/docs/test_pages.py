@@ -117,6 +117,21 @@ def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
     assert "fahrenheit" in refused
 
 
+def test_a_component_works_as_written(tmp_path: Path) -> None:
+    components, robot, commands, printed = (
+        one.text for one in blocks(ROOT / "docs" / "writing-a-component.md")
+    )
+    (tmp_path / "parts.py").write_text(components)
+    (tmp_path / "robot.yaml").write_text(robot)
+    outputs = [run(["-m", *shlex.split(line)], tmp_path) for line in commands.splitlines()]
+    assert "no errors" in outputs[0]
+    assert outputs[1] == printed
+    assert "2 m ahead" in outputs[2]
+    (tmp_path / "robot.yaml").write_text(robot.replace("near: 2.5", "neer: 2.5"))
+    refused = run(["-m", "uoarm", "check", "robot.yaml"], tmp_path, code=3)
+    assert "did you mean 'near'" in refused
+
+
 def run(arguments: list[str], folder: Path, code: int = 0) -> str:
     done = subprocess.run(
         [sys.executable, *arguments],

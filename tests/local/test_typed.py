@@ -116,9 +116,18 @@ def test_numbers_of_numpy_are_checked_as_others_are(value: Any) -> None:
 
 
 def test_an_object_with_a_wrong_value_is_the_components_fault() -> None:
-    with pytest.raises(BridgeError, match=r"typed_parts:wrong_reply gave .* got 'nine'") as caught:
+    with pytest.raises(
+        BridgeError, match=r"typed_parts:wrong_reply gave .*: value: .* got 'nine'"
+    ) as caught:
         talk.call("wrong_reply", {"value": 1})
     assert caught.value.reason is FailureReason.BAD_MESSAGE
+
+
+def test_the_field_of_a_wrong_value_is_named() -> None:
+    scan = {**SCAN, "points": [{"x": 1.0, "y": "far"}]}
+    told = r"points.0.y: expected a number, got 'far'"
+    with pytest.raises(BridgeError, match=told):
+        talk.call("ask_scan_unseen", scan)
 
 
 ROBOT = """
@@ -145,7 +154,7 @@ def test_a_reply_that_breaks_its_structure_is_an_error_of_the_service() -> None:
     with (
         RobotManager(loads(ROBOT)) as robot,
         pytest.raises(
-            BridgeError, match=r"reply of nine.*value: 'nine' is not .* 'integer'"
+            BridgeError, match="reply of the service nine: value: 'nine' is not"
         ) as caught,
     ):
         robot.call("ask", {"value": 1}, timeout=patience())

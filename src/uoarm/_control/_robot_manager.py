@@ -286,7 +286,7 @@ class RobotManager:
         bridge = self._bridges.get(step.component.bridge)
         structures = ServiceStructures(step.structures["request"], step.structures["reply"])
         reply = bridge.call(service.endpoint, message, structures, timeout=timeout)
-        place = f"the reply of {step.component.name}, which its service broke"
+        place = f"the reply of the service {step.component.name}"
         check = make_check(step.structures["reply"], ValidationMode.ALWAYS, place)
         try:
             if check is not None:

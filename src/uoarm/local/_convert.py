@@ -9,7 +9,9 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+from typing_extensions import is_typeddict
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.local._annotations import HintError
@@ -76,10 +78,33 @@ def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
         try:
             return write(value) if own is None or value.__class__ is own else plain(value)
         except Exception as error:
-            text = f"{place} gave something else than {name}: {error}"
+            where = "".join(f"{one}." for one in _path_to_fault(hint, value)).removesuffix(".")
+            told = f"{where}: {error}" if where else str(error)
+            text = f"{place} gave something else than {name}: {told}"
             raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
     return unstructure
+
+
+def _path_to_fault(hint: Any, value: Any) -> list[str]:
+    """Return the fields that lead to what cannot be written, which cattrs does not tell."""
+    parts: dict[str, tuple[Any, Any]] = {}
+    if is_record(value.__class__) and not is_model(value.__class__):
+        hints = get_type_hints(value.__class__, include_extras=True)
+        parts = {name: (one, getattr(value, name, None)) for name, one in hints.items()}
+    elif isinstance(value, list | tuple):
+        inner = (*get_args(hint), Any)[0]
+        parts = {str(number): (inner, one) for number, one in enumerate(value)}
+    elif isinstance(value, dict):
+        hints = get_type_hints(hint, include_extras=True) if is_typeddict(hint) else {}
+        inner = (*get_args(hint), Any)[-1]
+        parts = {str(name): (hints.get(name, inner), one) for name, one in value.items()}
+    for name, (part, one) in parts.items():
+        try:
+            _converter().get_unstructure_hook(part)(one)
+        except Exception:  # noqa: BLE001 - whatever the field raises, it is the one
+            return [name, *_path_to_fault(part, one)]
+    return []
 
 
 def plain(value: Any) -> Message:
