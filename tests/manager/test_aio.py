@@ -27,7 +27,7 @@ functions:
     components:
       - {name: echo, bridge: one, input: {endpoint: [echo]}, output: {endpoint: [echo]}}
 """
-OF_THE_THREADED = {"course", "on_wake"}
+OF_THE_THREADED = {"on_wake"}
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
     asyncio.run(play())
 
 
-def _members(one: type) -> dict[str, Any]:
+def _members(one: object) -> dict[str, Any]:
     return {name: member for name, member in vars(one).items() if not name.startswith("_")}
 
 
@@ -116,7 +116,7 @@ def test_attributes_have_twins(robot: RobotManager) -> None:
         assert (twin.config, twin.registry) == (robot.config, robot.registry)
         async with await twin.request("camera") as connection:
             (threaded,) = robot.connections()
-            for name in [name for name in vars(threaded) if name not in OF_THE_THREADED]:
+            for name in _members(threaded):
                 assert getattr(connection, name) == getattr(threaded, name)
             assert repr(connection) == "<AsyncConnection c1 to 'camera': running, camera>"
             (same,) = twin.connections()

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import pytest
 from attrs import evolve
 
 from uoarm import Connection, RobotManager
-from uoarm._control._failback import Failback
+from uoarm._control._events import TimeReached
+from uoarm._control._state import ConnectionRecord
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
 from uoarm.testing import Census, ManualClock, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
 PATIENCE = 1000.0
+BETWEEN_LOOKS = PATIENCE / 4
 
 ROBOT = """
 version: 1
@@ -54,12 +56,6 @@ class Stage:
         bridges = {"one": self.one, "two": self.two}
         self.robot = RobotManager(robot, bridges=bridges, clock=self.clock)
 
-    @property
-    def failback(self) -> Failback:
-        found = self.robot._failover.failback
-        assert found is not None
-        return found
-
     def lose_best(self, *users: Connection) -> None:
         """Let the better camera die, and wait until its users go on."""
         self.one.die("best", "it was unplugged")
@@ -68,11 +64,20 @@ class Stage:
     def revive_best(self) -> None:
         self.best = self.one.emitter("best", NUMBER)
 
+    def look(self) -> None:
+        """Have it look whether it is time, and wait until what follows is over."""
+        self.robot._executor.post(TimeReached())
+        wait(lambda: not self.robot._executor._lanes._lanes)
+
     def look_twice(self) -> None:
         """Look when the better camera is seen again, and when patience is over."""
-        self.failback.look()
+        self.clock.advance(BETWEEN_LOOKS)
+        self.look()
         self.clock.advance(PATIENCE)
-        self.failback.look()
+        self.look()
+
+    def records(self) -> tuple[ConnectionRecord, ...]:
+        return tuple(self.robot._executor.state.connections.values())
 
 
 @pytest.fixture
@@ -87,6 +92,15 @@ def stage() -> Iterator[Stage]:
 def cameras(stage: Stage) -> list[str]:
     open_now = stage.robot.status().components
     return [live.name for live in open_now if live.function == "camera"]
+
+
+def set_users(
+    robot: RobotManager,
+    change: Callable[[Mapping[str, ValidationMode]], Mapping[str, ValidationMode]],
+) -> None:
+    executor = robot._executor
+    edges = {n: evolve(one, users=change(one.users)) for n, one in executor.state.edges.items()}
+    executor.state = evolve(executor.state, edges=edges)
 
 
 def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) -> None:
@@ -109,15 +123,17 @@ def test_it_does_not_return_before_its_patience_is_over(stage: Stage) -> None:
     connection = stage.robot.request("face")
     stage.lose_best(connection)
     stage.revive_best()
-    assert stage.failback.look()
+    stage.clock.advance(BETWEEN_LOOKS)
+    stage.look()
     stage.clock.advance(PATIENCE - 1)
-    assert stage.failback.look()
+    stage.look()
     assert len(connection.gaps) == 1
     stage.one.die("best")
-    assert stage.failback.look()  # gone again: patience begins anew
+    stage.clock.advance(BETWEEN_LOOKS)
+    stage.look()  # gone again: patience begins anew
     stage.revive_best()
-    stage.clock.advance(1)
-    assert stage.failback.look()
+    stage.clock.advance(BETWEEN_LOOKS)
+    stage.look()
     assert len(connection.gaps) == 1
     assert cameras(stage) == ["spare"]
 
@@ -132,22 +148,22 @@ def test_all_that_share_what_is_fed_return_together(stage: Stage) -> None:
     assert cameras(stage) == ["best"]
     stage.best.emit(4)
     assert [one.get(patience()) for one in (moved, later, deeper)] == [4, 4, 4]
-    assert not stage.failback.look()  # nothing is left to look for
+    assert not any(one.preferred for one in stage.records())  # nothing is left to look for
 
 
 def test_one_that_cannot_return_leaves_all_where_they_are(stage: Stage) -> None:
     connection = stage.robot.request("face")
     stage.lose_best(connection)
     stage.revive_best()
-    (joined,) = stage.robot._pool.edges()
-    joined.users["c99"] = ValidationMode.OFF  # a stranger who is fed by the spare, and stays
+    # A stranger who is fed by the spare, and stays.
+    set_users(stage.robot, lambda users: {**users, "c99": ValidationMode.OFF})
     stage.look_twice()
     assert len(connection.gaps) == 1
     assert cameras(stage) == ["spare"]
     assert stage.one.open_channels == 0  # what was opened of the better one is closed again
     stage.spare.emit(5)
     assert connection.get(patience()) == 5
-    del joined.users["c99"]
+    set_users(stage.robot, lambda users: {one: users[one] for one in users if one != "c99"})
     stage.look_twice()
     assert [gap.after[0] for gap in connection.gaps] == ["spare", "best"]
 
@@ -167,9 +183,10 @@ def test_every_message_is_received_or_counted_through_death_and_return(stage: St
     stage.lose_best(connection)
     emit("spare", 500)
     stage.revive_best()
-    stage.failback.look()
+    stage.clock.advance(BETWEEN_LOOKS)
+    stage.look()
     stage.clock.advance(PATIENCE)
-    returning = threading.Thread(target=stage.failback.look)
+    returning = threading.Thread(target=stage.look)
     returning.start()
     while returning.is_alive():
         emit("spare", 1)

@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager
-from uoarm._control import _failover
+from uoarm._control import _executor
 from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Endpoint, FailoverPolicy, Health, Robot, StatusEvent
@@ -174,7 +174,7 @@ def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> 
 def test_a_takeover_that_comes_too_late_takes_over_nothing(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_failover, "_OPEN_SECONDS", 2.0)
+    monkeypatch.setattr(_executor, "_OPEN_SECONDS", 2.0)
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source
@@ -200,16 +200,22 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
 def test_a_takeover_that_comes_too_late_still_lets_go_of_what_died(
     make: Make, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(_failover, "_OPEN_SECONDS", 0.2)
+    monkeypatch.setattr(_executor, "_OPEN_SECONDS", 0.2)
     stage = make()
     connection = stage.robot.request("face")
-    with connection.course.succeeding:  # as a takeover holds it that is under way
-        stage.one.die("best")
-        wait(lambda: "takeover of connection c1" in caplog.text)
-    wait(lambda: stage.replaced() or connection.ended)
+    opened, hang = stage.two._open_source, Hang()
+
+    def hang_at_each(endpoint: Endpoint, *given: Any) -> Channel:
+        hang.wait()
+        return opened(endpoint, *given)
+
+    monkeypatch.setattr(stage.two, "_open_source", hang_at_each)
+    stage.one.die("best")
+    wait(lambda: "given up" in caplog.text)
     connection.kill()
+    hang.release()
     wait(lambda: stage.robot.status().components == ())
-    assert (stage.one.open_channels, stage.two.open_channels) == (0, 0)
+    wait(lambda: (stage.one.open_channels, stage.two.open_channels) == (0, 0))
 
 
 def test_one_death_after_the_other_goes_down_the_candidates_and_then_ends(make: Make) -> None:
@@ -240,7 +246,9 @@ def test_when_no_candidate_fits_the_difference_is_told(make: Make) -> None:
     connection = stage.robot.request("camera")
     stage.two.die("last")
     stage.one.die("best")
-    with pytest.raises(ConnectionClosedError, match="'next' is no heir: its output 'default' is"):
+    with pytest.raises(
+        ConnectionClosedError, match="'next' is no replacement: its output 'default' is"
+    ):
         connection.get(patience())
 
 

@@ -152,6 +152,6 @@ def test_a_callback_that_raises_is_counted_and_does_not_end_the_flow(scene: Scen
     with scene.robot.request("filter", on_message=fail) as connection:
         scene.camera.emit(1)
         scene.camera.emit(2)
-        connection.course.drain(patience())
+        wait(lambda: sum(dict(connection.routes()[0].dropped).values()) == 2)
         (route,) = [one for one in scene.robot.status().routes if one.consumer.startswith("c")]
         assert dict(route.dropped) == {"failed": 2}

@@ -20,8 +20,8 @@ from uoarm import (
     StatusEvent,
     UsageError,
 )
-from uoarm._control._live import LiveComponent
-from uoarm.model import ConnectionState, StatusMap, Step
+from uoarm.bridge import Bridge
+from uoarm.model import ConnectionState, StatusMap
 from uoarm.testing import patience, slowness
 
 Make = Callable[[str], RobotManager]
@@ -149,13 +149,14 @@ def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(
     make_robot: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = make_robot(HEAD + source())
-    enter, seen = robot._pool.enter, list[ConnectionState]()
+    robot.resolve("narrow")
+    get, seen = robot._bridges.get, list[ConnectionState]()
 
-    def enter_watched(step: Step, user: str) -> LiveComponent:
+    def get_watched(name: str) -> Bridge:
         seen.extend(one.state for one in robot.status().connections)
-        return enter(step, user)
+        return get(name)
 
-    monkeypatch.setattr(robot._pool, "enter", enter_watched)
+    monkeypatch.setattr(robot._bridges, "get", get_watched)
     with robot.request("narrow") as connection:
         assert seen == [ConnectionState.OPENING]
         assert connection.flush(0)

@@ -40,7 +40,10 @@ class Stage:
         self.robot._staleness.close()
         self.told: list[HealthEvent] = []
         self.watch = StalenessWatch(
-            self.robot._pool.components, self.robot._pool.edges, self.told.append, self.clock
+            self.robot._executor.components,
+            self.robot._executor.edges,
+            self.told.append,
+            self.clock,
         )
 
     def play(self, messages: int, seconds: float) -> None:
@@ -180,9 +183,9 @@ class Chain:
     def pass_by(self, seconds: float) -> None:
         """Let time pass, and have what is stale then replaced before going on."""
         self.clock.advance(seconds)
-        stale = len(self.robot._staleness.recent())
+        stale = len(self.robot._executor.state.stale)
         self.robot._staleness.look()
-        if len(self.robot._staleness.recent()) > stale:
+        if len(self.robot._executor.state.stale) > stale:
             before = self.face.gaps
             wait(lambda: self.face.gaps != before)
 

@@ -28,6 +28,7 @@ from uoarm.model import (
     Plan,
     QueuePolicy,
     Robot,
+    RouteStatus,
     StatusEvent,
     StatusMap,
     ValidationMode,
@@ -159,6 +160,10 @@ class AsyncConnection:
     def status(self) -> ConnectionStatus:
         """Return what the status map shows."""
         return self._connection.status()
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of the routes that belong to this connection alone."""
+        return self._connection.routes()
 
     def __repr__(self) -> str:
         return f"<Async{repr(self._connection)[1:]}"

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import final
 
-from uoarm._control._course import Course
-from uoarm._control._life import GOING_ON
+from uoarm._control._connection_runtime import ConnectionRuntime
+from uoarm._control._events import Killed
+from uoarm._control._executor import Executor
+from uoarm._control._state import ConnectionRecord
 from uoarm._dataplane import QueueClosed
 from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.model import ConnectionState, ConnectionStatus, Deliver, Gap, Message, Plan
+from uoarm.model import ConnectionState, ConnectionStatus, Deliver, Gap, Message, Plan, RouteStatus
 
 __all__ = ["Connection"]
 
@@ -22,40 +24,41 @@ class Connection:
     Made by `RobotManager.request`. All methods may be called from any thread.
     """
 
-    def __init__(self, course: Course) -> None:
-        self.id = course.id
-        self.course = course
-        """What the manager does with it."""
+    def __init__(self, runtime: ConnectionRuntime, executor: Executor) -> None:
+        self.id = runtime.id
+        self._runtime = runtime
+        self._executor = executor
+        runtime.handle = self
 
     @property
     def plan(self) -> Plan:
         """The plan that runs."""
-        return self.course.plan
+        return self._record.placement.plan
 
     @property
     def state(self) -> ConnectionState:
         """Where in its life the connection is."""
-        return self.course.life.state
+        return self._record.state
 
     @property
     def cause(self) -> str:
         """Why the connection ended, or for what it waits; empty while it runs and after `kill`."""
-        return self.course.life.cause
+        return self._record.cause
 
     @property
     def output(self) -> str | None:
         """The output that the application receives, None where it receives none."""
-        return self.course.output
+        return self._record.output
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
         """The changes of plan so far, oldest first, the newest thousand of them."""
-        return self.course.history.gaps
+        return self._runtime.losses.gaps
 
     @property
     def ended(self) -> bool:
         """Whether the connection is closed, for whatever reason."""
-        return self.course.life.is_over
+        return self._record.is_over
 
     def get(self, timeout: float | None = None) -> Message:
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
@@ -65,10 +68,10 @@ class Connection:
             ConnectionClosedError: the connection has ended and every message was read.
             UsageError: the function has no output, or callbacks receive its messages.
         """
-        if not self.course.reception.is_wanted:
+        if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         try:
-            return self.course.reception.inbox.get(timeout)
+            return self._runtime.receiver.inbox.get(timeout)
         except QueueClosed:
             text = f"connection {self.id} to {self.plan.function!r} has ended"
             raise ConnectionClosedError(f"{text}: {self.cause}" if self.cause else text) from None
@@ -104,29 +107,31 @@ class Connection:
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.
         """
-        if self.state not in GOING_ON:
+        ports = self._runtime.ports
+        if not self._record.goes_on or ports is None:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
-        self.course.opened.ends.sender(port).send(message)
+        ports.sender(port).send(message)
 
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out.
 
         `kill` discards what a slower component has not taken yet; call this before it.
         """
-        return self.course.opened.flush(timeout)
+        ports = self._runtime.ports
+        return ports is None or ports.flush(timeout)
 
     def subscribe(self, callback: Deliver) -> Callable[[], None]:
         """Give messages to a callback from now on, first those that wait; returns what ends it.
 
         The callback runs in the thread in which a message arrives. It may call `kill`.
         """
-        if not self.course.reception.is_wanted:
+        if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
-        return self.course.reception.inbox.subscribe(callback)
+        return self._runtime.receiver.inbox.subscribe(callback)
 
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time."""
-        self.course.end(ConnectionState.CLOSED, "")
+        self._executor.ask(Killed(self.id, waiter=f"{self.id} {object()}"))
 
     def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""
@@ -134,19 +139,30 @@ class Connection:
 
     def on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""
-        self.course.reception.inbox.on_wake(wake)
+        self._runtime.receiver.inbox.on_wake(wake)
 
     def status(self) -> ConnectionStatus:
         """Return what the status map shows."""
+        record = self._record
         return ConnectionStatus(
             id=self.id,
-            function=self.plan.function,
-            state=self.state,
-            components=self.course.components(),
-            cause=self.cause,
-            lost=self.course.history.lost,
-            ended=self.course.history.ended,
+            function=record.placement.plan.function,
+            state=record.state,
+            components=record.components,
+            cause=record.cause,
+            lost=self._runtime.losses.lost,
+            ended=self._runtime.losses.ended,
         )
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of the routes that belong to this connection alone."""
+        return self._runtime.routes()
+
+    @property
+    def _record(self) -> ConnectionRecord:
+        record = self._runtime.record
+        assert record is not None, "a handle is given once there is a plan"
+        return record
 
     def __repr__(self) -> str:
         components = " -> ".join(step.component.name for step in self.plan.steps)

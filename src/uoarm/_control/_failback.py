@@ -1,168 +1,176 @@
-"""Failback: the return of connections to better plans, once those have been there for a while."""
+"""When a better plan is there again: all connections that share an input return to it at once."""
 
 from __future__ import annotations
 
-import logging
-import threading
-from collections.abc import Callable
-from contextlib import ExitStack
+from attrs import evolve
 
-from uoarm import _bounded
-from uoarm._control._board import Board
-from uoarm._control._connection import Connection
-from uoarm._control._heirs import Resolve, heir, names
-from uoarm._control._ledger import Ledger
-from uoarm._control._live import connection_of
-from uoarm._control._pool import Pool
-from uoarm._control._succession import Succession
-from uoarm._dataplane import Clock
-from uoarm.errors import ConnectionClosedError, UoarmError
-from uoarm.model import ConnectionState, Plan
+from uoarm._control._actions import ChangeOver, CheckPreferred, FindReplacement, WakeAt, Warn
+from uoarm._control._draft import Draft
+from uoarm._control._endings import drop_next, end_return, pause
+from uoarm._control._events import ChangedOver, PreferredChecked, ReplacementSought
+from uoarm._control._failover import hand_over, seek
+from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, recently
+from uoarm.errors import ResolutionError
+from uoarm.model import ConnectionState
 
-__all__ = ["Failback"]
+__all__ = ["abandon", "advance", "changed_over", "checked", "found", "look"]
 
-_LEAST_LOOK_SECONDS = 0.05
-_OPEN_SECONDS = 60.0
 _CAUSE = "its preferred components are available again"
-_log = logging.getLogger("uoarm")
 
 
-class Failback:
-    """Looks again and again whether the preferred plans of connections are available.
+def look(draft: Draft, record: ConnectionRecord) -> None:
+    """Have somebody look for the preferred plan, when it is time."""
+    if record.look_at is None or record.is_looking or record.preferred is None:
+        return
+    if record.look_at > draft.now:
+        draft.actions.append(WakeAt(record.look_at))
+        return
+    if not _may_return(record):
+        _look_later(draft, record)
+        return
+    draft.put(record, is_looking=True, look_at=None)
+    lane = f"{record.id}?"
+    draft.actions.append(
+        CheckPreferred(lane, record.id, record.preferred, recently(draft.stale, draft.now))
+    )
 
-    Args:
-        patience: seconds that a better plan must have been available without a break.
-        resolve: finds plans.
-        forget: told the name of a component whose structures must be asked for again.
-        pool: where plans share components and edges.
-        ledger: of the connections that are open.
-        board: where changes are posted.
-        clock: seconds that only grow.
-    """
 
-    def __init__(
-        self,
-        patience: float,
-        *,
-        resolve: Resolve,
-        forget: Callable[[str], None],
-        pool: Pool,
-        ledger: Ledger,
-        board: Board,
-        clock: Clock,
-    ) -> None:
-        self._patience = patience
-        self._resolve = resolve
-        self._forget = forget
-        self._pool = pool
-        self._ledger = ledger
-        self._board = board
-        self._clock = clock
-        self._stopped = threading.Event()
-        self._lock = threading.Lock()
-        self._moved: dict[str, tuple[Connection, Plan]] = {}
-        self._seen: dict[str, float] = {}
-        self._thread: threading.Thread | None = None
+def checked(draft: Draft, event: PreferredChecked) -> None:
+    """Return when the preferred plan was available for long enough without a break."""
+    record = draft.connections.get(event.connection)
+    if record is None or record.preferred is None:
+        return
+    record = draft.put(record, is_looking=False)
+    if not event.is_available or not _may_return(record):
+        _look_later(draft, draft.put(record, available_since=None))
+        return
+    since = draft.now if record.available_since is None else record.available_since
+    record = draft.put(record, available_since=since)
+    if draft.now - since < (draft.policy.return_after or 0.0):
+        _look_later(draft, record)
+        return
+    number = draft.new_id()
+    draft.returns[number] = Return(number, {record.id: None}, draft.now)
+    _seek_for(draft, draft.put(record, returning=number))
 
-    def look_for(self, connection: Connection, preferred: Plan) -> None:
-        """Have a connection return to a plan; the first one that it lost counts."""
-        with self._lock:
-            self._moved.setdefault(connection.id, (connection, preferred))
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="uoarm-return", daemon=True)
-                self._thread.start()
 
-    def close(self) -> None:
-        """Return nothing more."""
-        self._stopped.set()
-
-    def look(self) -> bool:
-        """Return what can return now; False when nothing is left to look for."""
-        with self._lock:
-            moved = dict(self._moved)
-            if not moved:
-                self._thread = None
-                return False
-        for identity, (connection, preferred) in moved.items():
-            if connection.ended:
-                self._settle(identity)
-            elif not self._is_available(preferred):
-                self._seen.pop(identity, None)
-            elif self._clock() - self._seen.setdefault(identity, self._clock()) >= self._patience:
-                self._seen.pop(identity)
-                self._return(connection)
-        return True
-
-    def _run(self) -> None:
-        pause = max(_LEAST_LOOK_SECONDS, self._patience / 4)
-        while not self._stopped.wait(pause) and self.look():
-            pass
-
-    def _is_available(self, preferred: Plan) -> bool:
-        for name in names(preferred):
-            self._forget(name)
-        try:
-            return names(self._resolve(preferred.function, frozenset())) == names(preferred)
-        except UoarmError:
-            return False
-
-    def _return(self, connection: Connection) -> None:
-        begun = self._clock()
-        try:
-            together = self._companions(connection)
-            step = f"return of connection {', '.join(one.id for one in together)}"
-            _bounded.run(step, _OPEN_SECONDS, lambda: self._move(together, begun))
-        except UoarmError as error:
-            _log.warning("connection %s stays where it is: %s", connection.id, error)
+def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
+    """Note the better plan of a member; open all when each has one."""
+    group = draft.returns.get(event.returning)
+    if group is None or record.returning != group.id:
+        return
+    if event.plan is None:
+        abandon(draft, group, event.error)
+        return
+    members = {**group.members, record.id: event.plan}
+    for identity in sorted(draft.rivals(event.plan) - set(members)):
+        other = draft.connections.get(identity)
+        if other is None or not _may_return(other):
+            continue
+        draft.put(other, returning=group.id)
+        members[identity] = None
+    group = draft.returns[group.id] = evolve(group, members=members)
+    for identity, plan in members.items():
+        if plan is None:
+            _seek_for(draft, draft.connections[identity])
             return
-        for one in together:
-            self._settle(one.id)
-
-    def _companions(self, first: Connection) -> dict[Connection, Plan]:
-        """Return what must return at once, since an input has one producer for all its users.
-
-        Raises:
-            ResolutionError: one of them has no better plan that fits.
-        """
-        running = {one.id: one for one in self._ledger.all()}
-        found: dict[Connection, Plan] = {}
-        waiting = [first]
-        while waiting:
-            one = waiting.pop()
-            if one in found or one.state is not ConnectionState.RUNNING:
-                continue
-            found[one] = heir(one.plan, one.output, frozenset(), self._resolve)
-            users = {connection_of(user) for user in self._pool.rivals(found[one])}
-            waiting += [running[user] for user in sorted(users) if user in running]
-        return found
-
-    def _move(self, plans: dict[Connection, Plan], begun: float) -> None:
-        """Open all the better plans beside the present ones, then change over at once."""
-        successions = [
-            Succession(connection.course, plan, self._clock) for connection, plan in plans.items()
-        ]
-        with ExitStack() as stack:
-            for succession in successions:
-                stack.enter_context(succession)
-            self._pool.change_over(
-                joined for succession in successions for joined in succession.opened.edges
-            )
-            taken = [one for one in successions if self._take(one, begun)]
-        for succession in taken:
-            text = f"{_CAUSE}; {succession.newcomers()} goes on"
-            self._board.post(f"connection {succession.course.id}", "replaced", text)
-        for succession in taken:
-            succession.finish()
-
-    def _take(self, succession: Succession, begun: float) -> bool:
+    for identity, plan in members.items():
+        member = draft.connections[identity]
+        assert plan is not None, "each has one"
+        user = f"{identity}#{member.attempt}"
         try:
-            succession.take(begun, _CAUSE)
-        except ConnectionClosedError as error:
-            _log.debug("%s", error)
-            return False
-        return True
+            placement = draft.place(member, plan, user, beside=True)
+        except ResolutionError as error:
+            abandon(draft, group, str(error))
+            return
+        draft.put(member, next=placement)
+    advance(draft, group)
 
-    def _settle(self, identity: str) -> None:
-        with self._lock:
-            self._moved.pop(identity, None)
-            self._seen.pop(identity, None)
+
+def advance(draft: Draft, group: Return) -> None:
+    """Have what is missing opened; let the inputs change hands when all is open."""
+    if group.is_changing:
+        return
+    edges: list[int] = []
+    is_open = True
+    for identity in group.members:
+        record = draft.connections[identity]
+        if record.next is None:
+            return
+        placement = draft.open(record, record.next, f"return {group.id}", is_heard=False)
+        draft.put(record, next=placement)
+        is_open = is_open and not draft.missing(placement)
+        edges += placement.edges
+    if not is_open:
+        return
+    try:
+        pairs = draft.change_over(edges)
+    except ResolutionError as error:
+        abandon(draft, group, str(error))
+        return
+    draft.returns[group.id] = evolve(group, is_changing=True)
+    draft.actions.append(ChangeOver(f"return {group.id}", group.id, pairs))
+
+
+def changed_over(draft: Draft, event: ChangedOver) -> None:
+    """Let the better plans be the ones that run; where that failed, look for any plan."""
+    group = draft.returns.pop(event.returning)
+    for identity in group.members:
+        record = draft.connections.get(identity)
+        if record is None or record.next is None or not record.goes_on:
+            continue
+        failure = record.failure
+        if event.error:
+            cause = f"its return failed: {event.error}"
+            record = draft.put(drop_next(draft, record), returning=0, available_since=None)
+            failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
+            seek(draft, draft.put(record, failure=failure))
+            continue
+        hand_over(draft, record, group.began, _CAUSE, returns=True)
+        record = draft.connections[identity]
+        ids = set(record.placement.components.values())
+        if any(draft.components[one].is_lost for one in ids):
+            lost = tuple(one for one in ids if draft.components[one].is_lost)
+            dead = frozenset(draft.components[one].name for one in lost)
+            cause = "its preferred components were lost again"
+            failure = ComponentFailure(draft.now, cause, lost, dead, dead)
+            seek(draft, draft.put(record, failure=failure))
+
+
+def abandon(draft: Draft, group: Return, error: str) -> None:
+    """Leave all where they are."""
+    first = next(iter(group.members))
+    draft.actions.append(Warn(first, f"stays where it is: {error}"))
+    end_return(draft, group.id)
+
+
+def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
+    record = draft.put(record, attempt=record.attempt + 1)
+    draft.actions.append(
+        FindReplacement(
+            lane=f"return {record.returning}",
+            connection=record.id,
+            attempt=record.attempt,
+            plan=record.placement.plan,
+            output=record.output,
+            excluded=frozenset(),
+            failed=(),
+            avoided=recently(draft.stale, draft.now),
+            returning=record.returning,
+        )
+    )
+
+
+def _look_later(draft: Draft, record: ConnectionRecord) -> None:
+    look_at = draft.now + pause(draft)
+    draft.put(record, look_at=look_at)
+    draft.actions.append(WakeAt(look_at))
+
+
+def _may_return(record: ConnectionRecord) -> bool:
+    return (
+        record.state is ConnectionState.RUNNING
+        and record.failure is None
+        and not record.returning
+        and not record.finished
+    )

@@ -1,222 +1,295 @@
-"""Failover: what goes on behind a connection's handle when a component dies."""
+"""When components die: which connections go on with another plan, which wait, and which end."""
 
 from __future__ import annotations
 
-import logging
-import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
-from attrs import frozen
+from attrs import evolve
 
-from uoarm import _bounded
-from uoarm._control._board import Board
-from uoarm._control._connection import Connection
-from uoarm._control._failback import Failback
-from uoarm._control._heirs import Resolve, heir, names
-from uoarm._control._ledger import Ledger
-from uoarm._control._life import GOING_ON
-from uoarm._control._live import LiveComponent
-from uoarm._control._pool import Pool
-from uoarm._control._succession import Succession
-from uoarm._dataplane import Clock
-from uoarm.errors import (
-    BridgeTimeoutError,
-    ConnectionClosedError,
-    ResolutionError,
-    UoarmError,
+from uoarm._control._actions import (
+    Announce,
+    FindReplacement,
+    Finish,
+    Forget,
+    HandOver,
+    Listen,
+    Publish,
+    RetireBridge,
+    Stop,
+    WakeAt,
+    Warn,
 )
-from uoarm.model import ConnectionState, FailoverPolicy, Plan
+from uoarm._control._draft import Draft
+from uoarm._control._endings import drop_next, end, end_return, finish_if_asked, pause
+from uoarm._control._events import HealthReported, ReplacementSought
+from uoarm._control._state import (
+    ComponentFailure,
+    ComponentRecord,
+    ConnectionRecord,
+    Placement,
+    names,
+    recently,
+)
+from uoarm.errors import ResolutionError
+from uoarm.model import ConnectionState, Health
 
-__all__ = ["Death", "Failover"]
+__all__ = [
+    "advance",
+    "found",
+    "hand_over",
+    "health_reported",
+    "look_again",
+    "seek",
+    "try_another",
+]
 
-_OPEN_SECONDS = 60.0
 _MINUTE = 60.0
 _AGAIN_SECONDS = 0.1
-_REMEMBERED_SECONDS = 300.0
-_log = logging.getLogger("uoarm")
 
 
-@frozen(eq=False)
-class Death:
-    """One or more components that died at once.
+def health_reported(draft: Draft, event: HealthReported) -> None:
+    """Note the health of components; end what finished, replace what was lost."""
+    concerned = [
+        name
+        for name, bridge in draft.bridges.items()
+        if bridge == event.bridge and event.component in {None, name}
+    ]
+    is_lost = event.health is Health.LOST
+    draft.actions.append(Forget(tuple(concerned)))
+    if event.component is None:
+        subject = f"bridge {event.bridge}"
+        draft.actions.append(Announce(subject, event.health.value, event.cause))
+    lost: list[int] = []
+    for name in concerned:
+        one = draft.serving.get(name)
+        if one is None or (is_lost and one in event.spared):
+            continue
+        record = _note(draft, draft.components[one], event)
+        if event.health is Health.FINISHED:
+            _finish(draft, record)
+        elif is_lost:
+            lost.append(one)
+    if lost:
+        _lose(draft, lost, frozenset(concerned), event)
+    if is_lost and event.component is None:
+        draft.actions.append(RetireBridge(event.bridge))
 
-    Attributes:
-        lives: what was open of them.
-        excluded: names of components that cannot take over: the dead, and all of a dead bridge.
-        cause: of the death.
-        time: when it was noticed, on the manager's clock.
-    """
 
-    lives: tuple[LiveComponent, ...]
-    excluded: frozenset[str]
-    cause: str
-    time: float
+def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
+    health = record.health.noted(event.part, event.health, event.cause)
+    if health.is_news(record.health, event.health, event.cause):
+        subject = f"component {record.name}"
+        draft.actions.append(Announce(subject, health.health.value, health.cause))
+    record = draft.components[record.id] = evolve(record, health=health)
+    return record
 
 
-class Failover:
-    """Replaces the plans of connections, each death in a thread of its own.
+def _finish(draft: Draft, component: ComponentRecord) -> None:
+    """Have connections end when what is under way has arrived."""
+    for record in tuple(draft.connections.values()):
+        if not _uses(record.current, [component.id]) or record.finished:
+            continue
+        if record.state is ConnectionState.CLOSING:
+            continue
+        record = draft.put(record, finished=f"component {component.name!r} finished")  # noqa: PLW2901
+        if record.goes_on:
+            finish_if_asked(draft, record)
 
-    Args:
-        policy: whether, how often, and whether to return.
-        resolve: finds plans.
-        forget: told the name of a component whose structures must be asked for again.
-        pool: where plans share components and edges.
-        ledger: of the connections that are open.
-        board: where changes are posted.
-        clock: seconds that only grow.
-    """
 
-    def __init__(
-        self,
-        policy: FailoverPolicy,
-        *,
-        resolve: Resolve,
-        forget: Callable[[str], None],
-        pool: Pool,
-        ledger: Ledger,
-        board: Board,
-        clock: Clock,
-    ) -> None:
-        self._policy = policy
-        self._resolve = resolve
-        self._forget = forget
-        self.failback: Failback | None = None
-        if policy.return_after is not None:
-            self.failback = Failback(
-                policy.return_after,
-                resolve=resolve,
-                forget=forget,
-                pool=pool,
-                ledger=ledger,
-                board=board,
-                clock=clock,
-            )
-        self._board = board
-        self._clock = clock
-        self._stopped = threading.Event()
-        self._failed: dict[str, float] = {}  # when a component failed last, longest ago first
+def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
+    dead = [draft.components[one].name for one in lost]
+    for name in dead:
+        draft.failed.pop(name, None)
+        draft.failed[name] = draft.now
+        if event.is_stale:
+            draft.stale[name] = draft.now
+    draft.actions.append(Stop(draft.lose(lost)))
+    were = f"component {dead[0]!r} was"
+    if len(dead) > 1:
+        were = f"components {', '.join(map(repr, dead))} were"
+    cause = f"{were} lost: {event.cause}"
+    failure = ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned)
+    for identity in tuple(draft.connections):
+        record = draft.connections[identity]
+        if record.state is ConnectionState.CLOSING:
+            continue
+        if _uses(record.current, lost):
+            _lose_current(draft, record, failure)
+        elif _uses(record.next, lost):
+            _lose_next(draft, record, failure)
 
-    def replace(self, connections: Iterable[Connection], death: Death) -> None:
-        """Have connections go on with other plans, or end them; returns at once.
 
-        One that is still being opened ends: its application gets the cause from its request.
-        """
-        for name in {live.component.name for live in death.lives}:
-            self._failed.pop(name, None)
-            self._failed[name] = death.time
-        concerned = list(connections)
-        if concerned:
-            threading.Thread(
-                target=self._replace_all,
-                args=(concerned, death),
-                name="uoarm-failover",
-                daemon=True,
-            ).start()
+def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
+    """Replace the plan that runs, or end; an end while it is opened is the request's failure."""
+    before = record.failure
+    if before is not None:
+        failure = evolve(
+            before,
+            lost=tuple(dict.fromkeys((*before.lost, *failure.lost))),
+            dead=before.dead | failure.dead,
+            excluded=before.excluded | failure.excluded,
+        )
+    record = draft.put(record, failure=failure)
+    if not draft.policy.enabled or not record.goes_on:
+        end(draft, record, ConnectionState.FAILED, failure.cause)
+    elif record.returning and draft.returns[record.returning].is_changing:
+        return  # looked at when the inputs have changed hands
+    elif record.returning:
+        end_return(draft, record.returning)
+        seek(draft, draft.connections[record.id])
+    elif _uses(record.next, failure.lost):
+        seek(draft, drop_next(draft, record))
+    elif record.next is None:
+        seek(draft, record)
 
-    def close(self) -> None:
-        """Replace nothing more."""
-        self._stopped.set()
-        if self.failback is not None:
-            self.failback.close()
 
-    def _replace_all(self, connections: list[Connection], death: Death) -> None:
-        """Let everything go on first, then clear away what died."""
-        taken = []
-        for connection in connections:
-            if not self._policy.enabled or connection.state not in GOING_ON:
-                _fail(connection, death.cause, death)
-                continue
-            try:
-                succession = self._replace(connection, death)
-            except ConnectionClosedError:
-                _log.debug("connection %s ended before it was replaced", connection.id)
-            except UoarmError as error:
-                _fail(connection, f"{death.cause}; nothing takes over: {error}", death)
-            else:
-                if succession is not None:
-                    taken.append(succession)
-        for succession in taken:
-            succession.finish()
+def _lose_next(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
+    """Do without the plan that was to take over."""
+    if record.returning:
+        if not draft.returns[record.returning].is_changing:
+            end_return(draft, record.returning)
+        return
+    before = record.failure
+    assert before is not None, "outside a return, what comes next replaces what failed"
+    excluded = before.excluded | failure.excluded
+    record = drop_next(draft, record)
+    _listen_again(draft, record)
+    seek(draft, draft.put(record, failure=evolve(before, excluded=excluded)))
 
-    def _replace(self, connection: Connection, death: Death) -> Succession | None:
-        """Have one connection go on; None when it does not depend on the dead any more."""
-        excluded = death.excluded
-        deadline = death.time + self._policy.wait
-        while not connection.ended and any(map(connection.course.uses, death.lives)):
-            if not self._may_move(connection):
-                text = f"its providers changed {self._policy.limit} times within a minute"
-                raise ResolutionError(text)
-            preferred = connection.plan
-            try:
-                plan = self._heir(preferred, connection.output, excluded)
-            except ResolutionError:
-                if self._clock() >= deadline:
-                    raise
-                connection.course.wait(death.cause)
-                if self._stopped.wait(_AGAIN_SECONDS):
-                    raise
-                excluded = frozenset()
-                for name in death.excluded:
-                    self._forget(name)
-                continue
-            succession = Succession(connection.course, plan, self._clock, death.lives)
-            try:
-                self._take(connection, succession, death)
-            except ConnectionClosedError:
-                raise
-            except UoarmError as error:
-                _log.warning("connection %s: %s", connection.id, error)
-                excluded |= set(names(plan)).difference(names(preferred)) or {names(plan)[-1]}
-            else:
-                return succession
-        return None
 
-    def _heir(self, dead: Plan, output: str | None, excluded: frozenset[str]) -> Plan:
-        """Return what goes on: what failed lately only where there is nothing else.
+def seek(draft: Draft, record: ConnectionRecord) -> None:
+    """Look for a plan that can take over, unless it changed too often already."""
+    failure = record.failure
+    assert failure is not None, "only what failed is replaced"
+    recent = [one for one in record.moves if draft.now - one < _MINUTE]
+    if len(recent) >= draft.policy.limit:
+        text = f"its providers changed {draft.policy.limit} times within a minute"
+        end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
+        return
+    record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
+    failed = recently(draft.failed, draft.now)
+    draft.actions.append(
+        FindReplacement(
+            lane=f"{record.id}#{record.attempt}",
+            connection=record.id,
+            attempt=record.attempt,
+            plan=record.placement.plan,
+            output=record.output,
+            excluded=failure.excluded,
+            failed=tuple(name for name in draft.failed if name in failed),
+            avoided=recently(draft.stale, draft.now),
+        )
+    )
 
-        Of that, what failed longest ago comes first. A bridge may well find a component that does
-        not do what is expected of it, so that being there again does not mean being well.
 
-        Raises:
-            ResolutionError: nothing can go on.
-        """
-        since = self._clock() - _REMEMBERED_SECONDS
-        failed = [name for name, time in self._failed.copy().items() if time >= since]
-        while True:
-            try:
-                return heir(dead, output, excluded.union(failed), self._resolve)
-            except ResolutionError:
-                if not failed:
-                    raise
-                del failed[0]
-
-    def _take(self, connection: Connection, succession: Succession, death: Death) -> None:
-        """Open a plan and let it take over.
-
-        Raises:
-            UoarmError: it could not be opened, or not in time; then it takes over no more.
-        """
-        preferred, identity = connection.plan, connection.id
-
-        def take() -> None:
-            with succession:
-                if self.failback is not None:
-                    self.failback.look_for(connection, preferred)
-                succession.take(death.time, death.cause)
-
+def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
+    """Open what was found; without anything, wait for what died to come back, or end."""
+    failure = record.failure
+    if failure is None:
+        return
+    if event.plan is not None:
         try:
-            _bounded.run(f"takeover of connection {identity}", _OPEN_SECONDS, take)
-        except BridgeTimeoutError:
-            if succession.withdraw():
-                raise
-        goes_on = succession.newcomers(frozenset(live.component.name for live in death.lives))
-        self._board.post(f"connection {identity}", "replaced", f"{death.cause}; {goes_on} goes on")
+            placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
+        except ResolutionError as error:
+            draft.actions.append(Warn(record.id, str(error)))
+            seek(draft, _without(draft, record, names(event.plan)))
+            return
+        advance(draft, draft.put(record, next=placement))
+        return
+    if draft.now >= failure.time + draft.policy.wait:
+        text = f"{failure.cause}; nothing takes over: {event.error}"
+        end(draft, record, ConnectionState.FAILED, text)
+        return
+    retry_at = draft.now + _AGAIN_SECONDS
+    failure = evolve(failure, excluded=frozenset(), retry_at=retry_at)
+    runs = record.state is ConnectionState.RUNNING
+    record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
+    if runs:
+        subject = f"connection {record.id}"
+        draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
+    draft.actions += [Forget(tuple(failure.dead)), WakeAt(retry_at)]
 
-    def _may_move(self, connection: Connection) -> bool:
-        now = self._clock()
-        recent = [gap for gap in connection.gaps if now - gap.time < _MINUTE]
-        return len(recent) < self._policy.limit
+
+def look_again(draft: Draft, record: ConnectionRecord) -> None:
+    """Look again for what takes over, when it is time."""
+    failure = record.failure
+    if failure is None or failure.retry_at is None or not record.goes_on:
+        return
+    if failure.retry_at <= draft.now:
+        seek(draft, record)
+    else:
+        draft.actions.append(WakeAt(failure.retry_at))
 
 
-def _fail(connection: Connection, cause: str, death: Death) -> None:
-    connection.course.end(ConnectionState.FAILED, cause, death.lives)
+def advance(draft: Draft, record: ConnectionRecord) -> None:
+    """Have what is missing of the next plan opened; hand over when all of it is open."""
+    assert record.next is not None, "there is a plan to open"
+    placement = draft.open(record, record.next, record.next.user, is_heard=True)
+    record = draft.put(record, next=placement)
+    failure = record.failure
+    if failure is not None and not draft.missing(placement):
+        hand_over(draft, record, failure.time, failure.cause)
+
+
+def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
+    """Do without a plan that could not be opened."""
+    assert record.next is not None, "something could not be opened"
+    unfit = names(record.next.plan)
+    draft.actions.append(Warn(record.id, error))
+    record = drop_next(draft, record)
+    _listen_again(draft, record)
+    seek(draft, _without(draft, record, unfit))
+
+
+def hand_over(
+    draft: Draft, record: ConnectionRecord, since: float, cause: str, *, returns: bool = False
+) -> None:
+    """Let the next plan be the one that runs, and the one so far run out."""
+    before, after = record.placement, record.next
+    assert after is not None, "there is a plan to go on with"
+    lost = record.failure.lost if record.failure is not None else ()
+    dead = {name for name, one in before.components.items() if one in lost}
+    waited = record.state is ConnectionState.WAITING
+    preferred, look_at = None, None
+    if draft.policy.return_after is not None and not returns:
+        preferred = record.preferred or before.plan
+        look_at = draft.now + pause(draft)
+        draft.actions.append(WakeAt(look_at))
+    record = draft.put(
+        record,
+        state=ConnectionState.RUNNING,
+        cause="",
+        current=after,
+        next=None,
+        failure=None,
+        preferred=preferred,
+        available_since=None,
+        look_at=look_at,
+        returning=0,
+        moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
+    )
+    subject = f"connection {record.id}"
+    draft.actions += [HandOver(record.id, before, after, since, draft.now, cause), Publish(record)]
+    if waited:
+        draft.actions.append(Announce(subject, record.state.value))
+    new = [n for n in names(after.plan) if n not in before.components or n in dead]
+    goes_on = ", ".join(new or names(after.plan)[-1:])
+    draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on} goes on"))
+    parts = draft.unplace(before, ports=before.ports != after.ports)
+    draft.actions.append(Finish(f"{after.user}>", record.id, parts, before, lost))
+
+
+def _listen_again(draft: Draft, record: ConnectionRecord) -> None:
+    draft.actions.append(Listen(record.id, record.placement.ports))
+
+
+def _without(draft: Draft, record: ConnectionRecord, unfit: tuple[str, ...]) -> ConnectionRecord:
+    """Exclude what a plan would have added, or at least its provider."""
+    assert record.failure is not None, "only what failed is replaced"
+    more = set(unfit).difference(names(record.placement.plan)) or {unfit[-1]}
+    failure = evolve(record.failure, excluded=record.failure.excluded | more)
+    return draft.put(record, failure=failure)
+
+
+def _uses(placement: Placement | None, components: Iterable[int]) -> bool:
+    return placement is not None and not set(placement.components.values()).isdisjoint(components)

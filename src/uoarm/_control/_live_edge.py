@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 
 from attrs import define, field
 
 from uoarm._adapt import transfer
-from uoarm._control._live import LiveComponent, facts_of
+from uoarm._control._live_component import LiveComponent, facts_of
 from uoarm._dataplane import Clock, Route, make_check
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
@@ -16,19 +17,19 @@ from uoarm.model import Edge, Input, Message, QueuePolicy, RouteStatus, Validati
 
 __all__ = ["LiveEdge"]
 
-_STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
 _DRAIN_SECONDS = 5.0
 _log = logging.getLogger("uoarm")
 
 
 @define(eq=False)
 class LiveEdge:
-    """An edge between two open components. Its messages are checked as its strictest user wishes.
+    """An edge between two open components.
 
     Args:
         edge: of the plan.
         producer: the open component at its beginning.
         consumer: the open component at its end.
+        strictness: gives how many messages its strictest user wishes to be checked now.
         held: whether messages wait for `release`, because another edge feeds the input still;
             those that come meanwhile are dropped and counted.
     """
@@ -36,8 +37,8 @@ class LiveEdge:
     edge: Edge
     producer: LiveComponent
     consumer: LiveComponent
+    strictness: Callable[[], ValidationMode]
     held: bool = False
-    users: dict[str, ValidationMode] = field(factory=dict, init=False)
     route: Route | None = field(default=None, init=False)
     link: Channel | None = field(default=None, init=False)
     _ready: threading.Lock = field(factory=threading.Lock, init=False)
@@ -52,11 +53,6 @@ class LiveEdge:
     def origin(self) -> tuple[str, str]:
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
-
-    @property
-    def is_stale(self) -> bool:
-        """Whether a component at one of its ends was closed: nobody can use it any more."""
-        return self.producer.is_closed or self.consumer.is_closed
 
     def open(self, clock: Clock) -> None:
         """Open it where it is not open yet; a native link that is held is left for `release`.
@@ -87,13 +83,12 @@ class LiveEdge:
             self.producer.open_output(self.edge.output)
 
     def renew_check(self) -> None:
-        """Check messages as the users of this moment wish; never those of a native link."""
+        """Check messages as its users wish now; never those of a native link. Any thread."""
         if self.route is None:
             return
         with self._checking:
-            wished = list(self.users.values())
-            mode = max(wished, key=_STRICTNESS.index, default=ValidationMode.OFF)
-            self.route.check = make_check(self.edge.producer_structure, mode, ".".join(self.origin))
+            place = ".".join(self.origin)
+            self.route.check = make_check(self.edge.producer_structure, self.strictness(), place)
 
     def status(self) -> RouteStatus | None:
         """Return what the status map shows; None while the edge is being opened."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -11,17 +12,15 @@ from typing import final
 
 from uoarm import _bounded
 from uoarm._adapt import check_edge
-from uoarm._control._attempt import Attempt
 from uoarm._control._availability import check_availability
-from uoarm._control._board import Board
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection import Connection
-from uoarm._control._failover import Failover
-from uoarm._control._health import HealthDesk
-from uoarm._control._ledger import Ledger
-from uoarm._control._pool import Pool
-from uoarm._control._prepare import prepare, reference
+from uoarm._control._connection_runtime import ConnectionRuntime
+from uoarm._control._event_dispatcher import EventDispatcher
+from uoarm._control._events import Requested
+from uoarm._control._executor import Executor
 from uoarm._control._staleness import StalenessWatch
+from uoarm._control._state import State, recently
 from uoarm._dataplane import Clock, make_check
 from uoarm._mistakes import choose
 from uoarm._resolve import Resolver, StructureCache
@@ -29,17 +28,18 @@ from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
 from uoarm.errors import (
     BridgeError,
+    ConnectionClosedError,
     FailureReason,
     MessageError,
     ResolutionError,
     UsageError,
 )
 from uoarm.model import (
-    ConnectionState,
     Deliver,
     FunctionStatus,
     Message,
     Plan,
+    PortRef,
     QueuePolicy,
     Robot,
     StatusEvent,
@@ -81,8 +81,8 @@ class RobotManager:
         self.registry = registry or Registry()
         self.config = robot = assign(robot, self.registry.types)
         self._clock = clock
-        self._board = Board(clock)
-        self._ledger = Ledger(self._board)
+        self._numbers = itertools.count(1)
+        self._events = EventDispatcher(clock)
         self._bridges = BridgeSet(
             robot.bridges,
             self.registry,
@@ -94,29 +94,19 @@ class RobotManager:
         )
         self._structures = StructureCache(self._bridges.get)
         self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
-        self._pool = Pool(self._bridges.get, clock)
-        self._failover = Failover(
-            robot.failover,
+        self._executor = Executor(
+            State(robot.failover, {one.name: one.bridge for one in robot.components()}),
+            bridges=self._bridges,
+            events=self._events,
             resolve=self._resolve,
             forget=self._forget,
-            pool=self._pool,
-            ledger=self._ledger,
-            board=self._board,
             clock=clock,
         )
-        self._health = HealthDesk(
-            self._pool,
-            self._ledger,
-            self._board,
-            robot,
-            forget=self._forget,
-            bridges=self._bridges,
-            failover=self._failover,
-            clock=clock,
-        )
-
         self._staleness = StalenessWatch(
-            self._pool.components, self._pool.edges, self._noticed, clock
+            self._executor.components,
+            self._executor.edges,
+            lambda event: self._executor.report(event, is_stale=True),
+            clock,
         )
         if any(one.expect for each in robot.components() for one in each.outputs):
             self._staleness.start()
@@ -148,12 +138,17 @@ class RobotManager:
             ResolutionError: nothing fits; the text says for every candidate why.
             BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
         """
-        self._ledger.require_open()
-        function = reference(name).function
-        known = self._resolver.known(function)
-        if known is not None and not self._staleness.recent():
+        self._require_open()
+        function = _reference(name).function
+        known = self._known(function)
+        if known is not None:
             return known
-        return _bounded.run(f"resolving {function!r}", timeout, lambda: self._resolve(function))
+        avoided = recently(self._executor.state.stale, self._clock())
+        return _bounded.run(
+            f"resolving {function!r}",
+            timeout,
+            lambda: self._resolve(function, frozenset(), avoided),
+        )
 
     def request(
         self,
@@ -182,34 +177,23 @@ class RobotManager:
             UsageError: the function has several outputs and the name does not say which, or
                 there is no such way to validate.
         """
-        self._ledger.require_open()
+        self._require_open()
         mode = choose(ValidationMode, validate, "validate", UsageError)
-        attempt = Attempt()
-
-        def open_plan() -> Connection:
-            connection = prepare(
-                self.resolve(name, timeout=timeout),
-                reference(name),
-                self._ledger.new_id(),
-                pool=self._pool,
-                validate=mode,
-                queue=queue or _INBOX,
-                clock=self._clock,
-            )
-            if on_message is not None:
-                connection.subscribe(on_message)
-            attempt.adopt(connection)
-            self._ledger.add(connection)
-            connection.course.open()
-            return connection
-
-        try:
-            return _bounded.run(f"request for {name!r}", timeout, open_plan)
-        except BaseException as error:
-            failed = attempt.give_up(str(error))
-            for step in failed.plan.steps if failed is not None else ():
-                self._forget(step.component.name)
-            raise
+        wanted = _reference(name)
+        runtime = ConnectionRuntime(f"c{next(self._numbers)}", queue or _INBOX)
+        if on_message is not None:
+            runtime.receiver.inbox.subscribe(on_message)
+        event = Requested(
+            runtime.id,
+            wanted,
+            mode,
+            waiter=f"request {runtime.id}",
+            plan=self._known(wanted.function),
+            is_heard=on_message is not None,
+        )
+        connection = Connection(runtime, self._executor)
+        self._executor.request(runtime, event, f"request for {name!r}", timeout)
+        return connection
 
     def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
         """Call the service that provides a function and return its reply.
@@ -232,16 +216,17 @@ class RobotManager:
 
     def connections(self) -> tuple[Connection, ...]:
         """Return the connections that have not ended, oldest first, whoever requested them."""
-        return self._ledger.all()
+        runtimes = self._executor.connections()
+        return tuple(one.handle for one in runtimes if one.handle is not None)
 
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
         connections = self.connections()
-        shared = (edge.status() for edge in self._pool.edges())
-        own = (route for connection in connections for route in connection.course.routes())
+        shared = (edge.status() for edge in self._executor.edges())
+        own = (route for connection in connections for route in connection.routes())
         return StatusMap(
             bridges=self._bridges.statuses(),
-            components=tuple(live.status() for live in self._pool.components()),
+            components=self._executor.component_statuses(),
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
             machines=self._bridges.machines.statuses(),
@@ -252,7 +237,7 @@ class RobotManager:
 
         Blocks while bridges are asked, several components at once, each within its limit.
         """
-        self._ledger.require_open()
+        self._require_open()
         for component in self.config.components():
             self._forget(component.name)
         return check_availability(self.config, self._structures, self.resolve)
@@ -262,17 +247,15 @@ class RobotManager:
 
         Listeners run in one thread of the manager, never in a thread that moves messages.
         """
-        return self._board.listen(listener)
+        return self._events.listen(listener)
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
         self._staleness.close()
-        self._failover.close()
-        for connection in self._ledger.close():
-            connection.course.end(ConnectionState.CLOSED, "the robot manager was closed")
+        self._executor.close()
         for failure in self._bridges.close():
             _log.warning("%s", failure)
-        self._board.close()
+        self._events.close()
 
     def _call(self, name: str, message: Message, timeout: float) -> Message:
         step = self.resolve(name, timeout=timeout).provider
@@ -295,22 +278,31 @@ class RobotManager:
             raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
         return reply
 
-    def _resolve(self, name: str, excluded: frozenset[str] = frozenset()) -> Plan:
-        """Resolve without what was stale lately; where there is nothing else, with it."""
-        stale = self._staleness.recent() - excluded
-        if stale:
+    def _known(self, function: str) -> Plan | None:
+        """Return the plan that was found before, unless it may use what was stale lately."""
+        stale = recently(self._executor.state.stale, self._clock())
+        return None if stale else self._resolver.known(function)
+
+    def _resolve(self, name: str, excluded: frozenset[str], avoided: frozenset[str]) -> Plan:
+        """Resolve without what is avoided; where there is nothing else, with it."""
+        avoided -= excluded
+        if avoided:
             try:
-                return self._resolver.resolve(name, excluded=excluded | stale)
+                return self._resolver.resolve(name, excluded=excluded | avoided)
             except ResolutionError:
                 _log.debug("nothing but what was stale lately can provide %r", name)
         return self._resolver.resolve(name, excluded=excluded)
+
+    def _noticed(self, event: HealthEvent) -> None:
+        self._executor.report(event)
 
     def _forget(self, component: str) -> None:
         self._structures.forget(component)
         self._resolver.invalidate(component)
 
-    def _noticed(self, event: HealthEvent) -> None:
-        self._health.noticed(event)
+    def _require_open(self) -> None:
+        if self._executor.state.is_closing:
+            raise ConnectionClosedError("the robot manager is closed")
 
     def __repr__(self) -> str:
         name = self.config.origin or "in memory"
@@ -327,3 +319,9 @@ class RobotManager:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _reference(name: str) -> PortRef:
+    """Read `function` or `function.output`."""
+    function, dot, port = name.partition(".")
+    return PortRef(function, port if dot else None)

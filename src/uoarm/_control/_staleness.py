@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from attrs import define, field
 
-from uoarm._control._live import LiveComponent
+from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._dataplane import Clock, Route
 from uoarm.bridge import HealthEvent
@@ -18,7 +18,6 @@ __all__ = ["StalenessWatch"]
 
 _LOOK_SECONDS = 0.1
 _ENOUGH = 0.5
-_REMEMBERED_SECONDS = 300.0
 
 _Output: TypeAlias = tuple[LiveComponent, str]
 
@@ -73,7 +72,6 @@ class StalenessWatch:
         self._report = report
         self._clock = clock
         self._windows: dict[_Output, _Window] = {}
-        self._reported: dict[str, float] = {}
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="uoarm-stale", daemon=True)
 
@@ -84,14 +82,6 @@ class StalenessWatch:
     def close(self) -> None:
         """Look no more."""
         self._stopped.set()
-
-    def recent(self) -> frozenset[str]:
-        """Return the components that were stale in the last minutes.
-
-        Their bridges may well find them, so that nobody else can tell that they do not do.
-        """
-        since = self._clock() - _REMEMBERED_SECONDS
-        return frozenset(name for name, at in self._reported.copy().items() if at >= since)
 
     def look(self) -> None:
         """Look once."""
@@ -104,7 +94,7 @@ class StalenessWatch:
                 fed.setdefault(joined.consumer, set()).add(joined.route)
         for (live, output), expect in self._expectations(edges).items():
             routes = live.outlets[output].routes
-            if live.condition.health is Health.LOST or not routes:
+            if not routes:
                 continue
             feeds = frozenset(fed.get(live, ()))
             window = before.get((live, output))
@@ -144,7 +134,6 @@ class StalenessWatch:
                 f"{lasted:.2g} s, {expect.rate:.3g} are expected"
             )
             name = live.component.name
-            self._reported[name] = now
             self._report(HealthEvent(live.component.bridge, Health.LOST, cause, component=name))
         return _Window(window.route, window.feeds, now)
 

@@ -70,7 +70,7 @@ def _routes(robot: RobotManager, connection: Connection) -> tuple[RouteStatus, .
     """Return the flows of the robot, or, once the connection has ended, what its own counted."""
     routes = robot.status().routes
     if connection.ended:
-        return (*connection.status().ended, *connection.course.routes())
+        return (*connection.status().ended, *connection.routes())
     return routes
 
 

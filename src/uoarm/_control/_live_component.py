@@ -7,13 +7,12 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from uoarm._control._condition import Condition
 from uoarm._dataplane import Outlet
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
-from uoarm.model import ChannelStatus, Component, ComponentStatus, Message, Step
+from uoarm.model import ChannelStatus, Component, Message, Step
 
-__all__ = ["LiveComponent", "connection_of", "facts_of"]
+__all__ = ["LiveComponent", "facts_of"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -30,15 +29,12 @@ class LiveComponent:
     for a thread that is opening: that thread closes everything when it comes out.
 
     Attributes:
-        condition: how it is doing.
         lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
     def __init__(self, step: Step, bridge: Bridge) -> None:
         self.component: Component = step.component
         self.bridge = bridge
-        self.users: list[str] = []
-        self.condition = Condition()
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
         self.structures = step.structures
         self._sources: dict[str, Source] = {}
@@ -137,19 +133,11 @@ class LiveComponent:
         self._doomed = True
         self._sweep()
 
-    def status(self) -> ComponentStatus:
-        """Return what the status map shows."""
-        return ComponentStatus(
-            name=self.component.name,
-            function=self.component.function,
-            bridge=self.component.bridge,
-            health=self.condition.health,
-            users=tuple(dict.fromkeys(map(connection_of, self.users))),
-            cause=self.condition.cause,
-            channels=(
-                *_channel_statuses("output", self._sources),
-                *_channel_statuses("input", self._sinks),
-            ),
+    def channel_statuses(self) -> tuple[ChannelStatus, ...]:
+        """Return what the status map shows of its channels."""
+        return (
+            *_channel_statuses("output", self._sources),
+            *_channel_statuses("input", self._sinks),
         )
 
     @contextmanager
@@ -200,8 +188,3 @@ def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterat
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
         yield ChannelStatus(f"{direction}.{name}", facts_of(channel))
-
-
-def connection_of(user: str) -> str:
-    """Return the id of the connection that a user of the pool is."""
-    return user.partition("#")[0]

@@ -1,4 +1,4 @@
-"""Heirs: plans that can go on behind the handle of a plan whose component died."""
+"""Replacements: plans that can go on behind the handle of a plan whose component died."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from uoarm._adapt import check_edge
 from uoarm.errors import ResolutionError
 from uoarm.model import MessageStructure, Plan
 
-__all__ = ["Resolve", "heir", "names"]
+__all__ = ["Resolve", "find_replacement"]
 
 _TRIES = 50
 
@@ -16,39 +16,53 @@ Resolve = Callable[[str, frozenset[str]], Plan]
 """Resolves a function without the components of these names, or raises ResolutionError."""
 
 
-def heir(dead: Plan, output: str | None, excluded: frozenset[str], resolve: Resolve) -> Plan:
-    """Return the plan of highest priority that the application cannot tell from the dead one.
+def find_replacement(
+    plan: Plan,
+    output: str | None,
+    excluded: frozenset[str],
+    failed: tuple[str, ...],
+    resolve: Resolve,
+) -> Plan:
+    """Return the plan of highest priority that the application cannot tell from its own.
 
     Its provider has the same output and inputs, emits nothing that the old one could not emit,
-    and takes all that the old one took.
+    and takes all that the old one took. What failed lately is used only where there is nothing
+    else, and of that first what failed longest ago: a bridge may well find a component that does
+    not do what is expected of it, so that being there again does not mean being well.
 
     Args:
-        dead: the plan that ended.
+        plan: the application's own.
         output: the output that the application receives, None where it receives none.
         excluded: components that may not be used.
+        failed: components that failed lately, longest ago first.
         resolve: resolves a function.
 
     Raises:
-        ResolutionError: there is none; the text says why each candidate is no heir.
+        ResolutionError: there is none; the text says why each candidate is none.
     """
+    while True:
+        try:
+            return _find(plan, output, excluded.union(failed), resolve)
+        except ResolutionError:
+            if not failed:
+                raise
+            failed = failed[1:]
+
+
+def _find(plan: Plan, output: str | None, excluded: frozenset[str], resolve: Resolve) -> Plan:
     unfit: list[str] = []
     for _ in range(_TRIES):
         try:
-            plan = resolve(dead.function, excluded)
+            found = resolve(plan.function, excluded)
         except ResolutionError as error:
             raise ResolutionError("\n".join([*unfit, str(error)])) from error
-        difference = _difference(dead, plan, output)
+        difference = _difference(plan, found, output)
         if not difference:
-            return plan
-        name = plan.provider.component.name
-        unfit.append(f"component {name!r} is no heir: {difference}")
+            return found
+        name = found.provider.component.name
+        unfit.append(f"component {name!r} is no replacement: {difference}")
         excluded |= {name}
     raise ResolutionError("\n".join(unfit))
-
-
-def names(plan: Plan) -> tuple[str, ...]:
-    """Return the names of a plan's components, producers first."""
-    return tuple(step.component.name for step in plan.steps)
 
 
 def _difference(dead: Plan, plan: Plan, output: str | None) -> str:

@@ -1,4 +1,7 @@
-"""History: what a connection's earlier plans counted, which no live route shows any more."""
+"""Loss accounting: what the routes that ended had counted, and what was lost with components.
+
+It watches what ends and knows nothing of why.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,11 @@ from weakref import WeakSet
 
 from attrs import evolve
 
-from uoarm._control._live import LiveComponent
+from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
-from uoarm._control._opening import OpenPlan
 from uoarm.model import Gap, RouteStatus
 
-__all__ = ["Counting", "History"]
+__all__ = ["Counting", "LossAccount"]
 
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
 
@@ -29,7 +31,7 @@ class Counting(Protocol):
         """Return its counters."""
 
 
-class History:
+class LossAccount:
     """The gaps of a connection, and the counters of its routes that ended.
 
     Routes that ended last are still asked for their counters, since a thread that was about to
@@ -59,9 +61,9 @@ class History:
                 lost += live.lost + live.unheard
         return lost
 
-    def ended_edges(self, plan: OpenPlan) -> Iterator[Counting]:
-        """Yield the routes of the edges of a plan that have ended, once each."""
-        for joined in plan.edges:
+    def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[Counting]:
+        """Yield the routes of those of the edges that have ended, once each."""
+        for joined in edges:
             if joined.route is not None and joined.route.closed and joined not in self._counted:
                 self._counted.add(joined)
                 yield joined.route

@@ -1,0 +1,83 @@
+"""The end of a connection, and of a plan that was opened in vain."""
+
+from __future__ import annotations
+
+from uoarm._control._actions import Close, Drain, Publish, WakeAt
+from uoarm._control._draft import Draft
+from uoarm._control._state import ConnectionRecord, Placement
+from uoarm.model import ConnectionState
+
+__all__ = ["drop_next", "end", "end_return", "finish_if_asked", "pause"]
+
+_LEAST_LOOK_SECONDS = 0.05
+
+
+def end(
+    draft: Draft,
+    record: ConnectionRecord,
+    outcome: ConnectionState,
+    cause: str,
+    lane: str = "",
+) -> None:
+    """Begin to end a connection; once it has begun, nothing changes how it ends.
+
+    Args:
+        draft: the state.
+        record: the connection, which has a plan.
+        outcome: CLOSED or FAILED.
+        cause: why; empty for a kill.
+        lane: where to close what only it used; empty: one of its own, which waits for nobody.
+    """
+    if record.state is ConnectionState.CLOSING:
+        return
+    record = drop_next(draft, record)
+    if record.returning and not draft.returns[record.returning].is_changing:
+        end_return(draft, record.returning)
+        record = draft.connections[record.id]
+    placement = record.placement
+    parts = draft.unplace(placement)
+    lost = record.failure.lost if record.failure is not None else ()
+    record = draft.put(record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause)
+    draft.actions += [
+        Publish(record),
+        Close(lane or f"{record.id}!", record.id, parts, placement, lost, ends=True),
+    ]
+
+
+def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
+    """Close a plan that was opened in vain, and count what went with it."""
+    placement = record.next
+    if placement is None:
+        return record
+    record = draft.put(record, next=None, attempt=record.attempt + 1)
+    parts = draft.unplace(placement, ports=not _shares_ports(record, placement))
+    draft.actions.append(Close(f"{placement.user}!", record.id, parts, placement))
+    return record
+
+
+def end_return(draft: Draft, number: int) -> None:
+    """Leave the members of a return where they are; each looks for its plan again later."""
+    for identity in draft.returns.pop(number).members:
+        record = draft.connections.get(identity)
+        if record is None or record.state is ConnectionState.CLOSING:
+            continue
+        record = drop_next(draft, record)
+        look_at = draft.now + pause(draft) if record.preferred is not None else None
+        draft.put(record, returning=0, available_since=None, look_at=look_at)
+        if look_at is not None:
+            draft.actions.append(WakeAt(look_at))
+
+
+def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
+    """Let what is under way arrive before a connection ends whose source has finished."""
+    if record.finished:
+        draft.actions.append(Drain(f"{record.id}!drain", record.id, record.placement))
+
+
+def pause(draft: Draft) -> float:
+    """Return the seconds between two looks for a preferred plan."""
+    return max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
+
+
+def _shares_ports(record: ConnectionRecord, placement: Placement) -> bool:
+    return record.placement.ports == placement.ports

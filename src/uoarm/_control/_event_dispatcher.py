@@ -1,0 +1,61 @@
+"""Changes of the system: numbered, and given to listeners in order by one thread."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+
+from uoarm._dataplane import Clock
+from uoarm.model import StatusEvent
+
+__all__ = ["EventDispatcher"]
+
+_log = logging.getLogger("uoarm")
+_CLOSE_SECONDS = 2.0
+
+
+class EventDispatcher:
+    """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._number = 0
+        self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
+        self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
+        self._thread.start()
+
+    def post(self, subject: str, change: str, cause: str = "") -> None:
+        """Number one change and have the listeners called. Waits for nothing."""
+        with self._lock:
+            self._number += 1
+            event = StatusEvent(self._number, self._clock(), subject, change, cause)
+            self._events.put(event)
+
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Call a listener for every change from now on; returns what ends that."""
+        with self._lock:
+            self._listeners = (*self._listeners, listener)
+
+        def end() -> None:
+            with self._lock:
+                self._listeners = tuple(one for one in self._listeners if one is not listener)
+
+        return end
+
+    def close(self) -> None:
+        """Call listeners for what is left, then end. Waits two seconds at most."""
+        self._events.put(None)
+        if threading.current_thread() is not self._thread:
+            self._thread.join(_CLOSE_SECONDS)
+
+    def _run(self) -> None:
+        while (event := self._events.get()) is not None:
+            for listener in self._listeners:
+                try:
+                    listener(event)
+                except Exception:  # noqa: BLE001 - a listener may raise anything
+                    _log.exception("listener %r failed at event %d", listener, event.number)

@@ -1,0 +1,184 @@
+"""What the control plane is told: what applications ask, and what became of its actions.
+
+Frozen values without objects of bridges, so that a trace of them can be kept and replayed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import TypeAlias
+
+from attrs import frozen
+
+from uoarm._control._state import Part
+from uoarm.model import Health, Plan, PortRef, ValidationMode
+
+__all__ = [
+    "ChangedOver",
+    "Drained",
+    "Ended",
+    "Event",
+    "HealthReported",
+    "Killed",
+    "Opened",
+    "PreferredChecked",
+    "ReplacementSought",
+    "Requested",
+    "Resolved",
+    "Stopped",
+    "TimeReached",
+]
+
+
+@frozen
+class Requested:
+    """An application asks for a function.
+
+    Attributes:
+        waiter: gets exactly one reply.
+        plan: the one that is known already, None when it must be sought.
+        is_heard: whether a callback waits for the messages.
+    """
+
+    connection: str
+    wanted: PortRef
+    validate: ValidationMode
+    waiter: str
+    plan: Plan | None = None
+    is_heard: bool = False
+
+
+@frozen
+class Resolved:
+    """The search for the plan of a request is over."""
+
+    connection: str
+    plan: Plan | None
+    error: BaseException | None = None
+
+
+@frozen
+class Killed:
+    """A connection shall end.
+
+    Attributes:
+        waiter: gets exactly one reply, when everything is closed; empty: nobody.
+        is_failure: whether it ends as failed.
+    """
+
+    connection: str
+    waiter: str
+    cause: str = ""
+    is_failure: bool = False
+
+
+@frozen
+class Opened:
+    """A batch of parts is open, or one of them could not be opened.
+
+    Attributes:
+        done: those that are open.
+        error: why the others are not; None: all are.
+    """
+
+    batch: int
+    done: tuple[Part, ...]
+    error: BaseException | None = None
+
+
+@frozen
+class HealthReported:
+    """A bridge noticed a change of health.
+
+    Attributes:
+        component: its name; None: the whole bridge.
+        part: what of it: `bridge`, `component`, or role and port of a channel.
+        spared: instances that were opened since then, at the bridge that followed.
+        is_stale: whether the rate of its messages says so, which no bridge would notice.
+    """
+
+    bridge: str
+    health: Health
+    cause: str
+    component: str | None = None
+    part: Hashable = "bridge"
+    spared: frozenset[int] = frozenset()
+    is_stale: bool = False
+
+
+@frozen
+class Drained:
+    """What was under way to an application has arrived, or took too long."""
+
+    connection: str
+
+
+@frozen
+class Ended:
+    """Everything that only this connection used is closed."""
+
+    connection: str
+
+
+@frozen
+class ReplacementSought:
+    """The search for a plan that can take over is over.
+
+    Attributes:
+        attempt: of the connection, as it was when the search began.
+        returning: id of the return that it is for; 0: it is for a failover.
+    """
+
+    connection: str
+    attempt: int
+    plan: Plan | None
+    error: str = ""
+    returning: int = 0
+
+
+@frozen
+class PreferredChecked:
+    """Somebody has looked whether the preferred plan of a connection is available."""
+
+    connection: str
+    is_available: bool
+
+
+@frozen
+class ChangedOver:
+    """The inputs of a return changed hands; with an error they did not."""
+
+    returning: int
+    error: str = ""
+
+
+@frozen
+class TimeReached:
+    """The time has come that was asked for."""
+
+
+@frozen
+class Stopped:
+    """The manager shall close.
+
+    Attributes:
+        waiter: gets one reply, when every connection has ended.
+    """
+
+    waiter: str
+
+
+Event: TypeAlias = (
+    Requested
+    | Resolved
+    | Killed
+    | Opened
+    | HealthReported
+    | Drained
+    | Ended
+    | ReplacementSought
+    | PreferredChecked
+    | ChangedOver
+    | TimeReached
+    | Stopped
+)

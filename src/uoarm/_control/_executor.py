@@ -1,0 +1,342 @@
+"""The executor: owns the state, gives `step` its events, and does what it asks for.
+
+One thread at a time owns the state: whoever posts an event while nobody does. It works until no
+event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is quick and no
+event needs a thread of its own. Calls into bridges are made in lanes, by whoever waits for them or
+by worker threads, under time limits, and come back as events.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from uoarm import _bounded
+from uoarm._control import _actions as act
+from uoarm._control import _events as ev
+from uoarm._control._bridges import BridgeSet
+from uoarm._control._connection_runtime import ConnectionRuntime
+from uoarm._control._draft import connection_of
+from uoarm._control._event_dispatcher import EventDispatcher
+from uoarm._control._lanes import Job, Lanes
+from uoarm._control._live_component import LiveComponent
+from uoarm._control._live_edge import LiveEdge
+from uoarm._control._live_parts import LiveParts
+from uoarm._control._replacements import find_replacement
+from uoarm._control._state import Part, State, names
+from uoarm._control._step import step
+from uoarm._control._timer import Timer
+from uoarm._dataplane import Clock
+from uoarm.bridge import HealthEvent
+from uoarm.errors import UoarmError
+from uoarm.model import ComponentStatus, Health, Plan
+
+__all__ = ["Executor", "Resolve"]
+
+Resolve = Callable[[str, "frozenset[str]", "frozenset[str]"], Plan]
+"""Resolves a function without the components of these names, and without others if it can."""
+
+_OPEN_SECONDS = 60.0
+_log = logging.getLogger("uoarm")
+_trace = logging.getLogger("uoarm.control")
+
+
+class Executor:
+    """Runs the control plane of one manager. All methods may be called from any thread.
+
+    Args:
+        state: to begin with.
+        bridges: of the manager.
+        events: where changes are announced.
+        resolve: finds plans.
+        forget: asks for the structures of a component again the next time.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        *,
+        bridges: BridgeSet,
+        events: EventDispatcher,
+        resolve: Resolve,
+        forget: Callable[[str], None],
+        clock: Clock,
+    ) -> None:
+        self.state = state
+        self.live = LiveParts(bridges, lambda: self.state, clock)
+        self._bridges = bridges
+        self._resolve = resolve
+        self._forget = forget
+        self._clock = clock
+        self._events: deque[ev.Event] = deque()
+        self._owning = threading.Lock()
+        self._cancelled: set[int] = set()
+        self._lanes = Lanes(_start)
+        self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
+        self._doers: dict[type[Any], Callable[[Any], None]] = {
+            act.Publish: self._publish,
+            act.Announce: lambda one: events.post(one.subject, one.change, one.cause),
+            act.Reply: lambda one: self._lanes.reply(one.waiter, one.error),
+            act.HandOver: self._hand_over,
+            act.Listen: self._listen,
+            act.Stop: self._stop,
+            act.SetCheck: self._set_check,
+            act.CancelBatch: lambda one: self._cancelled.add(one.batch),
+            act.Forget: self._forget_all,
+            act.RetireBridge: lambda one: bridges.retire(one.bridge),
+            act.WakeAt: lambda one: self._timer.wake_at(one.time),
+            act.Warn: lambda one: _log.warning("connection %s: %s", one.connection, one.text),
+            act.Resolve: lambda one: self._call(one, lambda: self._seek_plan(one)),
+            act.Open: lambda one: self._call(one, lambda: self._open(one)),
+            act.Close: self._close,
+            act.Finish: self._finish,
+            act.Drain: self._drain,
+            act.FindReplacement: lambda one: self._call(one, lambda: self._seek_replacement(one)),
+            act.CheckPreferred: lambda one: self._call(one, lambda: self._check_preferred(one)),
+            act.ChangeOver: lambda one: self._call(one, lambda: self._change_over(one)),
+        }
+
+    def post(self, event: ev.Event) -> None:
+        """Take an event. Quick: what follows from it may be done later, in other threads."""
+        self._events.append(event)
+        # Whoever finds the state owned leaves its event to the owner, which looks once more after
+        # it let go: an event that came between is not left lying.
+        while self._events and self._owning.acquire(blocking=False):
+            try:
+                while self._events:
+                    self._handle(self._events.popleft())
+            finally:
+                self._owning.release()
+
+    def request(
+        self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
+    ) -> None:
+        """Post a request and wait until it is running.
+
+        Raises:
+            BridgeTimeoutError: it is not, in time; it is given up.
+            UoarmError: it failed.
+        """
+        self.live.runtimes[runtime.id] = runtime
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        try:
+            _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+        except BaseException as error:
+            self._lanes.abandon(event.waiter)
+            self.ask(ev.Killed(runtime.id, f"{event.waiter}!", str(error), is_failure=True))
+            self.live.runtimes.pop(runtime.id, None)
+            raise
+
+    def ask(self, event: ev.Killed | ev.Stopped) -> None:
+        """Post an event and do what follows from it in this thread, until it is done."""
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        self._lanes.drive(event.waiter)
+
+    def report(self, event: HealthEvent, *, is_stale: bool = False) -> None:
+        """Take a change of health; one of a channel that was closed is no news."""
+        channel = event.channel
+        part: object = "bridge" if event.component is None else "component"
+        component = event.component
+        if channel is not None:
+            if channel.closed:
+                return
+            # Found by its endpoint: it may report before its opening has returned.
+            component = channel.endpoint.component
+            part = channel.endpoint.role, channel.endpoint.port
+        spared = frozenset[int]()
+        if event.health is Health.LOST and component is None:
+            live = self.live.components.copy()
+            spared = frozenset(n for n, one in live.items() if self._bridges.is_in_use(one.bridge))
+        self.post(
+            ev.HealthReported(
+                event.bridge, event.health, event.cause, component, part, spared, is_stale
+            )
+        )
+
+    def connections(self) -> tuple[ConnectionRuntime, ...]:
+        """Return the connections that have a plan and have not ended, oldest first."""
+        runtimes = self.live.runtimes.copy()
+        there = (r for r in self.state.connections.values() if r.current is not None)
+        return tuple(runtimes[record.id] for record in there if record.id in runtimes)
+
+    def components(self) -> tuple[LiveComponent, ...]:
+        """Return the components that are open and well enough to be shared."""
+        objects = self.live.components.copy()
+        return tuple(objects[one] for one in self.state.serving.values() if one in objects)
+
+    def edges(self) -> tuple[LiveEdge, ...]:
+        """Return the edges that feed something."""
+        objects = self.live.edges.copy()
+        return tuple(objects[one] for one in self.state.feeding.values() if one in objects)
+
+    def component_statuses(self) -> tuple[ComponentStatus, ...]:
+        """Return what the status map shows of components."""
+        state, objects = self.state, self.live.components.copy()
+        return tuple(
+            ComponentStatus(
+                name=name,
+                function=state.components[one].step.component.function,
+                bridge=state.components[one].step.component.bridge,
+                health=state.components[one].health.health,
+                users=tuple(dict.fromkeys(map(connection_of, state.components[one].users))),
+                cause=state.components[one].health.cause,
+                channels=objects[one].channel_statuses() if one in objects else (),
+            )
+            for name, one in state.serving.items()
+        )
+
+    def close(self) -> None:
+        """End every connection, take no more requests, and tell no more when times are reached."""
+        self.ask(ev.Stopped("close"))
+        self._timer.close()
+
+    def _handle(self, event: ev.Event) -> None:
+        now = self._clock()
+        _trace.debug("%.6f %r", now, event)
+        try:
+            self.state, actions = step(self.state, event, now)
+            for action in actions:
+                self._doers[type(action)](action)
+        except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
+            _log.exception("the control plane failed at %r", event)
+
+    def _call(self, action: act.CallAction, call: Callable[[], ev.Event | None]) -> None:
+        """Have a call made in the action's lane, and its result posted."""
+
+        def job() -> None:
+            event = call()
+            if event is not None:
+                self.post(event)
+
+        self._lanes.put(action.lane, job)
+
+    # Quick steps, done by the thread that owns the state.
+
+    def _publish(self, action: act.Publish) -> None:
+        record = action.record
+        runtime = self.live.runtimes.get(record.id)
+        if runtime is None:
+            return
+        if record.current is not None and not record.is_over:
+            runtime.ports = self.live.ports.get(record.current.ports, runtime.ports)
+        runtime.publish(record)
+        if record.is_over:
+            del self.live.runtimes[record.id]
+
+    def _hand_over(self, action: act.HandOver) -> None:
+        ports = self.live.ports[action.after.ports]
+        self.live.runtimes[action.connection].hand_over(action, ports)
+
+    def _listen(self, action: act.Listen) -> None:
+        ports = self.live.ports.get(action.ports)
+        runtime = self.live.runtimes.get(action.connection)
+        if ports is not None and runtime is not None:
+            runtime.receiver.hear(ports.route)
+
+    def _stop(self, action: act.Stop) -> None:
+        for number in action.edges:
+            joined = self.live.edges.get(number)
+            if joined is not None and joined.route is not None:
+                joined.route.stop()
+
+    def _set_check(self, action: act.SetCheck) -> None:
+        joined = self.live.edges.get(action.edge)
+        if joined is not None:
+            joined.renew_check()
+
+    def _forget_all(self, action: act.Forget) -> None:
+        for name in action.components:
+            self._forget(name)
+
+    # Calls into bridges. What they are about is taken now: the state may forget it meanwhile.
+
+    def _close(self, action: act.Close) -> None:
+        ending = self.live.take(action.connection, action.parts, action.placement, action.lost)
+
+        def close() -> ev.Event | None:
+            self.live.close(ending, ends=action.ends)
+            return ev.Ended(action.connection) if action.ends else None
+
+        self._call(action, close)
+
+    def _finish(self, action: act.Finish) -> None:
+        ending = self.live.take(action.connection, action.parts, action.placement, action.lost)
+        self._call(action, lambda: self.live.finish(ending, action.placement))
+
+    def _drain(self, action: act.Drain) -> None:
+        edges = self.live.edges_of(action.placement)
+
+        def drain() -> ev.Event:
+            self.live.drain(edges)
+            return ev.Drained(action.connection)
+
+        self._call(action, drain)
+
+    def _open(self, action: act.Open) -> ev.Event:
+        """Open a batch; the time limit of a first plan is that of its request."""
+        done: list[Part] = []
+        number = action.batch
+
+        def open_parts() -> None:
+            self.live.open(action, done, lambda: number in self._cancelled)
+
+        try:
+            if action.placement.user == action.connection:
+                open_parts()
+            else:
+                step_name = f"takeover of connection {action.connection}"
+                _bounded.run(step_name, _OPEN_SECONDS, open_parts)
+        except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
+            self._cancelled.add(number)  # a thread that hangs in it opens nothing more
+            return ev.Opened(number, tuple(done), error)
+        self._cancelled.discard(number)
+        return ev.Opened(number, tuple(done))
+
+    def _seek_plan(self, action: act.Resolve) -> ev.Event:
+        try:
+            plan = self._resolve(action.function, frozenset(), action.avoided)
+        except BaseException as error:  # noqa: BLE001 - handed to who asked
+            return ev.Resolved(action.connection, None, error)
+        return ev.Resolved(action.connection, plan)
+
+    def _seek_replacement(self, action: act.FindReplacement) -> ev.Event:
+        asked = action.connection, action.attempt
+        try:
+            plan = find_replacement(
+                action.plan,
+                action.output,
+                action.excluded,
+                action.failed,
+                lambda name, excluded: self._resolve(name, excluded, action.avoided),
+            )
+        except UoarmError as error:
+            return ev.ReplacementSought(*asked, None, str(error), action.returning)
+        return ev.ReplacementSought(*asked, plan, returning=action.returning)
+
+    def _check_preferred(self, action: act.CheckPreferred) -> ev.Event:
+        wanted = names(action.plan)
+        for name in wanted:
+            self._forget(name)
+        try:
+            found = names(self._resolve(action.plan.function, frozenset(), action.avoided))
+        except UoarmError:
+            found = ()
+        return ev.PreferredChecked(action.connection, found == wanted)
+
+    def _change_over(self, action: act.ChangeOver) -> ev.Event:
+        try:
+            step_name = "return to preferred components"
+            _bounded.run(step_name, _OPEN_SECONDS, lambda: self.live.change_over(action.edges))
+        except UoarmError as error:
+            return ev.ChangedOver(action.returning, str(error))
+        return ev.ChangedOver(action.returning)
+
+
+def _start(job: Job) -> None:
+    threading.Thread(target=job, name="uoarm-lane", daemon=True).start()
