@@ -37,7 +37,9 @@ def end(
     placement = record.placement
     parts = draft.unplace(placement)
     lost = record.failure.lost if record.failure is not None else ()
-    record = draft.put(record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause)
+    record = draft.put(
+        record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause, returning=0
+    )
     draft.actions += [
         Publish(record),
         Close(lane or f"{record.id}!", record.id, parts, placement, lost, ends=True),

@@ -30,6 +30,7 @@ from uoarm._control._state import Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
 from uoarm._dataplane import Clock
+from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import ComponentStatus, Health, Plan
@@ -75,7 +76,8 @@ class Executor:
         self._events: deque[ev.Event] = deque()
         self._owning = threading.Lock()
         self._cancelled: set[int] = set()
-        self._lanes = Lanes(_start)
+        self._workers = WorkerPool("uoarm-lane")
+        self._lanes = Lanes(self._start)
         self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
         self._doers: dict[type[Any], Callable[[Any], None]] = {
             act.Publish: self._publish,
@@ -195,6 +197,7 @@ class Executor:
         """End every connection, take no more requests, and tell no more when times are reached."""
         self.ask(ev.Stopped("close"))
         self._timer.close()
+        self._workers.close()
 
     def _handle(self, event: ev.Event) -> None:
         now = self._clock()
@@ -215,6 +218,11 @@ class Executor:
                 self.post(event)
 
         self._lanes.put(action.lane, job)
+
+    def _start(self, job: Job) -> None:
+        """Have a lane served by a worker; what comes late is closed after the manager, too."""
+        if not self._workers.submit(job):
+            threading.Thread(target=job, name="uoarm-late", daemon=True).start()
 
     # Quick steps, done by the thread that owns the state.
 
@@ -336,7 +344,3 @@ class Executor:
         except UoarmError as error:
             return ev.ChangedOver(action.returning, str(error))
         return ev.ChangedOver(action.returning)
-
-
-def _start(job: Job) -> None:
-    threading.Thread(target=job, name="uoarm-lane", daemon=True).start()

@@ -1,0 +1,123 @@
+"""Every order of events in a small world, as deep as there is time for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import note, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from tests.control.world import FACE, NAME, Plans, World
+
+from uoarm.model import FailoverPolicy
+
+PLANS = {"face": Plans(FACE), "name": Plans(NAME)}
+POLICIES = {
+    "failover": FailoverPolicy(),
+    "none": FailoverPolicy(enabled=False),
+    "waits": FailoverPolicy(wait=1.0),
+    "returns": FailoverPolicy(return_after=0.0, limit=100),
+}
+FUNCTIONS = ("face", "camera", "name")
+Move = Callable[[World], None]
+
+
+def moves(world: World, requests: int = 2) -> Iterator[tuple[str, Move]]:
+    """Yield what may happen next, with so many requests at most."""
+    yield from world.moves()
+    made = sum(one.startswith("request") for one in world.asked)
+    if made < requests:
+        new, function = f"c{made + 1}", FUNCTIONS[made % len(FUNCTIONS)]
+        yield f"request {new}", lambda one: one.request(new, function)
+    for identity in world.state.connections:
+        yield f"kill {identity}", lambda one, i=identity: one.kill(i)  # type: ignore[misc]
+    for name in world.state.bridges:
+        if name in world.dead:
+            yield f"revive {name}", lambda one, n=name: one.revive(n)  # type: ignore[misc]
+        elif name in world.state.serving:
+            yield f"die {name}", lambda one, n=name: one.die(n)  # type: ignore[misc]
+            yield f"finish {name}", lambda one, n=name: one.finish(n)  # type: ignore[misc]
+    if made == requests and "stop" not in world.asked:
+        yield "stop", World.stop
+    if world.wake_at is not None:
+        yield "time", lambda one: one.pass_time(0.2)
+
+
+def explore(first: World, depth: int, most: int) -> int:
+    """Play every order of moves to a depth, breadth first; return how many worlds were seen."""
+    seen = {first.key()}
+    layer: list[tuple[World, tuple[str, ...]]] = [(first, ())]
+    for _ in range(depth):
+        following = []
+        for world, path in layer:
+            for name, move in moves(world):
+                after, told = world.copy(), (*path, name)
+                with saying(told):
+                    move(after)
+                key = after.key()
+                if key in seen:
+                    continue
+                seen.add(key)
+                with saying(told):
+                    at_rest = after.copy()
+                    at_rest.settle()
+                    at_rest.check_at_rest()
+                following.append((after, told))
+                if len(seen) >= most:
+                    return len(seen)
+        layer = following
+    return len(seen)
+
+
+@contextmanager
+def saying(path: tuple[str, ...]) -> Iterator[None]:
+    """Tell how a world was reached in which something does not hold."""
+    try:
+        yield
+    except Exception as error:
+        raise AssertionError(" | ".join(path)) from error
+
+
+@pytest.mark.parametrize("robot", PLANS)
+@pytest.mark.parametrize("policy", POLICIES)
+def test_whatever_the_order_nothing_is_left_open_or_unanswered(robot: str, policy: str) -> None:
+    first = World(PLANS[robot], POLICIES[policy])
+    assert explore(first, depth=12, most=600) == 600
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("robot", PLANS)
+@pytest.mark.parametrize("policy", POLICIES)
+def test_every_order_to_a_greater_depth(robot: str, policy: str) -> None:
+    first = World(PLANS[robot], POLICIES[policy])
+    assert explore(first, depth=20, most=30_000) == 30_000
+
+
+class Walk(RuleBasedStateMachine):
+    """Moves that hypothesis chooses, many more of them than every order can have."""
+
+    @initialize(robot=st.sampled_from(sorted(PLANS)), policy=st.sampled_from(sorted(POLICIES)))
+    def begin(self, robot: str, policy: str) -> None:
+        self.world = World(PLANS[robot], POLICIES[policy])
+
+    @rule(trouble=st.integers(0, 9), choice=st.integers(0, 10_000))
+    def move(self, trouble: int, choice: int) -> None:
+        """Mostly, let what waits end well: else no walk gets far enough for a takeover."""
+        there = list(moves(self.world, requests=12))
+        well = [one for one in there if one[0].startswith("do ")]
+        chosen = well if well and trouble < 7 else there
+        if chosen:
+            name, make = chosen[choice % len(chosen)]
+            note(name)
+            make(self.world)
+
+    def teardown(self) -> None:
+        if hasattr(self, "world"):
+            self.world.settle()
+            self.world.check_at_rest()
+
+
+TestWalk = Walk.TestCase
+TestWalk.settings = settings(stateful_step_count=100)

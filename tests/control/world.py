@@ -1,0 +1,374 @@
+"""A world without threads in which the control plane acts: whatever may happen next is a move.
+
+Every action of `step` waits here until a move does it, well or badly. What is open is kept, and
+what must always hold is checked after each move.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterator
+from typing import Any
+
+from uoarm._adapt import check_edge
+from uoarm._control import _actions as act
+from uoarm._control import _events as ev
+from uoarm._control._replacements import find_replacement
+from uoarm._control._state import OPEN, Kind, Part, Parts, Placement, State, names
+from uoarm._control._step import step
+from uoarm._resolve import Resolver, StructureCache
+from uoarm.config import loads
+from uoarm.errors import BridgeError, ResolutionError
+from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan, PortRef, ValidationMode
+from uoarm.testing import MemoryBridge
+
+__all__ = ["FACE", "NAME", "Plans", "World"]
+
+NUMBER: Any = {"type": "integer"}
+FACE = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+"""
+NAME = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - {name: finder, bridge: two, priority: 2, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+      - {name: second, bridge: one, priority: 1, input: {from: camera, endpoint: [second]},
+         output: {endpoint: [second]}}
+  name:
+    components:
+      - {name: namer, bridge: one, output: {endpoint: [namer]},
+         inputs: {face: {from: face, endpoint: [namer]}, view: {from: camera, endpoint: [viewer]}}}
+"""
+
+
+class Plans:
+    """What the resolver would find, for each set of components that it may not use."""
+
+    def __init__(self, text: str) -> None:
+        self.robot = loads(text)
+        bridges = {name: MemoryBridge(name, {}) for name in self.robot.bridges}
+        for one in self.robot.components():
+            for name in {port.endpoint.address[0] for port in (*one.inputs, *one.outputs)}:
+                bridges[one.bridge].loop(name, NUMBER)  # an emitter is one that takes nothing
+        self._resolver = Resolver(self.robot, StructureCache(bridges.__getitem__), check_edge)
+        self._found: dict[tuple[str, frozenset[str]], Plan | ResolutionError] = {}
+
+    def __call__(self, function: str, excluded: frozenset[str]) -> Plan:
+        key = function, excluded
+        if key not in self._found:
+            try:
+                self._found[key] = self._resolver.resolve(function, excluded=excluded)
+            except ResolutionError as error:
+                self._found[key] = error
+        found = self._found[key]
+        if isinstance(found, Plan):
+            return found
+        raise found
+
+
+class World:
+    """One state, what waits to be done, and what is open.
+
+    Args:
+        plans: of the robot.
+        policy: for failover.
+    """
+
+    def __init__(self, plans: Plans, policy: FailoverPolicy) -> None:
+        self.plans = plans
+        bridges = {one.name: one.bridge for one in plans.robot.components()}
+        self.state = State(policy, bridges)
+        self.now = 0.0
+        self.lanes: dict[str, tuple[act.CallAction, ...]] = {}
+        self.dead: frozenset[str] = frozenset()
+        self.open: frozenset[Part] = frozenset()
+        self.cancelled: frozenset[int] = frozenset()
+        self.replies: tuple[str, ...] = ()
+        self.asked: tuple[str, ...] = ()
+        self.handed: tuple[tuple[str, tuple[str, ...]], ...] = ()
+        self.wake_at: float | None = None
+
+    def copy(self) -> World:
+        """Return a world that goes its own way from here; all that it holds is immutable."""
+        made = World.__new__(World)
+        made.__dict__.update(self.__dict__)
+        made.lanes = dict(self.lanes)
+        return made
+
+    def post(self, event: ev.Event) -> None:
+        """Give an event to the control plane, and keep what it asks for."""
+        self.state, actions = step(self.state, event, self.now)
+        for action in actions:
+            self._keep(action)
+        self.check()
+
+    # What applications and bridges may do.
+
+    def request(self, identity: str, function: str) -> None:
+        """Ask for a function."""
+        self.asked += (f"request {identity}",)
+        wanted = PortRef(function, None)
+        self.post(ev.Requested(identity, wanted, ValidationMode.OFF, f"request {identity}"))
+
+    def kill(self, identity: str) -> None:
+        """End a connection, or ask for it once more."""
+        waiter = f"kill {identity} {len(self.asked)}"
+        self.asked += (waiter,)
+        self.post(ev.Killed(identity, waiter))
+
+    def stop(self) -> None:
+        """Close the manager."""
+        self.asked += ("stop",)
+        self.post(ev.Stopped("stop"))
+
+    def die(self, name: str) -> None:
+        """Let a component die."""
+        self.dead |= {name}
+        self._report(name, Health.LOST)
+
+    def revive(self, name: str) -> None:
+        """Let a component be there again; nobody is told."""
+        self.dead -= {name}
+
+    def finish(self, name: str) -> None:
+        """Let a component have played all that it has."""
+        self._report(name, Health.FINISHED)
+
+    def pass_time(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now += seconds
+        self.wake_at = None
+        self.post(ev.TimeReached())
+
+    # What becomes of actions.
+
+    def do(self, lane: str, *, fails_at: int | None = None) -> None:
+        """Do the next action of a lane.
+
+        Args:
+            lane: its name.
+            fails_at: of an opening: the number of the part that cannot be opened; of any other
+                action that can fail: not None lets it fail.
+        """
+        action, *rest = self.lanes.pop(lane)
+        if rest:
+            self.lanes[lane] = tuple(rest)
+        event = self._do(action, fails_at)
+        if event is not None:
+            self.post(event)
+
+    def moves(self) -> Iterator[tuple[str, Callable[[World], None]]]:
+        """Yield every way in which a waiting action can come to its end, by a name."""
+        for lane, actions in self.lanes.items():
+            yield f"do {lane}", lambda world, lane=lane: world.do(lane)  # type: ignore[misc]
+            first = actions[0]
+            if isinstance(first, act.Open):
+                for at in range(len(first.parts)):
+                    yield (
+                        f"fail {lane} at {at}",
+                        lambda world, lane=lane, at=at: world.do(lane, fails_at=at),  # type: ignore[misc]
+                    )
+            elif isinstance(first, act.ChangeOver):
+                yield f"fail {lane}", lambda world, lane=lane: world.do(lane, fails_at=0)  # type: ignore[misc]
+
+    def settle(self) -> None:
+        """Do all that waits, well, and let time pass until nothing is left to be done."""
+        for _ in range(200):
+            if self.lanes:
+                self.do(next(iter(self.lanes)))
+            elif self.wake_at is not None and self._waits():
+                self.pass_time(max(0.0, self.wake_at - self.now) + 0.001)
+            else:
+                return
+        raise AssertionError("it never comes to rest")
+
+    def key(self) -> Hashable:
+        """Return what tells two worlds apart."""
+        return repr((self.state, self.lanes, sorted(self.dead), sorted(map(str, self.open))))
+
+    # What always holds.
+
+    def check(self) -> None:
+        """Raise where an invariant does not hold."""
+        state = self.state
+        self._check_users()
+        assert set(self.replies) <= set(self.asked)
+        assert all(count == 1 for count in Counter(self.replies).values()), self.replies
+        for part, batch in state.parts.items():
+            assert batch == OPEN or part in state.batches[batch].parts
+            if batch == OPEN:
+                assert part in self.open, f"{part} is thought to be open"
+        for key, number in state.feeding.items():
+            record = state.edges[number]
+            assert record.key == key
+            assert state.serving.get(key[0]) == record.consumer
+            assert not state.components[record.producer].is_lost
+        for name, number in state.serving.items():
+            assert state.components[number].name == name
+            assert not state.components[number].is_lost
+        for record in state.connections.values():
+            if record.returning:
+                assert record.id in state.returns[record.returning].members
+
+    def check_at_rest(self) -> None:
+        """Raise where something is open that nobody wants, or the other way round."""
+        state = self.state
+        assert not state.batches
+        assert not state.returns
+        assert Counter(self.replies) == Counter(self.asked)
+        wanted: set[Part] = set()
+        for record in state.connections.values():
+            assert record.next is None
+            assert record.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
+            assert (record.failure is None) == (record.state is ConnectionState.RUNNING)
+            lost = record.failure.lost if record.failure is not None else ()
+            placed = record.placement
+            for part in placed.parts:
+                if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
+                    assert (part.id in lost) == state.components[part.id].is_lost
+            wanted.update(placed.parts)
+        opened = {part for part in self.open if part.kind is not Kind.OUTPUT or part in wanted}
+        assert opened == wanted, (opened - wanted, wanted - opened)
+
+    def _check_users(self) -> None:
+        components: dict[int, set[str]] = {}
+        edges: dict[int, set[str]] = {}
+        for record in self.state.connections.values():
+            if record.state is ConnectionState.CLOSING:
+                assert record.next is None
+                continue
+            for placement in (record.current, record.next):
+                if placement is None:
+                    continue
+                for number in placement.components.values():
+                    components.setdefault(number, set()).add(placement.user)
+                for number in placement.edges:
+                    edges.setdefault(number, set()).add(placement.user)
+        assert {n: set(one.users) for n, one in self.state.components.items()} == components
+        assert {n: set(one.users) for n, one in self.state.edges.items()} == edges
+
+    # How.
+
+    def _waits(self) -> bool:
+        """Say whether time brings anything: what waits for ever for a better plan is at rest."""
+        return any(
+            one.failure is not None
+            or (one.preferred is not None and self._is_there(names(one.preferred)))
+            for one in self.state.connections.values()
+        )
+
+    def _is_there(self, wanted: tuple[str, ...]) -> bool:
+        return self.dead.isdisjoint(wanted)
+
+    def _report(self, name: str, health: Health) -> None:
+        bridge = self.state.bridges[name]
+        self.post(ev.HealthReported(bridge, health, "so it is", name, "component"))
+
+    def _keep(self, action: act.Action) -> None:
+        if isinstance(action, act.Reply):
+            self.replies += (action.waiter,)
+        elif isinstance(action, act.HandOver):
+            assert action.before.plan != action.after.plan or action.cause
+            self.handed += ((action.connection, names(action.after.plan)),)
+        elif isinstance(action, act.CancelBatch):
+            self.cancelled |= {action.batch}
+        elif isinstance(action, act.WakeAt):
+            self.wake_at = min(action.time, self.wake_at or action.time)
+        elif isinstance(action, act.CallAction.__args__):  # type: ignore[attr-defined]
+            self.lanes[action.lane] = (*self.lanes.get(action.lane, ()), action)
+
+    def _do(self, action: act.CallAction, fails_at: int | None) -> ev.Event | None:
+        if isinstance(action, act.Open):
+            return self._open(action, fails_at)
+        if isinstance(action, act.Close):
+            self._close(action.parts)
+            return ev.Ended(action.connection) if action.ends else None
+        if isinstance(action, act.Finish):
+            self._close(action.parts)
+            return None
+        if isinstance(action, act.Drain):
+            return ev.Drained(action.connection)
+        if isinstance(action, act.Resolve):
+            return self._resolve(action)
+        if isinstance(action, act.FindReplacement):
+            return self._find(action)
+        if isinstance(action, act.CheckPreferred):
+            there = self._is_there(names(action.plan))
+            return ev.PreferredChecked(action.connection, there)
+        return ev.ChangedOver(action.returning, "" if fails_at is None else "no")
+
+    def _resolve(self, action: act.Resolve) -> ev.Event:
+        try:
+            plan = self.plans(action.function, self.dead)
+        except ResolutionError as error:
+            return ev.Resolved(action.connection, None, error)
+        return ev.Resolved(action.connection, plan)
+
+    def _find(self, action: act.FindReplacement) -> ev.Event:
+        asked = action.connection, action.attempt
+        try:
+            plan = find_replacement(
+                action.plan,
+                action.output,
+                action.excluded | self.dead,
+                action.failed,
+                self.plans,
+            )
+        except ResolutionError as error:
+            return ev.ReplacementSought(*asked, None, str(error), action.returning)
+        return ev.ReplacementSought(*asked, plan, returning=action.returning)
+
+    def _open(self, action: act.Open, fails_at: int | None) -> ev.Event:
+        done: list[Part] = []
+        for number, part in enumerate(action.parts):
+            if action.batch in self.cancelled or number == fails_at:
+                return ev.Opened(action.batch, tuple(done), BridgeError("no"))
+            assert part not in self.open, f"{part} is opened twice"
+            self._check_order(action.placement, part)
+            self.open |= {part}
+            done.append(part)
+        return ev.Opened(action.batch, tuple(done))
+
+    def _check_order(self, placement: Placement, part: Part) -> None:
+        """An output opens after all that it feeds; everything opens after its component."""
+        before = placement.parts[: placement.parts.index(part)]
+        if part.kind is Kind.OUTPUT:
+            for number in placement.edges:
+                record = self.state.edges.get(number)
+                if record is None or record.producer != part.id:
+                    continue
+                if record.edge.output == part.port:
+                    assert Part(Kind.EDGE, number) in before
+        if part.kind is not Kind.COMPONENT:
+            for number in placement.components.values():
+                assert Part(Kind.COMPONENT, number) in before
+        assert all(one in self.open or one in self.state.parts for one in before)
+
+    def _close(self, parts: Parts) -> None:
+        for part in tuple(self.open):
+            if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
+                gone = part.id in parts.components
+            elif part.kind is Kind.EDGE:
+                gone = part.id in parts.edges
+            else:
+                gone = part.id in parts.ports
+            if gone:
+                self.open -= {part}
