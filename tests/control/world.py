@@ -19,7 +19,16 @@ from uoarm._control._step import step
 from uoarm._resolve import Resolver, StructureCache
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ResolutionError
-from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan, PortRef, ValidationMode
+from uoarm.model import (
+    ConnectionState,
+    FailoverPolicy,
+    Health,
+    Input,
+    Output,
+    Plan,
+    PortRef,
+    ValidationMode,
+)
 from uoarm.testing import MemoryBridge
 
 __all__ = ["FACE", "NAME", "Plans", "World"]
@@ -66,7 +75,8 @@ class Plans:
         self.robot = loads(text)
         bridges = {name: MemoryBridge(name, {}) for name in self.robot.bridges}
         for one in self.robot.components():
-            for name in {port.endpoint.address[0] for port in (*one.inputs, *one.outputs)}:
+            ports: tuple[Input | Output, ...] = (*one.inputs, *one.outputs)
+            for name in {port.endpoint.address[0] for port in ports}:
                 bridges[one.bridge].loop(name, NUMBER)  # an emitter is one that takes nothing
         self._resolver = Resolver(self.robot, StructureCache(bridges.__getitem__), check_edge)
         self._found: dict[tuple[str, frozenset[str]], Plan | ResolutionError] = {}
@@ -224,9 +234,9 @@ class World:
         for name, number in state.serving.items():
             assert state.components[number].name == name
             assert not state.components[number].is_lost
-        for record in state.connections.values():
-            if record.returning:
-                assert record.id in state.returns[record.returning].members
+        for connection in state.connections.values():
+            if connection.returning:
+                assert connection.id in state.returns[connection.returning].members
 
     def check_at_rest(self) -> None:
         """Raise where something is open that nobody wants, or the other way round."""
@@ -292,7 +302,7 @@ class World:
             self.cancelled |= {action.batch}
         elif isinstance(action, act.WakeAt):
             self.wake_at = min(action.time, self.wake_at or action.time)
-        elif isinstance(action, act.CallAction.__args__):  # type: ignore[attr-defined]
+        elif isinstance(action, act.CallAction.__args__):
             self.lanes[action.lane] = (*self.lanes.get(action.lane, ()), action)
 
     def _do(self, action: act.CallAction, fails_at: int | None) -> ev.Event | None:

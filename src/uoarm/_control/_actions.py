@@ -182,13 +182,18 @@ class HandOver:
     """Let the application hear the next plan and no other, and note the gap.
 
     Attributes:
+        lane: where it is done when that may call the application: see `is_heard`.
+        is_heard: whether the application hears the next plan already, from when it was opened;
+            otherwise it may get a retained message now.
         since: when messages ceased.
         time: of the change.
     """
 
+    lane: str
     connection: str
     before: Placement
     after: Placement
+    is_heard: bool
     since: float
     time: float
     cause: str

@@ -239,7 +239,16 @@ class Executor:
 
     def _hand_over(self, action: act.HandOver) -> None:
         ports = self.live.ports[action.after.ports]
-        self.live.runtimes[action.connection].hand_over(action, ports)
+        runtime = self.live.runtimes[action.connection]
+        if action.is_heard:
+            runtime.hand_over(action, ports)
+            return
+
+        def hand_over() -> None:
+            with ports.letting_through():
+                runtime.hand_over(action, ports)
+
+        self._lanes.put(action.lane, hand_over)
 
     def _listen(self, action: act.Listen) -> None:
         ports = self.live.ports.get(action.ports)

@@ -30,7 +30,7 @@ from uoarm._control._state import (
     names,
     recently,
 )
-from uoarm.errors import ResolutionError
+from uoarm.errors import BridgeError, FailureReason, ResolutionError
 from uoarm.model import ConnectionState, Health
 
 __all__ = [
@@ -130,6 +130,9 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
             excluded=before.excluded | failure.excluded,
         )
     record = draft.put(record, failure=failure)
+    if record.state is ConnectionState.OPENING:
+        text = f"connection {record.id} ended while it was being opened: {failure.cause}"
+        record = draft.put(record, error=BridgeError(text, FailureReason.UNAVAILABLE))
     if not draft.policy.enabled or not record.goes_on:
         end(draft, record, ConnectionState.FAILED, failure.cause)
     elif record.returning and draft.returns[record.returning].is_changing:
@@ -269,14 +272,18 @@ def hand_over(
         moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
     )
     subject = f"connection {record.id}"
-    draft.actions += [HandOver(record.id, before, after, since, draft.now, cause), Publish(record)]
+    lane, is_heard = f"{after.user}>", not returns or before.ports == after.ports
+    draft.actions += [
+        HandOver(lane, record.id, before, after, is_heard, since, draft.now, cause),
+        Publish(record),
+    ]
     if waited:
         draft.actions.append(Announce(subject, record.state.value))
     new = [n for n in names(after.plan) if n not in before.components or n in dead]
     goes_on = ", ".join(new or names(after.plan)[-1:])
     draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on} goes on"))
     parts = draft.unplace(before, ports=before.ports != after.ports)
-    draft.actions.append(Finish(f"{after.user}>", record.id, parts, before, lost))
+    draft.actions.append(Finish(lane, record.id, parts, before, lost))
 
 
 def _listen_again(draft: Draft, record: ConnectionRecord) -> None:

@@ -228,9 +228,9 @@ class LiveParts:
 
     def _receive(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
-        ports.attach()
         if action.is_heard:
             runtime.receiver.hear(ports.route)
+        ports.attach()  # an output that retains a message gives it at once
 
     def _send(self, action: Open) -> None:
         runtime, ports = self._ports_of(action)
