@@ -18,7 +18,7 @@ WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
   sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
 
 .DELETE_ON_ERROR:
-.PHONY: attack demo live healthbot healthbot-tables plots test test-core test-long coverage matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
+.PHONY: attack demo live healthbot healthbot-tables plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py $(ARGS)
@@ -52,8 +52,11 @@ coverage: $(VENV)/.core  ## lines and branches that the core's tests reach
 	$(BIN)/python -m coverage combine -q
 	$(BIN)/python -m coverage report
 
+changelog: $(VENV)/.core  ## what the fragments in changelog.d add to the list of changes
+	$(BIN)/towncrier build --draft --version unreleased
+
 matrix: $(VENV)/.core  ## a part of the core on every other CPython that is here
-	.ci/matrix $(BIN)/python
+	.ci/matrix $(ARGS) $(BIN)/python
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
