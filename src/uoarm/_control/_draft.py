@@ -10,6 +10,7 @@ from attrs import evolve
 from uoarm._control._actions import Action, CancelBatch, Open, SetCheck
 from uoarm._control._state import (
     OPEN,
+    PORTS,
     Batch,
     ComponentRecord,
     ConnectionRecord,
@@ -27,7 +28,6 @@ __all__ = ["Draft", "connection_of", "strictest"]
 
 _STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
 _OF_COMPONENTS = frozenset({Kind.COMPONENT, Kind.OUTPUT})
-_OF_PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
 
 
 class Draft:
@@ -90,7 +90,7 @@ class Draft:
 
     def put(self, record: ConnectionRecord, **changes: Any) -> ConnectionRecord:
         """Keep a connection with some changes, and return it."""
-        changed = evolve(record, **changes) if changes else record
+        changed = record._replace(**changes) if changes else record
         self.connections[record.id] = changed
         return changed
 
@@ -152,7 +152,7 @@ class Draft:
         closed = [one for one in edges if self._close_part(Part(Kind.EDGE, one))]
         ended = False
         if ports:
-            closed_ports = [self._close_part(Part(kind, placement.ports)) for kind in _OF_PORTS]
+            closed_ports = [self._close_part(Part(kind, placement.ports)) for kind in PORTS]
             ended = any(closed_ports)
         return Parts(tuple(components), tuple(closed), (placement.ports,) if ended else ())
 
@@ -210,7 +210,7 @@ class Draft:
                 components.append(part.id)
             elif part.kind is Kind.EDGE:
                 edges.append(part.id)
-            elif part.kind in _OF_PORTS:
+            elif part.kind in PORTS:
                 ports.add(part.id)
         return Parts(tuple(components), tuple(edges), tuple(ports))
 
@@ -268,7 +268,7 @@ class Draft:
             self.components[found] = ComponentRecord(found, step, (user,))
         else:
             record = self.components[found]
-            self.components[found] = evolve(record, users=(*record.users, user))
+            self.components[found] = record.used_by((*record.users, user))
         return found
 
     def _join(self, edge: Edge, ids: Mapping[str, int], user: str, validate: ValidationMode) -> int:
@@ -291,7 +291,7 @@ class Draft:
 
     def _check_for(self, edge: int, users: Mapping[str, ValidationMode]) -> None:
         record = self.edges[edge]
-        self.edges[edge] = evolve(record, users=users)
+        self.edges[edge] = record.used_by(users)
         if strictest(users) is not strictest(record.users):
             self.actions.append(SetCheck(edge))
 
@@ -316,7 +316,7 @@ class Draft:
         record = self.components[component]
         users = tuple(other for other in record.users if other != user)
         if users:
-            self.components[component] = evolve(record, users=users)
+            self.components[component] = record.used_by(users)
             return False
         del self.components[component]
         if self.serving.get(record.name) == component:

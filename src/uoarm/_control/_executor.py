@@ -26,7 +26,7 @@ from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._control._live_parts import LiveParts
 from uoarm._control._replacements import find_replacement
-from uoarm._control._state import Part, State, names
+from uoarm._control._state import PORTS, Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
 from uoarm._dataplane import Clock
@@ -93,7 +93,7 @@ class Executor:
             act.WakeAt: lambda one: self._timer.wake_at(one.time),
             act.Warn: lambda one: _log.warning("connection %s: %s", one.connection, one.text),
             act.Resolve: lambda one: self._call(one, lambda: self._seek_plan(one)),
-            act.Open: lambda one: self._call(one, lambda: self._open(one)),
+            act.Open: self._open,
             act.Close: self._close,
             act.Finish: self._finish,
             act.Drain: self._drain,
@@ -127,7 +127,10 @@ class Executor:
         self._lanes.reserve(event.waiter)
         self.post(event)
         try:
-            _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+            if self._lanes.is_quick(event.waiter):  # sharing what is open costs no hop
+                self._lanes.drive(event.waiter)
+            else:
+                _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
         except BaseException as error:
             self._lanes.abandon(event.waiter)
             self.ask(ev.Killed(runtime.id, f"{event.waiter}!", str(error), is_failure=True))
@@ -209,7 +212,13 @@ class Executor:
         except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
             _log.exception("the control plane failed at %r", event)
 
-    def _call(self, action: act.CallAction, call: Callable[[], ev.Event | None]) -> None:
+    def _call(
+        self,
+        action: act.CallAction,
+        call: Callable[[], ev.Event | None],
+        *,
+        is_quick: bool = False,
+    ) -> None:
         """Have a call made in the action's lane, and its result posted."""
 
         def job() -> None:
@@ -217,7 +226,7 @@ class Executor:
             if event is not None:
                 self.post(event)
 
-        self._lanes.put(action.lane, job)
+        self._lanes.put(action.lane, job, is_quick=is_quick)
 
     def _start(self, job: Job) -> None:
         """Have a lane served by a worker; what comes late is closed after the manager, too."""
@@ -295,7 +304,14 @@ class Executor:
 
         self._call(action, drain)
 
-    def _open(self, action: act.Open) -> ev.Event:
+    def _open(self, action: act.Open) -> None:
+        fed = action.placement.plan.provider.component.inputs
+        is_quick = all(part.kind in PORTS for part in action.parts) and all(
+            port.source is not None for port in fed
+        )
+        self._call(action, lambda: self._open_batch(action), is_quick=is_quick)
+
+    def _open_batch(self, action: act.Open) -> ev.Event:
         """Open a batch; the time limit of a first plan is that of its request."""
         done: list[Part] = []
         number = action.batch

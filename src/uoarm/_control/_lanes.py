@@ -28,6 +28,8 @@ class _Lane:
     jobs: SimpleQueue[Job | _Done] = field(factory=SimpleQueue)
     is_driven: bool = False
     has_begun: bool = False
+    is_quick: bool = True
+    is_waited_for: bool = True
 
 
 class Lanes:
@@ -47,13 +49,21 @@ class Lanes:
         with self._lock:
             self._lanes[name] = _Lane(is_driven=True)
 
-    def put(self, name: str, job: Job) -> None:
-        """Have a job done after the others of its lane. Waits for nothing."""
+    def put(self, name: str, job: Job, *, is_quick: bool = False) -> None:
+        """Have a job done after the others of its lane. Waits for nothing.
+
+        Args:
+            name: of the lane.
+            job: to be done; it raises nothing.
+            is_quick: whether it calls no bridge.
+        """
         with self._lock:
             lane = self._lanes.get(name)
             if lane is None:
                 lane = self._lanes[name] = _Lane()
             lane.jobs.put(job)
+            lane.is_quick = lane.is_quick and is_quick
+            lane.is_waited_for = False
             if lane.is_driven:
                 return
             lane.is_driven = True
@@ -65,6 +75,13 @@ class Lanes:
             lane = self._lanes.get(name)
             if lane is not None:
                 lane.jobs.put(_Done(error))
+                lane.is_waited_for = False
+
+    def is_quick(self, name: str) -> bool:
+        """Say whether `drive` needs no time limit: there is something to do, all of it quick."""
+        with self._lock:
+            lane = self._lanes.get(name)
+            return lane is not None and lane.is_quick and not lane.is_waited_for
 
     def drive(self, name: str) -> None:
         """Do the jobs of a lane that was reserved, in this thread, until the reply.

@@ -25,6 +25,7 @@ from uoarm.model import (
 
 __all__ = [
     "OPEN",
+    "PORTS",
     "Batch",
     "ComponentFailure",
     "ComponentRecord",
@@ -56,6 +57,10 @@ class Kind(Enum):
     SEND = "send"
 
     __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
+
+
+PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
+"""Where the application touches a plan; these call a bridge for inputs that it feeds, only."""
 
 
 class Part(NamedTuple):
@@ -112,6 +117,10 @@ class ComponentRecord:
         """The component's name in the configuration."""
         return self.step.component.name
 
+    def used_by(self, users: tuple[str, ...]) -> ComponentRecord:
+        """Return it with other users; built directly, as sharing does little else."""
+        return ComponentRecord(self.id, self.step, users, self.health, self.is_lost)
+
 
 @frozen
 class EdgeRecord:
@@ -137,6 +146,10 @@ class EdgeRecord:
     def origin(self) -> tuple[str, str]:
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
+
+    def used_by(self, users: Mapping[str, ValidationMode]) -> EdgeRecord:
+        """Return it with other users."""
+        return EdgeRecord(self.id, self.edge, self.producer, self.consumer, users, self.is_held)
 
 
 @frozen
@@ -195,8 +208,7 @@ class ComponentFailure:
     retry_at: float | None = None
 
 
-@frozen
-class ConnectionRecord:
+class ConnectionRecord(NamedTuple):
     """One request, from asking to end.
 
     Attributes:

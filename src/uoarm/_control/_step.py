@@ -122,8 +122,9 @@ def _advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what a connection still needs opened; go on where that is all there."""
     if record.state is ConnectionState.OPENING and record.current is not None:
         placement = draft.open(record, record.current, record.waiter, is_heard=True)
-        record = draft.put(record, current=placement)
-        if not draft.missing(placement):
+        if placement is not record.current:
+            draft.put(record, current=placement)
+        elif not placement.batch and not draft.missing(placement):
             _run(draft, record)
     elif record.next is not None and record.returning:
         _failback.advance(draft, draft.returns[record.returning])

@@ -73,6 +73,7 @@ class PythonBridge(Bridge):
         super().__init__(name, options)
         path: Any = options.get("path", ())
         self._modules = Modules(path)
+        self._targets: dict[tuple[str, ...], Target] = {}
         seconds: Any = options.get("timeout", _HANDLER_SECONDS)
         self._handler_seconds = float(seconds)
         self._loop = LoopThread(f"uoarm-{name}-loop")
@@ -152,7 +153,10 @@ class PythonBridge(Bridge):
         self._loop.close()
 
     def _target(self, endpoint: Endpoint) -> Target:
-        return find(endpoint.address, self._modules)
+        target = self._targets.get(endpoint.address)
+        if target is None:
+            target = self._targets[endpoint.address] = find(endpoint.address, self._modules)
+        return target
 
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
         """Return the component's instance; one that is slow to build holds up nobody else."""

@@ -9,7 +9,7 @@ from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import attrs
-from attrs import frozen
+from attrs import field, frozen
 
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason
@@ -53,10 +53,17 @@ def structure(
 
 @frozen
 class Target:
-    """A Python object that can be a component: a function, a generator function or a class."""
+    """A Python object that can be a component: a function, a generator function or a class.
+
+    Its hints and signatures are read once: that takes longer than all else of an opening.
+    """
 
     name: str
     value: Any
+    _hints_of: dict[Any, dict[str, Any]] = field(factory=dict, init=False, eq=False, repr=False)
+    _parameters_of: dict[Any, list[inspect.Parameter]] = field(
+        factory=dict, init=False, eq=False, repr=False
+    )
 
     @property
     def is_class(self) -> bool:
@@ -107,7 +114,9 @@ class Target:
         def read(part: str) -> MessageStructure | None:
             if part in declared:
                 return MessageStructure(declared[part])
-            return None if method is None else self._derived(part, endpoint, _type_hints(method))
+            if method is None:
+                return None
+            return self._derived(part, endpoint, self._type_hints(method))
 
         if endpoint.role is Role.SERVICE:
             return Description(request=read("request"), reply=read("reply"))
@@ -120,16 +129,16 @@ class Target:
         if self.is_class and endpoint.role is Role.OUTPUT:
             return self.source_name() is None
         method = self.method(endpoint)
-        return message_parameter(method, endpoint.parameters, bound=self.is_class) is not None
+        return self._first_unfilled(method, endpoint.parameters) is not None
 
     def taken_hint(self, endpoint: Endpoint) -> Any:
         """Return the hint of what a port takes; `inspect.Parameter.empty` where there is none."""
-        return _hints(self.method(endpoint)).get(self._message_parameter(endpoint), _NOTHING)
+        return self._hints(self.method(endpoint)).get(self._message_parameter(endpoint), _NOTHING)
 
     def given_hint(self, endpoint: Endpoint) -> Any:
         """Return the hint of the messages that a port gives, or that answer what it takes."""
         method = self.method(endpoint)
-        return _NOTHING if method is None else _return_hint(_hints(method), endpoint.role)
+        return _NOTHING if method is None else _return_hint(self._hints(method), endpoint.role)
 
     def parameter_mistakes(self, given: Options) -> dict[str, str]:
         """Return what is wrong with a component's parameters, by name."""
@@ -159,13 +168,13 @@ class Target:
     def _accepted(self, given: Options) -> tuple[dict[str, inspect.Parameter], dict[str, Any]]:
         """Return the parameters of a component, and their hints."""
         try:
-            accepted = dict(inspect.signature(self.value).parameters)
+            accepted = {one.name: one for one in self._parameters(self.value)}
         except ValueError:  # what is written in C may have no signature
             return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}
         if not self.is_class:
-            accepted.pop(message_parameter(self.value, given, bound=False) or "", None)
-            return accepted, _hints(self.value)
-        return accepted, _hints(self.value.__init__)
+            accepted.pop(self._first_unfilled(self.value, given) or "", None)
+            return accepted, self._hints(self.value)
+        return accepted, self._hints(self.value.__init__)
 
     def _own(self, name: str) -> Any:
         """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
@@ -188,11 +197,46 @@ class Target:
             raise HintError(f"{self.name}: {error}") from error
 
     def _message_parameter(self, endpoint: Endpoint) -> str:
-        name = message_parameter(self.method(endpoint), endpoint.parameters, bound=self.is_class)
+        name = self._first_unfilled(self.method(endpoint), endpoint.parameters)
         if name is None:
             text = f"{self.name} takes no message: every parameter has a value"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return name
+
+    def _first_unfilled(self, method: Any, given: Options) -> str | None:
+        """Return the name of the parameter that takes the message: the first that nothing fills."""
+        for one in self._parameters(method)[1 if self.is_class else 0 :]:
+            positional = one.kind in {one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD}
+            is_free = self.is_class or one.name not in given
+            if positional and one.default is one.empty and is_free:
+                return one.name
+        return None
+
+    def _parameters(self, method: Any) -> list[inspect.Parameter]:
+        found = self._parameters_of.get(method) if inspect.isfunction(method) else None
+        if found is None:
+            found = list(inspect.signature(method).parameters.values())
+            if inspect.isfunction(method):  # others may not be hashable, or new each time
+                self._parameters_of[method] = found
+        return found
+
+    def _type_hints(self, method: Any) -> dict[str, Any]:
+        """Return the hints of a callable, also of one whose class says how it is called."""
+        has_own = inspect.isroutine(method) or inspect.isclass(method)
+        told = method if has_own else type(method).__call__
+        if not inspect.isfunction(told):
+            return get_type_hints(told, include_extras=True)
+        found = self._hints_of.get(told)
+        if found is None:
+            found = self._hints_of[told] = get_type_hints(told, include_extras=True)
+        return found
+
+    def _hints(self, method: Any) -> dict[str, Any]:
+        """Return the hints of a callable; none where one cannot be read, for what is declared."""
+        try:
+            return self._type_hints(method)
+        except (NameError, TypeError, AttributeError):
+            return {}
 
 
 def find(address: Sequence[str], modules: Modules) -> Target:
@@ -223,30 +267,6 @@ def find(address: Sequence[str], modules: Modules) -> Target:
         text = f"{name} is a {type(value).__name__}: expected a function or a class"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     return Target(name, value)
-
-
-def message_parameter(method: Any, given: Options, *, bound: bool) -> str | None:
-    """Return the name of the parameter that takes the message: the first that nothing fills."""
-    parameters = list(inspect.signature(method).parameters.values())[1 if bound else 0 :]
-    for one in parameters:
-        positional = one.kind in {one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD}
-        if positional and one.default is one.empty and (bound or one.name not in given):
-            return one.name
-    return None
-
-
-def _type_hints(method: Any) -> dict[str, Any]:
-    """Return the hints of a callable, also of one whose class says how it is called."""
-    has_own = inspect.isroutine(method) or inspect.isclass(method)
-    return get_type_hints(method if has_own else type(method).__call__, include_extras=True)
-
-
-def _hints(method: Any) -> dict[str, Any]:
-    """Return the hints of a callable; none where one cannot be read, for what is declared."""
-    try:
-        return _type_hints(method)
-    except (NameError, TypeError, AttributeError):
-        return {}
 
 
 def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
