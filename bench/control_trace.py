@@ -33,7 +33,7 @@ functions:
       - {name: namer, bridge: two, input: {from: finder, endpoint: [namer]},
          output: {endpoint: [namer]}}
 """
-CONTROL = ("uoarm._control", "uoarm._control")
+CONTROL = "uoarm._control"
 _QUIET_SECONDS = 0.5
 
 

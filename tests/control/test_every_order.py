@@ -120,4 +120,4 @@ class Walk(RuleBasedStateMachine):
 
 
 TestWalk = Walk.TestCase
-TestWalk.settings = settings(stateful_step_count=100)
+TestWalk.settings = settings(stateful_step_count=60, max_examples=40)

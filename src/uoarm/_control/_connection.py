@@ -7,7 +7,6 @@ from types import TracebackType
 from typing import final
 
 from uoarm._control._connection_runtime import ConnectionRuntime
-from uoarm._control._events import Killed
 from uoarm._control._executor import Executor
 from uoarm._control._state import ConnectionRecord
 from uoarm._dataplane import QueueClosed
@@ -131,7 +130,7 @@ class Connection:
 
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time."""
-        self._executor.ask(Killed(self.id, waiter=f"{self.id} {object()}"))
+        self._executor.kill(self.id)
 
     def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""

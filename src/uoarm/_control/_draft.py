@@ -60,7 +60,7 @@ class Draft:
         self.stale = dict(state.stale)
         self.number = state.number
         self.is_closing = state.is_closing
-        self.closer = state.closer
+        self.closers = state.closers
 
     def state(self) -> State:
         """Return the state as it is now."""
@@ -80,7 +80,7 @@ class Draft:
             stale=self.stale,
             number=self.number,
             is_closing=self.is_closing,
-            closer=self.closer,
+            closers=self.closers,
         )
 
     def new_id(self) -> int:

@@ -8,6 +8,7 @@ by worker threads, under time limits, and come back as events.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 from collections import deque
@@ -32,7 +33,7 @@ from uoarm._control._timer import Timer
 from uoarm._dataplane import Clock
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import ComponentStatus, Health, Plan
 
 __all__ = ["Executor", "Resolve"]
@@ -75,6 +76,7 @@ class Executor:
         self._clock = clock
         self._events: deque[ev.Event] = deque()
         self._owning = threading.Lock()
+        self._numbers = itertools.count()  # of those who wait
         self._cancelled: set[int] = set()
         self._workers = WorkerPool("uoarm-lane")
         self._lanes = Lanes(self._start)
@@ -133,11 +135,16 @@ class Executor:
                 _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
         except BaseException as error:
             self._lanes.abandon(event.waiter)
-            self.ask(ev.Killed(runtime.id, f"{event.waiter}!", str(error), is_failure=True))
+            self.kill(runtime.id, str(error), is_failure=True)
             self.live.runtimes.pop(runtime.id, None)
             raise
 
-    def ask(self, event: ev.Killed | ev.Stopped) -> None:
+    def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
+        """End a connection, and close in this thread what only it used. Idempotent."""
+        waiter = f"kill {next(self._numbers)}"
+        self._ask(ev.Killed(identity, waiter, cause, is_failure))
+
+    def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
         self._lanes.reserve(event.waiter)
         self.post(event)
@@ -167,8 +174,8 @@ class Executor:
     def connections(self) -> tuple[ConnectionRuntime, ...]:
         """Return the connections that have a plan and have not ended, oldest first."""
         runtimes = self.live.runtimes.copy()
-        there = (r for r in self.state.connections.values() if r.current is not None)
-        return tuple(runtimes[record.id] for record in there if record.id in runtimes)
+        found = (runtimes.get(one) for one in self.state.connections)
+        return tuple(one for one in found if one is not None and one.record is not None)
 
     def components(self) -> tuple[LiveComponent, ...]:
         """Return the components that are open and well enough to be shared."""
@@ -198,7 +205,7 @@ class Executor:
 
     def close(self) -> None:
         """End every connection, take no more requests, and tell no more when times are reached."""
-        self.ask(ev.Stopped("close"))
+        self._ask(ev.Stopped(f"close {next(self._numbers)}"))
         self._timer.close()
         self._workers.close()
 
@@ -207,6 +214,8 @@ class Executor:
         _trace.debug("%.6f %r", now, event)
         try:
             self.state, actions = step(self.state, event, now)
+            if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
+                self._cancelled.discard(event.batch)
             for action in actions:
                 self._doers[type(action)](action)
         except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
@@ -328,7 +337,6 @@ class Executor:
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
             self._cancelled.add(number)  # a thread that hangs in it opens nothing more
             return ev.Opened(number, tuple(done), error)
-        self._cancelled.discard(number)
         return ev.Opened(number, tuple(done))
 
     def _seek_plan(self, action: act.Resolve) -> ev.Event:

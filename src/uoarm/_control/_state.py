@@ -317,7 +317,7 @@ class State:
         stale: the same for those that emitted too little.
         number: the last id given.
         is_closing: whether no request is taken any more.
-        closer: who waits until every connection has ended.
+        closers: who waits until every connection has ended.
     """
 
     policy: FailoverPolicy
@@ -335,7 +335,7 @@ class State:
     stale: Mapping[str, float] = field(factory=dict)
     number: int = 0
     is_closing: bool = False
-    closer: str = ""
+    closers: tuple[str, ...] = ()
 
 
 def names(plan: Plan) -> tuple[str, ...]:

@@ -218,7 +218,7 @@ def _ended(draft: Draft, event: Ended) -> None:
 
 
 def _stopped(draft: Draft, event: Stopped) -> None:
-    draft.is_closing, draft.closer = True, event.waiter
+    draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
     for record in tuple(draft.connections.values()):
         if record.current is None:
             _refuse(draft, record, ConnectionClosedError(_CLOSED))
@@ -229,9 +229,9 @@ def _stopped(draft: Draft, event: Stopped) -> None:
 
 
 def _reply_when_closed(draft: Draft) -> None:
-    if draft.closer and not draft.connections:
-        draft.actions.append(Reply(draft.closer))
-        draft.closer = ""
+    if not draft.connections:
+        draft.actions += map(Reply, draft.closers)
+        draft.closers = ()
 
 
 def _time_reached(draft: Draft, event: TimeReached) -> None:
