@@ -30,6 +30,7 @@ from uoarm._control._replacements import find_replacement
 from uoarm._control._state import PORTS, Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
+from uoarm._control._trace import write
 from uoarm._dataplane import Clock
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
@@ -43,7 +44,7 @@ Resolve = Callable[[str, "frozenset[str]", "frozenset[str]"], Plan]
 
 _OPEN_SECONDS = 60.0
 _log = logging.getLogger("uoarm")
-_trace = logging.getLogger("uoarm.control")
+_log_of_events = logging.getLogger("uoarm.control")
 
 
 class Executor:
@@ -211,7 +212,8 @@ class Executor:
 
     def _handle(self, event: ev.Event) -> None:
         now = self._clock()
-        _trace.debug("%.6f %r", now, event)
+        if _log_of_events.isEnabledFor(logging.DEBUG):
+            _log_of_events.debug("%s", write(event, now))
         try:
             self.state, actions = step(self.state, event, now)
             if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
