@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import pickle
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +52,9 @@ def folder(place: Path, name: str, **files: str) -> Path:
 
 
 @pytest.fixture
-def two(tmp_path: Path) -> tuple[Path, Path]:
-    """Two folders with modules of the same names."""
-    return tuple(  # type: ignore[return-value] # two of them
+def two(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """Two folders with modules of the same names, which the program forgets again."""
+    yield tuple(  # type: ignore[misc] # two of them
         folder(
             tmp_path,
             name,
@@ -62,6 +63,8 @@ def two(tmp_path: Path) -> tuple[Path, Path]:
         )
         for name in ("first", "second")
     )
+    for name in ("their_words", "their_service"):
+        sys.modules.pop(name, None)
 
 
 def call(place: Path, address: str, message: Any, *more: Path) -> Any:
@@ -94,7 +97,6 @@ def test_each_of_two_managers_runs_its_own_module(two: tuple[Path, Path]) -> Non
 def test_the_program_keeps_its_own_module_and_its_path(
     two: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delitem(sys.modules, "their_words", raising=False)
     before = list(sys.path)
     assert call(two[0], "their_service:who", {"name": ""}) == {"name": "first says first"}
     assert sys.path == before
@@ -105,10 +107,8 @@ def test_a_module_of_the_program_does_not_stand_in_for_that_of_a_folder(
     two: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(two[0])
-    import their_words  # type: ignore[import-not-found]
-
+    importlib.import_module("their_words")
     assert call(two[1], "their_service:who", {"name": ""}) == {"name": "second says second"}
-    monkeypatch.delitem(sys.modules, their_words.__name__)
 
 
 def test_a_folder_further_back_on_the_path_of_the_program_runs_its_own_module(
@@ -124,12 +124,10 @@ def test_a_module_that_the_program_could_import_is_the_same_for_both(
     two: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(two[0])
-    import their_words
+    their_words = importlib.import_module("their_words")
 
     monkeypatch.setattr(their_words, "WORD", "is changed")
     assert call(two[0], "their_service:who", {"name": ""}) == {"name": "first is changed"}
-    for name in ("their_words", "their_service"):
-        monkeypatch.delitem(sys.modules, name)
 
 
 KINDS = """

@@ -150,11 +150,9 @@ class Draft:
             if self._leave(one, placement.user)
         ]
         closed = [one for one in edges if self._close_part(Part(Kind.EDGE, one))]
-        ended = False
-        if ports:
-            closed_ports = [self._close_part(Part(kind, placement.ports)) for kind in PORTS]
-            ended = any(closed_ports)
-        return Parts(tuple(components), tuple(closed), (placement.ports,) if ended else ())
+        for kind in PORTS if ports else ():
+            self._close_part(Part(kind, placement.ports))
+        return Parts(tuple(components), tuple(closed), (placement.ports,) if ports else ())
 
     def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
         """Share components that died no more; return the edges that end with them."""

@@ -38,7 +38,8 @@ def read(line: str, find_plan: FindPlan) -> tuple[_events.Event, float]:
     """
     said: dict[str, Any] = json.loads(line)
     now, kind = said.pop("at"), said.pop("event")
-    readers = {**_READERS, "plan": lambda told: _plan(told, find_plan)}
+    readers: dict[str, Callable[[Any], object]] = dict(_READERS)
+    readers["plan"] = lambda told: _plan(told, find_plan)
     values = {name: readers.get(name, _same)(value) for name, value in said.items()}
     make: Callable[..., _events.Event] = getattr(_events, kind)
     return make(**values), now
