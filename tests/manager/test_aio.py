@@ -27,7 +27,6 @@ functions:
     components:
       - {name: echo, bridge: one, input: {endpoint: [echo]}, output: {endpoint: [echo]}}
 """
-OF_THE_THREADED = {"on_wake"}
 
 
 @pytest.fixture
@@ -101,7 +100,7 @@ def _parameters(member: Callable[..., object]) -> list[inspect.Parameter]:
     ("threaded", "twin"), [(RobotManager, AsyncRobotManager), (Connection, AsyncConnection)]
 )
 def test_each_method_has_a_twin_with_the_same_parameters(threaded: type, twin: type) -> None:
-    wanted = {k: v for k, v in _members(threaded).items() if k not in OF_THE_THREADED}
+    wanted = _members(threaded)
     found = _members(twin)
     assert wanted.keys() - found.keys() == set()
     for name, member in wanted.items():

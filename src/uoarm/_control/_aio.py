@@ -96,7 +96,7 @@ class AsyncConnection:
     async def get(self, timeout: float | None = None) -> Message:
         """Return the next message; raises as `Connection.get` does."""
         deadline = None if timeout is None else self._loop.time() + timeout
-        self._connection.on_wake(self._wake)
+        self._connection._on_wake(self._wake)  # noqa: SLF001 - its twin
         while True:
             self._arrived.clear()
             self._woken = False

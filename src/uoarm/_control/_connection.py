@@ -136,7 +136,7 @@ class Connection:
         """End the connection: another name for `kill`, the word of the paper."""
         self.kill()
 
-    def on_wake(self, wake: Callable[[], None] | None) -> None:
+    def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""
         self._runtime.receiver.inbox.on_wake(wake)
 

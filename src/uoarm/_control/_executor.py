@@ -216,12 +216,16 @@ class Executor:
             _log_of_events.debug("%s", write(event, now))
         try:
             self.state, actions = step(self.state, event, now)
-            if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
-                self._cancelled.discard(event.batch)
-            for action in actions:
-                self._doers[type(action)](action)
         except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
             _log.exception("the control plane failed at %r", event)
+            return
+        if isinstance(event, ev.Opened) and not isinstance(event.error, BridgeTimeoutError):
+            self._cancelled.discard(event.batch)
+        for action in actions:
+            try:
+                self._doers[type(action)](action)
+            except Exception:  # noqa: BLE001 - nor do the actions that come after it
+                _log.exception("the control plane failed to do %r", action)
 
     def _call(
         self,
@@ -233,7 +237,11 @@ class Executor:
         """Have a call made in the action's lane, and its result posted."""
 
         def job() -> None:
-            event = call()
+            try:
+                event = call()
+            except Exception:  # noqa: BLE001 - the lane must go on
+                _log.exception("the control plane failed to do %r", action)
+                return
             if event is not None:
                 self.post(event)
 
@@ -297,7 +305,10 @@ class Executor:
         ending = self.live.take(action.connection, action.parts, action.placement, action.lost)
 
         def close() -> ev.Event | None:
-            self.live.close(ending, ends=action.ends)
+            try:
+                self.live.close(ending, ends=action.ends)
+            except Exception:  # noqa: BLE001 - an end ends, whatever goes wrong
+                _log.exception("closing what %s had open failed", action.connection)
             return ev.Ended(action.connection) if action.ends else None
 
         self._call(action, close)
@@ -358,7 +369,9 @@ class Executor:
                 action.failed,
                 lambda name, excluded: self._resolve(name, excluded, action.avoided),
             )
-        except UoarmError as error:
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("looking for a replacement failed")
             return ev.ReplacementSought(*asked, None, str(error), action.returning)
         return ev.ReplacementSought(*asked, plan, returning=action.returning)
 
@@ -368,7 +381,9 @@ class Executor:
             self._forget(name)
         try:
             found = names(self._resolve(action.plan.function, frozenset(), action.avoided))
-        except UoarmError:
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("looking for a preferred plan failed")
             found = ()
         return ev.PreferredChecked(action.connection, found == wanted)
 
@@ -376,6 +391,8 @@ class Executor:
         try:
             step_name = "return to preferred components"
             _bounded.run(step_name, _OPEN_SECONDS, lambda: self.live.change_over(action.edges))
-        except UoarmError as error:
+        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+            if not isinstance(error, UoarmError):
+                _log.exception("changing over failed")
             return ev.ChangedOver(action.returning, str(error))
         return ev.ChangedOver(action.returning)

@@ -1,0 +1,73 @@
+"""Whatever goes wrong in a call or in a step of ours, who waits gets an answer."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from tests.control.world import FACE
+
+from uoarm import RobotManager
+from uoarm._control import _live_parts
+from uoarm.config import loads
+from uoarm.model import ConnectionState, Health
+from uoarm.testing import MemoryBridge, wait
+
+NUMBER = {"type": "integer"}
+
+
+class Stage:
+    def __init__(self) -> None:
+        self.one, self.two = MemoryBridge("one", {}), MemoryBridge("two", {})
+        self.one.emitter("best", NUMBER)
+        self.two.emitter("spare", NUMBER)
+        self.two.loop("finder", NUMBER)
+        self.robot = RobotManager(loads(FACE), bridges={"one": self.one, "two": self.two})
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    made = Stage()
+    yield made
+    made.robot.close()
+
+
+def broken(*_: object, **__: object) -> Any:
+    raise ArithmeticError("a fault of ours")
+
+
+def test_a_kill_ends_also_when_closing_fails(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    connection = stage.robot.request("face")
+    with monkeypatch.context() as patch:
+        patch.setattr(_live_parts.LiveParts, "close", broken)
+        connection.kill()
+    assert connection.state is ConnectionState.CLOSED
+    assert "a fault of ours" in caplog.text
+
+
+def test_a_search_that_breaks_down_ends_the_connection(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    connection = stage.robot.request("face")
+    monkeypatch.setattr(stage.robot._executor, "_resolve", broken)
+    stage.one.die("best", "it was unplugged")
+    wait(lambda: connection.ended)
+    assert "nothing takes over: a fault of ours" in connection.cause
+    assert "a fault of ours" in caplog.text
+
+
+def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.ERROR, "uoarm")
+    connection = stage.robot.request("camera")
+    monkeypatch.setattr(stage.robot._executor, "_forget", broken)
+    stage.one.report(Health.DEGRADED, "it is hot")
+    stage.one.die("best", "it was unplugged")
+    wait(lambda: connection.gaps)
+    assert "failed to do Forget" in caplog.text
+    assert connection.state is ConnectionState.RUNNING
