@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.schema._hostile import HOSTILE, chain, rows
+from tests.schema._hostile import HOSTILE, chain, choices, rows
 from tests.schema._reference import Reference
 
 from uoarm.schema import Budget, check
@@ -137,7 +137,12 @@ MANY = 100_000
         ({"type": "integer", "minimum": 0, "maximum": MANY}, list(range(MANY)), False),
         ({"enum": list(range(1, MANY))}, list(range(MANY)), True),
         ({"enum": [n / 7 for n in range(MANY)]}, [n / 7 for n in reversed(range(MANY))], True),
-        ({"enum": [n / 7 for n in range(MANY)]}, [n / 7 for n in range(MANY - 1)], False),
+        pytest.param(
+            {"enum": [n / 7 for n in range(MANY)]},
+            [n / 7 for n in range(MANY - 1)],
+            False,
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_hundred_thousand_numbers_are_few_steps(producer: Any, consumer: Any, fits: bool) -> None:
@@ -145,6 +150,15 @@ def test_a_hundred_thousand_numbers_are_few_steps(producer: Any, consumer: Any, 
     assert (verdict.compatible, verdict.undecided) == (fits, None)
 
 
+def test_some_hundred_choices_are_decided() -> None:
+    objects = {"anyOf": [{"type": "object", "required": [f"f{n}"]} for n in range(500)]}
+    verdict = check(objects, {"type": "object", "minProperties": 1}, budget=Budget(seconds=PATIENT))
+    assert verdict.compatible
+    verdict = check(*choices(50), budget=Budget(seconds=PATIENT))
+    assert (verdict.compatible, verdict.undecided) == (False, None)
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["anyOf of 20,000", "anyOf of 20,000 records", "500 open choices"])
 def test_many_choices_are_decided(name: str) -> None:
     verdict = check(*HOSTILE[name](), budget=Budget(seconds=PATIENT))
