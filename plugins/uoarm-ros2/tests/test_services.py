@@ -153,6 +153,7 @@ def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start)
         endpoint(Role.OUTPUT, "/numbers", INT64),
         lambda message: inbox(ask(message["data"])),
     )
+    assert talker.do("subscriptions", topic="/numbers", expected=1) == {"count": 1}
     talker.do("publish", topic="/numbers", count=3)
     assert inbox.wait_for(3) == [2, 3, 4]
     bridge.serve(service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))})
