@@ -42,14 +42,14 @@ def test_a_bridge_on_another_machine_works_as_one_here(tmp_path: Path, port: int
         got = list(manager.request("doubled"))
         assert got[-1] == 1998
         assert got == sorted(got)
-        assert manager.call("where", 0) > 0
+        assert manager.call("where", 0, timeout=patience()) > 0
 
 
 def test_the_clock_of_a_machine_is_known(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     with Joined(tmp_path, _place(port)), RobotManager.from_file(file) as manager:
         assert _machine(manager).clock_offset is None
-        manager.call("where", 0)
+        manager.call("where", 0, timeout=patience())
         status = _machine(manager)
         assert status.present
         assert status.clock_offset is not None
@@ -67,7 +67,9 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
         assert status.cause == "waiting for machine 'arm': far"
         assert _machine(manager).cause == "waiting for machine 'arm': far"
         answers: list[int] = []
-        asking = threading.Thread(target=lambda: answers.append(manager.call("where", 0)))
+        asking = threading.Thread(
+            target=lambda: answers.append(manager.call("where", 0, timeout=patience()))
+        )
         asking.start()
         with Joined(tmp_path, _place(port)):
             asking.join(patience())
@@ -102,7 +104,7 @@ def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: 
         with pytest.raises(ResolutionError, match="opening the link"):
             manager.resolve("where")
     with Joined(tmp_path, _place(port)), manager:
-        assert manager.call("where", 0) > 0
+        assert manager.call("where", 0, timeout=patience()) > 0
         assert _machine(manager).cause == ""
 
 
@@ -114,7 +116,7 @@ def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: 
             with pytest.raises(
                 Exception, match="no host of machine 'arm' is there for bridge 'far'"
             ):
-                manager.call("where", 0)
+                manager.call("where", 0, timeout=patience())
 
 
 LATE = """
@@ -211,7 +213,7 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
     with Joined(tmp_path, _place(port), *lease) as host, RobotManager.from_file(file) as manager:
         events: list[StatusEvent] = []
         manager.listen(events.append)
-        manager.call("where", 0)
+        manager.call("where", 0, timeout=patience())
         host.signal(signal.SIGSTOP)
         wait(lambda: any("machine 'arm' has not answered for" in one.cause for one in events))
         with pytest.raises(Exception, match=r"host of machine 'arm' (does not|is there)"):
@@ -222,7 +224,7 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
 
         def again() -> bool:
             try:
-                answers.append(manager.call("where", 0))
+                answers.append(manager.call("where", 0, timeout=patience()))
             except Exception:  # noqa: BLE001 - until it answers
                 return False
             return True
@@ -245,7 +247,7 @@ def test_a_host_outlives_its_managers_and_keeps_nothing_of_them(tmp_path: Path, 
                 assert (
                     connection.get(patience()) == 0
                 )  # the component begins anew with each manager
-                found.add(manager.call("where", 0))
+                found.add(manager.call("where", 0, timeout=patience()))
             expected = number + 1
             wait(lambda: host.log.count("bridge far is let go") == expected)  # noqa: B023 - at once
             wait(lambda: not held or host.holdings() <= held[0])
@@ -280,14 +282,16 @@ def test_two_hosts_share_the_bridges_of_a_machine(tmp_path: Path, port: int) -> 
         Joined(tmp_path, _place(port), "near"),
         RobotManager.from_file(file) as manager,
     ):
-        assert manager.call("where", 0) != manager.call("there", 0)
+        assert manager.call("where", 0, timeout=patience()) != manager.call(
+            "there", 0, timeout=patience()
+        )
 
 
 def test_a_manager_leaves_nothing_behind(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     with Joined(tmp_path, _place(port)):
         with RobotManager.from_file(file) as manager:
-            manager.call("where", 0)
+            manager.call("where", 0, timeout=patience())
         before = Census()
         with RobotManager.from_file(file) as manager:
             manager.request("ticks").get(patience())
