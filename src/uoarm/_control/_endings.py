@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from uoarm._control._actions import Close, Drain, Publish, WakeAt
+from uoarm._control._actions import Close, Drain, Listen, Publish, WakeAt
 from uoarm._control._draft import Draft
-from uoarm._control._state import ConnectionRecord, Placement
+from uoarm._control._state import ConnectionRecord
 from uoarm.model import ConnectionState
 
 __all__ = ["drop_next", "end", "end_return", "finish_if_asked", "pause"]
@@ -47,13 +47,17 @@ def end(
 
 
 def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
-    """Close a plan that was opened in vain, and count what went with it."""
+    """Close a plan that was opened in vain, hear the one so far again, and count what was lost."""
     placement = record.next
     if placement is None:
         return record
     record = draft.put(record, next=None, attempt=record.attempt + 1)
-    parts = draft.unplace(placement, ports=not _shares_ports(record, placement))
-    draft.actions.append(Close(f"{placement.user}!", record.id, parts, placement))
+    ports = record.placement.ports
+    parts = draft.unplace(placement, ports=placement.ports != ports)
+    draft.actions += [
+        Listen(record.id, ports),
+        Close(f"{placement.user}!", record.id, parts, placement),
+    ]
     return record
 
 
@@ -79,7 +83,3 @@ def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
 def pause(draft: Draft) -> float:
     """Return the seconds between two looks for a preferred plan."""
     return max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
-
-
-def _shares_ports(record: ConnectionRecord, placement: Placement) -> bool:
-    return record.placement.ports == placement.ports

@@ -12,7 +12,6 @@ from uoarm._control._actions import (
     Finish,
     Forget,
     HandOver,
-    Listen,
     Publish,
     RetireBridge,
     Stop,
@@ -31,7 +30,7 @@ from uoarm._control._state import (
     recently,
 )
 from uoarm.errors import BridgeError, FailureReason, ResolutionError
-from uoarm.model import ConnectionState, Health
+from uoarm.model import ConnectionState, Health, Plan
 
 __all__ = [
     "advance",
@@ -152,12 +151,7 @@ def _lose_next(draft: Draft, record: ConnectionRecord, failure: ComponentFailure
         if not draft.returns[record.returning].is_changing:
             end_return(draft, record.returning)
         return
-    before = record.failure
-    assert before is not None, "outside a return, what comes next replaces what failed"
-    excluded = before.excluded | failure.excluded
-    record = drop_next(draft, record)
-    _listen_again(draft, record)
-    seek(draft, draft.put(record, failure=evolve(before, excluded=excluded)))
+    _seek_without(draft, drop_next(draft, record), failure.excluded)
 
 
 def seek(draft: Draft, record: ConnectionRecord) -> None:
@@ -195,7 +189,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
             placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
         except ResolutionError as error:
             draft.actions.append(Warn(record.id, str(error)))
-            seek(draft, _without(draft, record, names(event.plan)))
+            _seek_without(draft, record, _added(record, event.plan))
             return
         advance(draft, draft.put(record, next=placement))
         return
@@ -237,11 +231,9 @@ def advance(draft: Draft, record: ConnectionRecord) -> None:
 def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
     """Do without a plan that could not be opened."""
     assert record.next is not None, "something could not be opened"
-    unfit = names(record.next.plan)
+    unfit = _added(record, record.next.plan)
     draft.actions.append(Warn(record.id, error))
-    record = drop_next(draft, record)
-    _listen_again(draft, record)
-    seek(draft, _without(draft, record, unfit))
+    _seek_without(draft, drop_next(draft, record), unfit)
 
 
 def hand_over(
@@ -286,16 +278,18 @@ def hand_over(
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
 
 
-def _listen_again(draft: Draft, record: ConnectionRecord) -> None:
-    draft.actions.append(Listen(record.id, record.placement.ports))
+def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:
+    """Return what a plan would have added, or at least its provider."""
+    unfit = names(plan)
+    return frozenset(unfit).difference(names(record.placement.plan)) or frozenset(unfit[-1:])
 
 
-def _without(draft: Draft, record: ConnectionRecord, unfit: tuple[str, ...]) -> ConnectionRecord:
-    """Exclude what a plan would have added, or at least its provider."""
-    assert record.failure is not None, "only what failed is replaced"
-    more = set(unfit).difference(names(record.placement.plan)) or {unfit[-1]}
-    failure = evolve(record.failure, excluded=record.failure.excluded | more)
-    return draft.put(record, failure=failure)
+def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) -> None:
+    """Look for what takes over, and exclude more from now on."""
+    failure = record.failure
+    assert failure is not None, "outside a return, what comes next replaces what failed"
+    failure = evolve(failure, excluded=failure.excluded | more)
+    seek(draft, draft.put(record, failure=failure))
 
 
 def _uses(placement: Placement | None, components: Iterable[int]) -> bool:

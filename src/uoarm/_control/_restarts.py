@@ -33,7 +33,7 @@ class Restarts:
     to 30 s. A bridge that has lived for a minute starts with a clean record.
 
     Args:
-        clock: seconds that only grow.
+        clock: a monotonic clock, in seconds.
     """
 
     def __init__(self, clock: Clock) -> None:

@@ -67,7 +67,7 @@ class RobotManager:
         robot: the configuration, as `uoarm.config.load` returns it.
         registry: bridge plugins; None: those installed.
         bridges: ready instances by name, instead of making them from the configuration.
-        clock: seconds that only grow, for ages and rates.
+        clock: a monotonic clock, in seconds, for ages and rates.
     """
 
     def __init__(

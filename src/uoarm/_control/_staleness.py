@@ -57,7 +57,7 @@ class StalenessWatch:
         components: gives what is open now.
         edges: gives what feeds these.
         report: takes the health event of a component that is stale.
-        clock: seconds that only grow.
+        clock: a monotonic clock, in seconds.
     """
 
     def __init__(

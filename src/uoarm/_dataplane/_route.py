@@ -13,7 +13,7 @@ from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 __all__ = ["Clock", "Route"]
 
 Clock = Callable[[], float]
-"""Returns seconds that only grow."""
+"""Returns a monotonic clock, in seconds."""
 
 _WINDOW_SECONDS = 1.0
 _WORKER_SECONDS = 1.0

@@ -55,7 +55,7 @@ class Resolver:
         catalogue: knows the structures of components.
         check_edge: judges edges.
         budget: candidates tried at most in one search.
-        clock: seconds that only grow.
+        clock: a monotonic clock, in seconds.
     """
 
     def __init__(

@@ -66,7 +66,7 @@ class Search:
         fit: judges components and edges, memoised.
         excluded: names of components that may not be used.
         budget: candidates tried at most.
-        clock: seconds that only grow.
+        clock: a monotonic clock, in seconds.
     """
 
     def __init__(
