@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from attrs import evolve
 from click.testing import CliRunner
 from tests.local import talk
 
@@ -15,6 +16,7 @@ from uoarm.cli import main
 from uoarm.config import inspect, loads
 from uoarm.errors import BridgeError, FailureReason, ResolutionError
 from uoarm.model import Role
+from uoarm.testing import patience
 
 LIMITS = {"least": 0.0, "most": 1.0}
 MESSAGE = {"value": 7.0, "truth": True}
@@ -33,6 +35,14 @@ functions:
 
 def test_parameters_are_what_their_hints_say() -> None:
     assert talk.call("clip", MESSAGE, limits=LIMITS) == {"value": 1.0, "truth": True}
+
+
+def test_what_takes_the_message_depends_on_what_is_given() -> None:
+    with talk.bridge() as made:
+        first = talk.at("clip", Role.SERVICE, limits=LIMITS)
+        second = evolve(talk.at("clip", Role.SERVICE, message=MESSAGE), component="other")
+        assert made.call(first, MESSAGE, timeout=patience())["value"] == 1.0
+        assert made.call(second, LIMITS, timeout=patience())["value"] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -36,10 +36,10 @@ class ConnectionRuntime:
         self.handle: Connection | None = None
         self._uncounted: dict[str, Gap] = {}
 
-    def publish(self, record: ConnectionRecord) -> None:
+    def publish(self, record: ConnectionRecord, *, is_over: bool) -> None:
         """Show the connection as it is now; at its end, its inbox closes."""
         self.record = record
-        if record.is_over:
+        if is_over:
             killed = record.state is ConnectionState.CLOSED and not record.cause
             self.receiver.inbox.close(discard=killed)
 

@@ -13,6 +13,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from uoarm import _bounded
@@ -259,10 +260,11 @@ class Executor:
         runtime = self.live.runtimes.get(record.id)
         if runtime is None:
             return
-        if record.current is not None and not record.is_over:
+        is_over = record.is_over
+        if record.current is not None and not is_over:
             runtime.ports = self.live.ports.get(record.current.ports, runtime.ports)
-        runtime.publish(record)
-        if record.is_over:
+        runtime.publish(record, is_over=is_over)
+        if is_over:
             del self.live.runtimes[record.id]
 
     def _hand_over(self, action: act.HandOver) -> None:
@@ -331,16 +333,13 @@ class Executor:
         is_quick = all(part.kind in PORTS for part in action.parts) and all(
             port.source is not None for port in fed
         )
-        self._call(action, lambda: self._open_batch(action), is_quick=is_quick)
+        state = self.state
+        self._call(action, lambda: self._open_batch(action, state), is_quick=is_quick)
 
-    def _open_batch(self, action: act.Open) -> ev.Event:
+    def _open_batch(self, action: act.Open, state: State) -> ev.Event:
         """Open a batch; the time limit of a first plan is that of its request."""
         done: list[Part] = []
-        number = action.batch
-
-        def open_parts() -> None:
-            self.live.open(action, done, lambda: number in self._cancelled)
-
+        open_parts = partial(self.live.open, action, state, done, self._cancelled)
         try:
             if action.placement.user == action.connection:
                 open_parts()
@@ -348,9 +347,9 @@ class Executor:
                 step_name = f"takeover of connection {action.connection}"
                 _bounded.run(step_name, _OPEN_SECONDS, open_parts)
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
-            self._cancelled.add(number)  # a thread that hangs in it opens nothing more
-            return ev.Opened(number, tuple(done), error)
-        return ev.Opened(number, tuple(done))
+            self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
+            return ev.Opened(action.batch, tuple(done), error)
+        return ev.Opened(action.batch, tuple(done))
 
     def _seek_plan(self, action: act.Resolve) -> ev.Event:
         try:

@@ -85,8 +85,13 @@ class LiveComponent:
                 )
                 self.outlets[name].retain(source.latched)
 
-    def open_input(self, name: str) -> Sink:
-        """Return the open sink of an input.
+    def open_input(
+        self, name: str, is_over: Callable[[], bool]
+    ) -> tuple[Callable[[Message], None], bool]:
+        """Return a send for an input that several connections share, and whether it may block.
+
+        One call at a time; one that waits for its turn ends with a ConnectionClosedError once
+        `is_over`: where the component hangs, only one thread stays in it.
 
         Raises:
             BridgeError: the bridge could not open it.
@@ -97,16 +102,7 @@ class LiveComponent:
                 self._sinks[name] = self.bridge.open_sink(
                     endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
                 )
-            return self._sinks[name]
-
-    def sender(self, name: str, is_over: Callable[[], bool]) -> Callable[[Message], None]:
-        """Return a send for an input that several connections share: one call at a time.
-
-        A call that waits for its turn ends with a ConnectionClosedError once `is_over`: where the
-        component hangs, only one thread stays in it.
-        """
-        sink = self.open_input(name)
-        with self._alone():
+            sink = self._sinks[name]
             turn = self._turns.setdefault(name, threading.Lock())
 
         def send(message: Message) -> None:
@@ -118,7 +114,7 @@ class LiveComponent:
             finally:
                 turn.release()
 
-        return send
+        return send, sink.blocking
 
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first.

@@ -136,11 +136,10 @@ class LiveEdge:
             self._open_route(clock)
 
     def _open_route(self, clock: Clock) -> None:
-        sink = self.consumer.open_input(self.edge.input)
+        send, is_blocking = self.consumer.open_input(self.edge.input, lambda: route.closed)
         queue = self._input.queue
-        if queue is None and sink.blocking:
+        if queue is None and is_blocking:
             queue = QueuePolicy()
-        send = self.consumer.sender(self.edge.input, lambda: route.closed)
 
         def hand(message: Message) -> None:
             if self.held:

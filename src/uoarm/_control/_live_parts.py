@@ -19,7 +19,15 @@ from uoarm._control._draft import strictest
 from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._control._losses import Counting
-from uoarm._control._state import Kind, Part, Parts, Placement, State
+from uoarm._control._state import (
+    ComponentRecord,
+    EdgeRecord,
+    Kind,
+    Part,
+    Parts,
+    Placement,
+    State,
+)
 from uoarm._dataplane import Clock
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import ValidationMode
@@ -113,17 +121,35 @@ class LiveParts:
             runtime,
         )
 
-    def open(self, action: Open, done: list[Part], is_cancelled: Callable[[], bool]) -> None:
-        """Open parts in their order; `done` gets each that is open.
+    def open(self, action: Open, state: State, done: list[Part], cancelled: set[int]) -> None:
+        """Open parts in their order.
+
+        Args:
+            action: says which.
+            state: when they were asked for.
+            done: gets each that is open.
+            cancelled: the batches of which nothing more is opened.
 
         Raises:
             UoarmError: the next one could not be opened.
             ConnectionClosedError: the batch was cancelled.
         """
         for part in action.parts:
-            if is_cancelled():
+            if action.batch in cancelled:
                 raise ConnectionClosedError(f"{action.connection} was given up")
-            self._open_part(action, part)
+            try:
+                if part.kind is Kind.COMPONENT:
+                    self._enter(state.components[part.id])
+                elif part.kind is Kind.OUTPUT:
+                    self._open_output(part)
+                elif part.kind is Kind.EDGE:
+                    self._connect(state.edges[part.id])
+                elif part.kind is Kind.RECEIVE:
+                    self._receive(action)
+                else:
+                    self._send(action)
+            except KeyError as error:
+                raise ConnectionClosedError(f"{action.connection} was given up") from error
             done.append(part)
 
     def close(self, ending: Ending, *, ends: bool) -> None:
@@ -177,32 +203,17 @@ class LiveParts:
             for joined in _there(self.edges, (edge,)):
                 joined.release(self._clock)
 
-    def _open_part(self, action: Open, part: Part) -> None:
-        try:
-            if part.kind is Kind.COMPONENT:
-                self._enter(part.id)
-            elif part.kind is Kind.OUTPUT:
-                self._open_output(part)
-            elif part.kind is Kind.EDGE:
-                self._connect(part.id)
-            elif part.kind is Kind.RECEIVE:
-                self._receive(action)
-            else:
-                self._send(action)
-        except KeyError as error:
-            raise ConnectionClosedError(f"{action.connection} was given up") from error
-
-    def _enter(self, number: int) -> None:
+    def _enter(self, record: ComponentRecord) -> None:
         """Make an instance of a component; nothing of it is opened yet.
 
         Raises:
             BridgeError: its bridge does not start, or threads of earlier connections hang in it,
                 too many to risk another one.
         """
-        step = self._state().components[number].step
-        self._refuse_hanging(step.component.name)
-        bridge = self._bridges.get(step.component.bridge)
-        self.components[number] = LiveComponent(step, bridge)
+        component = record.step.component
+        self._refuse_hanging(component.name)
+        bridge = self._bridges.get(component.bridge)
+        self.components[record.id] = LiveComponent(record.step, bridge)
 
     def _open_output(self, part: Part) -> None:
         """Open an output that has a route; one that only feeds native links stays closed."""
@@ -210,17 +221,16 @@ class LiveParts:
         if live.outlets[part.port].routes:
             live.open_output(part.port)
 
-    def _connect(self, number: int) -> None:
-        record = self._state().edges[number]
+    def _connect(self, record: EdgeRecord) -> None:
         joined = LiveEdge(
             record.edge,
             self.components[record.producer],
             self.components[record.consumer],
-            lambda: self._strictness(number),
+            lambda: self._strictness(record.id),
             held=record.is_held,
         )
         joined.open(self._clock)
-        self.edges[number] = joined
+        self.edges[record.id] = joined
 
     def _strictness(self, edge: int) -> ValidationMode:
         record = self._state().edges.get(edge)

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local._convert import plain, reader, writer
+from uoarm.local._convert import plain
 from uoarm.local._loop import Coroutines
 from uoarm.local._source import Source
 from uoarm.local._target import Emit, Target
@@ -47,7 +47,7 @@ class Instance:
             HintError: the hint of its messages cannot be converted.
         """
         if self._source is None:
-            write = writer(self._target.given_hint(endpoint), self._target.name)
+            write = self._target.writer(endpoint)
             name = f"uoarm-{self._target.name}"
             self._source = Source(self._iterator, partial(self._emit, write), name)
         return self._source
@@ -67,8 +67,8 @@ class Instance:
             HintError: a hint cannot be converted.
         """
         target, handler = self._target, self._handler(endpoint)
-        read = reader(target.taken_hint(endpoint), target.name)
-        write = writer(target.given_hint(endpoint), target.name)
+        read = target.reader(endpoint)
+        write = target.writer(endpoint)
         kept = self._awaiting(handler)
         call = kept if read is None else lambda message: kept(read(message))
 
@@ -99,8 +99,8 @@ class Instance:
 
     def _service(self, endpoint: Endpoint) -> Callable[[Message, float], Message]:
         target, handler = self._target, self._handler(endpoint)
-        read = reader(target.taken_hint(endpoint), target.name)
-        write = writer(target.given_hint(endpoint), target.name) or plain
+        read = target.reader(endpoint)
+        write = target.writer(endpoint) or plain
         is_coroutine = _is(inspect.iscoroutinefunction, handler)
 
         def answer(message: Message, timeout: float) -> Message:
@@ -116,7 +116,12 @@ class Instance:
             name = "__call__" if endpoint.port == "default" else endpoint.port
             handler: Callable[[Any], Any] = getattr(self._object, name)
             return handler
-        return partial(self._object, **self._parameters) if self._parameters else self._object
+        if not self._parameters:
+            function: Callable[[Any], Any] = self._object
+            return function
+        before = self._target.before_message(endpoint)  # by place, as the message is handed over
+        after = {name: one for name, one in self._parameters.items() if name not in before}
+        return partial(self._object, *(self._parameters[name] for name in before), **after)
 
     def _awaiting(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a handler that waits in its caller's thread for what is asynchronous."""

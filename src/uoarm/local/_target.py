@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -14,6 +14,7 @@ from attrs import field, frozen
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._annotations import HintError
+from uoarm.local._convert import reader, writer
 from uoarm.local._hints import schema_of
 from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
@@ -22,6 +23,7 @@ from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Sche
 __all__ = ["Emit", "Target", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 _DECLARED = "__uoarm_structures__"
 _NOTHING = inspect.Parameter.empty
 
@@ -55,7 +57,8 @@ def structure(
 class Target:
     """A Python object that can be a component: a function, a generator function or a class.
 
-    Its hints and signatures are read once: that takes longer than all else of an opening.
+    Its hints and signatures are read once, and what converts its messages is made once: that takes
+    longer than all else of an opening.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Target:
     _parameters_of: dict[Any, list[inspect.Parameter]] = field(
         factory=dict, init=False, eq=False, repr=False
     )
+    _converters: dict[Hashable, Any] = field(factory=dict, init=False, eq=False, repr=False)
 
     @property
     def is_class(self) -> bool:
@@ -131,14 +135,38 @@ class Target:
         method = self.method(endpoint)
         return self._first_unfilled(method, endpoint.parameters) is not None
 
-    def taken_hint(self, endpoint: Endpoint) -> Any:
-        """Return the hint of what a port takes; `inspect.Parameter.empty` where there is none."""
-        return self._hints(self.method(endpoint)).get(self._message_parameter(endpoint), _NOTHING)
+    def reader(self, endpoint: Endpoint) -> Callable[[Message], Any] | None:
+        """Return what makes the value that a port takes of a message; None: the message is that.
 
-    def given_hint(self, endpoint: Endpoint) -> Any:
-        """Return the hint of the messages that a port gives, or that answer what it takes."""
-        method = self.method(endpoint)
-        return _NOTHING if method is None else _return_hint(self._hints(method), endpoint.role)
+        Raises:
+            HintError: its hint cannot be converted.
+        """
+
+        def make() -> Callable[[Message], Any] | None:
+            name = self._message_parameter(endpoint)
+            hint = self._hints(self.method(endpoint)).get(name, _NOTHING)
+            return reader(hint, self.name)
+
+        return self._made("reader", endpoint, make)
+
+    def writer(self, endpoint: Endpoint) -> Callable[[Any], Message] | None:
+        """Return what makes a message of what a port gives, or of what answers what it takes.
+
+        Raises:
+            HintError: its hint cannot be converted.
+        """
+
+        def make() -> Callable[[Any], Message] | None:
+            method = self.method(endpoint)
+            hint = _NOTHING if method is None else _return_hint(self._hints(method), endpoint.role)
+            return writer(hint, self.name)
+
+        return self._made("writer", endpoint, make)
+
+    def before_message(self, endpoint: Endpoint) -> tuple[str, ...]:
+        """Return the names of the parameters of a function that come before the message's."""
+        names = [one.name for one in self._parameters(self.method(endpoint))]
+        return tuple(names[: names.index(self._message_parameter(endpoint))])
 
     def parameter_mistakes(self, given: Options) -> dict[str, str]:
         """Return what is wrong with a component's parameters, by name."""
@@ -195,6 +223,14 @@ class Target:
             return MessageStructure(schema_of(hint), native_type=getattr(hint, "__name__", ""))
         except HintError as error:
             raise HintError(f"{self.name}: {error}") from error
+
+    def _made(self, kind: str, endpoint: Endpoint, make: Callable[[], T]) -> T:
+        """Return a converter of a port, made once for these parameters: they fill others."""
+        key = kind, endpoint.role, endpoint.port, frozenset(endpoint.parameters)
+        if key not in self._converters:
+            self._converters[key] = make()
+        found: T = self._converters[key]
+        return found
 
     def _message_parameter(self, endpoint: Endpoint) -> str:
         name = self._first_unfilled(self.method(endpoint), endpoint.parameters)
