@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,7 +13,7 @@ from tests.control.world import FACE
 from uoarm import RobotManager
 from uoarm._control import _live_parts
 from uoarm.config import loads
-from uoarm.model import ConnectionState, Health
+from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import MemoryBridge, wait
 
 NUMBER = {"type": "integer"}
@@ -32,6 +33,25 @@ def stage() -> Iterator[Stage]:
     made = Stage()
     yield made
     made.robot.close()
+
+
+def test_who_listens_to_nothing_pays_for_no_thread_and_hears_what_comes_later() -> None:
+    def threads() -> int:
+        return sum(one.name == "uoarm-events" for one in threading.enumerate())
+
+    before = threads()
+    stage = Stage()
+    with stage.robot as robot:
+        robot.request("camera").kill()
+        assert threads() == before
+        told: list[StatusEvent] = []
+        robot.listen(told.append)
+        assert threads() == before + 1
+        robot.request("camera")
+        wait(lambda: len(told) == 2)
+    assert [one.change for one in told[:2]] == ["opening", "running"]
+    assert told[0].number > 2
+    assert threads() == before
 
 
 def broken(*_: object, **__: object) -> Any:

@@ -17,7 +17,10 @@ _CLOSE_SECONDS = 2.0
 
 
 class EventDispatcher:
-    """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener."""
+    """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener.
+
+    The thread begins with the first listener, and is woken only while there are some.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -25,20 +28,22 @@ class EventDispatcher:
         self._number = 0
         self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
         self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
-        self._thread.start()
+        self._thread: threading.Thread | None = None
 
     def post(self, subject: str, change: str, cause: str = "") -> None:
         """Number one change and have the listeners called. Waits for nothing."""
         with self._lock:
             self._number += 1
-            event = StatusEvent(self._number, self._clock(), subject, change, cause)
-            self._events.put(event)
+            if self._listeners:
+                self._events.put(StatusEvent(self._number, self._clock(), subject, change, cause))
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call a listener for every change from now on; returns what ends that."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
+                self._thread.start()
 
         def end() -> None:
             with self._lock:
@@ -49,8 +54,9 @@ class EventDispatcher:
     def close(self) -> None:
         """Call listeners for what is left, then end. Waits two seconds at most."""
         self._events.put(None)
-        if threading.current_thread() is not self._thread:
-            self._thread.join(_CLOSE_SECONDS)
+        thread = self._thread
+        if thread is not None and threading.current_thread() is not thread:
+            thread.join(_CLOSE_SECONDS)
 
     def _run(self) -> None:
         while (event := self._events.get()) is not None:
