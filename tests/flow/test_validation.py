@@ -159,4 +159,42 @@ def test_long_lists_of_numbers_are_judged_as_each_number_would_be(
         fits = False
     else:
         fits = True
-    assert fits == Draft202012Validator(structure.schema).is_valid(items)
+    bounded = schema.keys() != {"type"}
+    in_no_range = bounded and any(isinstance(one, float) and math.isnan(one) for one in items)
+    assert fits == (Draft202012Validator(structure.schema).is_valid(items) and not in_no_range)
+
+
+ROWS = {"type": "array", "items": {"type": "array", "items": {"type": "number", "minimum": 0}}}
+
+
+def test_arrays_of_several_dimensions_are_arrays_of_rows() -> None:
+    check = make_check(MessageStructure(ROWS), ValidationMode.ALWAYS, "grid")
+    assert check is not None
+    check(np.ones((2, 3)))
+    check([np.ones(3), [1.0]])
+    with pytest.raises(MessageError, match=r"grid: 0: -1.0 is less than the minimum of 0"):
+        check(-np.ones((2, 3)))
+    with pytest.raises(MessageError, match=r"grid: 0: 1.0 is not of type 'array'"):
+        check(np.ones(3))
+    with pytest.raises(MessageError, match=r"grid: 0.0: .* is not of type 'number'"):
+        check(np.ones((2, 3, 4)))
+
+
+def test_each_number_of_a_buffer_of_floats_is_an_integer_where_integers_are_due() -> None:
+    structure = MessageStructure({"type": "array", "items": {"type": "integer", "maximum": 9}})
+    check = make_check(structure, ValidationMode.ALWAYS, "counts")
+    assert check is not None
+    check(np.array([1.0, 2.0]))
+    for numbers in (np.array([1.0, 1.5, 2.0]), array("d", [1.0, 1.5, 2.0])):
+        with pytest.raises(MessageError, match=r"counts: 1: 1.5 is not of type 'integer'"):
+            check(numbers)
+
+
+def test_a_message_nested_without_end_is_refused() -> None:
+    tree: dict[str, object] = {"type": "array", "items": {"$ref": "#"}}
+    message: list[object] = []
+    message.append(message)
+    check = make_check(MessageStructure(tree), ValidationMode.ALWAYS, "tree")
+    assert check is not None
+    with pytest.raises(MessageError, match="tree: the message is nested too deep"):
+        check(message)

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from attrs import define, field
+
+from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm.errors import MessageError
-from uoarm.model import Message, MessageStructure, ValidationMode
+from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 
 if TYPE_CHECKING:
-    from jsonschema import Draft202012Validator
     from jsonschema.exceptions import ValidationError
     from jsonschema.protocols import Validator
 
 __all__ = ["make_check"]
 
 _SAMPLE_EVERY = 128
-_KINDS: Mapping[str, frozenset[type]] = {
-    "integer": frozenset({int}),
-    "number": frozenset({int, float}),
-}
-_RANGE_KEYWORDS = frozenset(
-    {"type", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "title", "description"}
-)
 
 
 def make_check(
@@ -39,13 +33,18 @@ def make_check(
     """
     if mode is ValidationMode.OFF:
         return None
-    validator = _validator(structure)
+    judgement = _judgement(structure)
+    accepts = judgement.accepts
 
     def check(message: Message) -> None:
-        error = next(validator.iter_errors(message), None)
-        if error is not None:
-            path = ".".join(str(part) for part in error.absolute_path) or "the message"
-            raise MessageError(f"{place}: {path}: {_shorten(_sentence(error))}")
+        try:
+            if accepts(message):
+                return
+            told = judgement.told(message)
+        except RecursionError:
+            raise MessageError(f"{place}: the message is nested too deep") from None
+        if told:
+            raise MessageError(f"{place}: {told}")
 
     if mode is ValidationMode.ALWAYS:
         return check
@@ -60,91 +59,48 @@ def make_check(
     return check_sample
 
 
+@define(eq=False)
+class _Judgement:
+    """What is said of the messages of one structure: quickly of most, in full of all."""
+
+    schema: Schema
+    accepts: Accepts = field(init=False)
+    _validator: Validator | None = field(default=None, init=False)
+
+    def __attrs_post_init__(self) -> None:
+        self.accepts = compile_check(self.schema, self._judge)
+
+    def told(self, message: Message) -> str:
+        """Return what is wrong with a message, and where; nothing where it matches."""
+        error = next(self._whole().iter_errors(message), None)
+        if error is None:
+            return ""
+        path = ".".join(str(part) for part in error.absolute_path) or "the message"
+        return f"{path}: {_shorten(_sentence(error))}"
+
+    def _judge(self, part: Schema) -> Accepts:
+        validator: Validator | None = None
+
+        def accepts(value: Message) -> bool:
+            nonlocal validator
+            if validator is None:
+                validator = self._whole().evolve(schema=part)
+            return validator.is_valid(value)
+
+        return accepts
+
+    def _whole(self) -> Validator:
+        """Return the whole validator, made when the first message needs it: its import is slow."""
+        if self._validator is None:
+            from uoarm._dataplane._whole_validator import validator_of  # noqa: PLC0415 - slow
+
+            self._validator = validator_of(self.schema)
+        return self._validator
+
+
 @lru_cache(maxsize=256)
-def _validator(structure: MessageStructure) -> Validator:
-    from jsonschema import Draft202012Validator, validators  # noqa: PLC0415 - slow import
-
-    from uoarm._dataplane._pattern_keywords import PATTERN_KEYWORDS  # noqa: PLC0415 - imports it, too
-
-    each_item = Draft202012Validator.VALIDATORS["items"]
-
-    def items(
-        validator: Draft202012Validator, schema: object, instance: Any, whole: Mapping[str, object]
-    ) -> Iterator[ValidationError]:
-        if isinstance(instance, list | tuple):
-            if not (isinstance(schema, Mapping) and _are_in_range(validator, schema, instance)):
-                yield from each_item(validator, schema, instance, whole)
-        elif isinstance(schema, Mapping) and schema.keys() <= _RANGE_KEYWORDS:
-            for extreme in _extremes(instance):
-                yield from validator.descend(extreme, schema)
-        else:
-            yield from each_item(validator, schema, [_plain(item) for item in instance], whole)
-
-    known = Draft202012Validator.TYPE_CHECKER
-
-    def numbers(name: str) -> Callable[[object, object], bool]:
-        return lambda _, value: known.is_type(_plain_number(value), name)
-
-    checker = known.redefine_many(
-        {
-            "array": lambda _, value: isinstance(value, list | tuple) or _is_buffer(value),
-            "integer": numbers("integer"),
-            "number": numbers("number"),
-            "boolean": numbers("boolean"),
-        }
-    )
-    kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
-        Draft202012Validator,
-        {"items": items, **PATTERN_KEYWORDS},
-        type_checker=checker,
-    )
-    return kind(structure.schema)
-
-
-def _are_in_range(
-    validator: Draft202012Validator, schema: Mapping[str, Any], items: Sequence[Any]
-) -> bool:
-    """Say whether a list is known at once to have only numbers of a range, judged by its extremes.
-
-    A long list then costs no more than a buffer. What is not known so is left to the whole check,
-    which also names the place: other values, NaN, which has no order, and 1.0 for an integer.
-    """
-    kinds = _KINDS.get(str(schema.get("type")), frozenset())
-    if not schema.keys() <= _RANGE_KEYWORDS or not set(map(type, items)) <= kinds:
-        return False
-    try:
-        if math.isnan(sum(items)):
-            return False
-    except OverflowError:
-        return False
-    extremes = _extremes(items)
-    return not any(True for one in extremes for _ in validator.descend(one, schema))
-
-
-def _extremes(buffer: Any) -> tuple[object, ...]:
-    """Return the least and the greatest item: a range that holds both holds all between."""
-    if not len(buffer):
-        return ()
-    if hasattr(buffer, "min"):
-        return _plain(buffer.min()), _plain(buffer.max())
-    return min(buffer), max(buffer)
-
-
-def _is_buffer(value: object) -> bool:
-    if isinstance(value, bytes | bytearray | memoryview):
-        return True
-    return hasattr(value, "__array_interface__") or hasattr(value, "typecode")
-
-
-def _plain_number(value: object) -> object:
-    """Return a scalar of numpy as the Python number that it stands for, anything else as it is."""
-    return _plain(value) if getattr(value, "ndim", None) == 0 else value
-
-
-def _plain(value: object) -> object:
-    """Return a numpy scalar as the Python number that it stands for."""
-    item = getattr(value, "item", None)
-    return item() if callable(item) else value
+def _judgement(structure: MessageStructure) -> _Judgement:
+    return _Judgement(structure.schema)
 
 
 def _sentence(error: ValidationError) -> str:

@@ -1,0 +1,162 @@
+"""The validator that knows every keyword and finds the words: jsonschema's, taught our messages.
+
+Octets, numeric buffers and scalars of numpy are arrays and numbers; numbers that are not finite are
+within a range only where `x-nonfinite` says so; patterns are read as the proof reads them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, TypeAlias
+
+from jsonschema import Draft202012Validator, validators
+from jsonschema.exceptions import ValidationError
+from jsonschema.protocols import Validator
+
+from uoarm._dataplane._pattern_keywords import PATTERN_KEYWORDS
+from uoarm.model import Schema
+
+__all__ = ["validator_of"]
+
+Errors: TypeAlias = Iterator[ValidationError]
+
+_KINDS: Mapping[str, frozenset[type]] = {
+    "integer": frozenset({int}),
+    "number": frozenset({int, float}),
+}
+_BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+_RANGE_KEYWORDS = frozenset({"type", "title", "description", *_BOUNDS})
+
+
+def validator_of(schema: Schema) -> Validator:
+    """Return the validator of messages of a schema."""
+    return _kind()(schema)
+
+
+@cache
+def _kind() -> type[Validator]:
+    known = Draft202012Validator.TYPE_CHECKER
+
+    def numbers(name: str) -> Callable[[object, object], bool]:
+        return lambda _, value: known.is_type(_plain_number(value), name)
+
+    checker = known.redefine_many(
+        {
+            "array": lambda _, value: isinstance(value, list | tuple) or _is_buffer(value),
+            "integer": numbers("integer"),
+            "number": numbers("number"),
+            "boolean": numbers("boolean"),
+        }
+    )
+    ranges = {name: _bounded(Draft202012Validator.VALIDATORS[name]) for name in _BOUNDS}
+    kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
+        Draft202012Validator,
+        {"items": _items, **ranges, **PATTERN_KEYWORDS},
+        type_checker=checker,
+    )
+    return kind
+
+
+def _bounded(keyword: Callable[..., Any]) -> Callable[..., Errors]:
+    """Return a keyword of ranges that knows what is not finite."""
+
+    def within(validator: Validator, bound: float, instance: Any, schema: Schema) -> Errors:
+        number = _plain_number(instance)
+        if isinstance(number, float) and not math.isfinite(number):
+            if isinstance(schema, Mapping) and schema.get("x-nonfinite") is True:
+                return
+            if math.isnan(number):
+                yield ValidationError(f"{number!r} is in no range, here up to {bound!r}")
+                return
+        yield from keyword(validator, bound, number, schema) or ()
+
+    return within
+
+
+def _items(
+    validator: Draft202012Validator, schema: object, instance: Any, whole: Mapping[str, object]
+) -> Errors:
+    each_item = Draft202012Validator.VALIDATORS["items"]
+    if isinstance(instance, list | tuple):
+        if not (isinstance(schema, Mapping) and _are_in_range(validator, schema, instance)):
+            yield from each_item(validator, schema, instance, whole)
+    elif not _is_buffer(instance):
+        return  # of what is no array the keyword says nothing
+    elif getattr(instance, "ndim", 1) != 1:
+        yield from each_item(validator, schema, list(instance), whole)  # rows, arrays themselves
+    elif (
+        isinstance(schema, Mapping) and _has_range_only(schema) and not _may_split(instance, schema)
+    ):
+        for extreme in _extremes(instance, schema):
+            yield from validator.descend(extreme, schema)
+    else:
+        yield from each_item(validator, schema, [_plain(item) for item in instance], whole)
+
+
+def _may_split(buffer: Any, schema: Mapping[str, Any]) -> bool:
+    """Say whether numbers between two integers may be none, which extremes do not show."""
+    if schema.get("type") != "integer":
+        return False
+    kind = getattr(getattr(buffer, "dtype", None), "kind", "")
+    return kind == "f" or getattr(buffer, "typecode", "") in {"f", "d"}
+
+
+def _has_range_only(schema: Mapping[str, Any]) -> bool:
+    return all(name in _RANGE_KEYWORDS or name.startswith("x-") for name in schema)
+
+
+def _are_in_range(
+    validator: Draft202012Validator, schema: Mapping[str, Any], items: Sequence[Any]
+) -> bool:
+    """Say whether a list is known at once to have only numbers of a range, judged by its extremes.
+
+    A long list then costs no more than a buffer. What is not known so is left to the whole check,
+    which also names the place: other values, NaN, which has no order, and 1.0 for an integer.
+    """
+    kinds = _KINDS.get(str(schema.get("type")), frozenset())
+    if not _has_range_only(schema) or not set(map(type, items)) <= kinds:
+        return False
+    try:
+        if math.isnan(sum(items)):
+            return False
+    except OverflowError:
+        return False
+    extremes = _extremes(items, {})
+    return not any(True for one in extremes for _ in validator.descend(one, schema))
+
+
+def _extremes(buffer: Any, schema: Mapping[str, Any]) -> tuple[object, ...]:
+    """Return the least and the greatest item: a range that holds both holds all between."""
+    if schema.get("x-nonfinite") is True and getattr(buffer, "typecode", "") in {"f", "d"}:
+        buffer = [one for one in buffer if math.isfinite(one)]
+    elif schema.get("x-nonfinite") is True and hasattr(buffer, "dtype"):
+        buffer = buffer[(buffer > -math.inf) & (buffer < math.inf)]
+    elif hasattr(buffer, "typecode") and any(one != one for one in buffer):  # noqa: PLR0124 - NaN
+        return (math.nan,)
+    if not len(buffer):
+        return ()
+    if hasattr(buffer, "min"):
+        return _plain(buffer.min()), _plain(buffer.max())
+    return min(buffer), max(buffer)
+
+
+def _is_buffer(value: object) -> bool:
+    if isinstance(value, bytes | bytearray | memoryview):
+        return True
+    # A scalar of numpy, and an array of no dimension, is a number.
+    return (hasattr(value, "__array_interface__") and getattr(value, "ndim", 1) > 0) or hasattr(
+        value, "typecode"
+    )
+
+
+def _plain_number(value: object) -> object:
+    """Return a scalar of numpy as the Python number that it stands for, anything else as it is."""
+    return _plain(value) if getattr(value, "ndim", None) == 0 else value
+
+
+def _plain(value: object) -> object:
+    """Return a numpy scalar as the Python number that it stands for."""
+    item = getattr(value, "item", None)
+    return item() if callable(item) else value
