@@ -31,7 +31,7 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge
 
-__all__ = ["FACE", "NAME", "Plans", "World"]
+__all__ = ["FACE", "NAME", "PORTS", "Plans", "World"]
 
 NUMBER: Any = {"type": "integer"}
 FACE = """
@@ -65,6 +65,26 @@ functions:
     components:
       - {name: namer, bridge: one, output: {endpoint: [namer]},
          inputs: {face: {from: face, endpoint: [namer]}, view: {from: camera, endpoint: [viewer]}}}
+"""
+PORTS = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - name: best
+        bridge: one
+        outputs: {picture: {endpoint: [picture]}, mask: {endpoint: [mask]}}
+  drive:
+    components:
+      - {name: wheels, bridge: two, priority: 2, input: {endpoint: [wheels]}}
+      - {name: tracks, bridge: one, priority: 1, input: {endpoint: [tracks]}}
+  mark:
+    components:
+      - {name: marker, bridge: two, output: {endpoint: [marker]},
+         inputs: {colour: {endpoint: [colour]},
+                  view: {from: camera.picture, endpoint: [view]},
+                  mask: {from: camera.mask, endpoint: [masked]}}}
 """
 
 

@@ -9,7 +9,7 @@ from uoarm._control._draft import Draft
 from uoarm._control._endings import drop_next, end_return, pause
 from uoarm._control._events import ChangedOver, PreferredChecked, ReplacementSought
 from uoarm._control._failover import hand_over, seek
-from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, recently
+from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, names, recently
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState
 
@@ -59,16 +59,14 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     group = draft.returns.get(event.returning)
     if group is None or record.returning != group.id:
         return
-    if event.plan is None:
-        abandon(draft, group, event.error)
+    if event.plan is None or names(event.plan) == names(record.placement.plan):
+        abandon(draft, group, event.error or "its preferred components are gone again")
         return
     members = {**group.members, record.id: event.plan}
     for identity in sorted(draft.rivals(event.plan) - set(members)):
-        other = draft.connections.get(identity)
-        if other is None or not _may_return(other):
-            continue
-        draft.put(other, returning=group.id)
-        members[identity] = None
+        for other in _with_whom(draft, identity):
+            draft.put(drop_next(draft, draft.connections[other]), returning=group.id)
+            members[other] = None
     group = draft.returns[group.id] = evolve(group, members=members)
     for identity, plan in members.items():
         if plan is None:
@@ -159,6 +157,23 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
             returning=record.returning,
         )
     )
+
+
+def _with_whom(draft: Draft, identity: str) -> tuple[str, ...]:
+    """Return who comes along with a connection: all with which it was about to return by itself.
+
+    An input changes hands once, so that of two returns that share one, one must be left.
+    """
+    record = draft.connections.get(identity)
+    if record is None:
+        return ()
+    group = draft.returns.get(record.returning)
+    if group is None:
+        return (identity,) if _may_return(record) else ()
+    if group.is_changing:
+        return ()
+    del draft.returns[group.id]
+    return tuple(group.members)
 
 
 def _look_later(draft: Draft, record: ConnectionRecord) -> None:

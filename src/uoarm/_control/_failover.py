@@ -248,8 +248,11 @@ def hand_over(
     preferred, look_at = None, None
     if draft.policy.return_after is not None and not returns:
         preferred = record.preferred or before.plan
-        look_at = draft.now + pause(draft)
-        draft.actions.append(WakeAt(look_at))
+        if names(after.plan) == names(preferred):
+            preferred = None
+        else:
+            look_at = draft.now + pause(draft)
+            draft.actions.append(WakeAt(look_at))
     record = draft.put(
         record,
         state=ConnectionState.RUNNING,
@@ -272,8 +275,8 @@ def hand_over(
     if waited:
         draft.actions.append(Announce(subject, record.state.value))
     new = [n for n in names(after.plan) if n not in before.components or n in dead]
-    goes_on = ", ".join(new or names(after.plan)[-1:])
-    draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on} goes on"))
+    goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
+    draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on}"))
     parts = draft.unplace(before, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
 

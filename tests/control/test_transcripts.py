@@ -1,0 +1,200 @@
+"""What the control plane does about what happens, move for move, as the files in `transcripts` say.
+
+A line that begins with `>` is a move; the lines below it are the actions that follow from it. After
+a change of what should happen, `python -m tests.control.test_transcripts` writes the files anew, to
+be read in the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import attrs
+import pytest
+from tests.control.world import FACE, NAME, PORTS, Plans, World
+
+from uoarm._control import _actions as act
+from uoarm._control import _events as ev
+from uoarm._control._state import ConnectionRecord, Part, Parts, Placement, names
+from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
+
+FOLDER = Path(__file__).with_name("transcripts")
+FILES = {path.stem: path for path in sorted(FOLDER.glob("*.txt"))}
+PLANS = {"face": Plans(FACE), "name": Plans(NAME), "ports": Plans(PORTS)}
+POLICIES: dict[str, Callable[[str], object]] = {
+    "enabled": lambda told: told == "true",
+    "wait": float,
+    "return_after": float,
+    "limit": int,
+}
+
+
+class Player(World):
+    """A world that keeps the actions of each move as text."""
+
+    def __init__(self, plans: Plans, policy: FailoverPolicy) -> None:
+        super().__init__(plans, policy)
+        self.told: list[str] = []
+
+    def play(self, move: str) -> list[str]:
+        """Make one move and return what the control plane did."""
+        self.told = []
+        kind, _, rest = move.partition(" ")
+        getattr(self, f"play_{kind}")(*(rest.split() if kind not in {"do", "fail"} else (rest,)))
+        return self.told
+
+    def _keep(self, action: act.Action) -> None:
+        super()._keep(action)
+        self.told.append(f"  {describe(action)}")
+
+    def play_request(self, identity: str, wanted: str, *options: str) -> None:
+        """Options: heard, known (the plan is), a way to validate."""
+        self.asked += (f"request {identity}",)
+        function, dot, port = wanted.partition(".")
+        modes = [ValidationMode(one) for one in options if one not in {"heard", "known"}]
+        self.post(
+            ev.Requested(
+                identity,
+                PortRef(function, port if dot else None),
+                modes[0] if modes else ValidationMode.OFF,
+                f"request {identity}",
+                self.plans(function, self.dead) if "known" in options else None,
+                "heard" in options,
+            )
+        )
+
+    def play_kill(self, identity: str, *cause: str) -> None:
+        """With a cause it is a failure."""
+        waiter = f"kill {identity} {len(self.asked)}"
+        self.asked += (waiter,)
+        self.post(ev.Killed(identity, waiter, " ".join(cause), is_failure=bool(cause)))
+
+    def play_stop(self) -> None:
+        waiter = f"stop {len(self.asked)}"
+        self.asked += (waiter,)
+        self.post(ev.Stopped(waiter))
+
+    def play_die(self, *dead: str) -> None:
+        """One or several components, which are a bridge where they are more than one."""
+        self.dead |= frozenset(dead)
+        if len(dead) == 1:
+            self._report(dead[0], Health.LOST)
+        else:
+            self.post(ev.HealthReported(self.state.bridges[dead[0]], Health.LOST, "it crashed"))
+
+    def play_revive(self, name: str) -> None:
+        self.revive(name)
+
+    def play_finish(self, name: str) -> None:
+        self.finish(name)
+
+    def play_stale(self, name: str) -> None:
+        """Let a component emit too little, and be there all the same."""
+        bridge = self.state.bridges[name]
+        event = ev.HealthReported(bridge, Health.LOST, "too slow", name, "component", is_stale=True)
+        self.post(event)
+
+    def play_report(self, subject: str, health: str, part: str, *spared: str) -> None:
+        """Of a component, or of a bridge where there is no such component."""
+        bridge = self.state.bridges.get(subject, subject)
+        component = None if bridge == subject else subject
+        event = ev.HealthReported(
+            bridge, Health(health), f"of {part}", component, part, frozenset(map(int, spared))
+        )
+        self.post(event)
+
+    def play_do(self, lane: str) -> None:
+        self.do(self._lane(lane))
+
+    def play_fail(self, told: str) -> None:
+        """What a lane does first; of an opening, `at` and the number of the part that fails."""
+        lane, _, at = told.partition(" at ")
+        self.do(self._lane(lane), fails_at=int(at or 0))
+
+    def play_misplace(self, lane: str, *components: str) -> None:
+        """Let a search find a plan that avoids these, whatever is excluded."""
+        action, *rest = self.lanes.pop(lane)
+        assert isinstance(action, act.FindReplacement)
+        self.lanes |= {lane: tuple(rest)} if rest else {}
+        plan = self.plans(action.plan.function, frozenset(components))
+        self.post(ev.ReplacementSought(action.connection, action.attempt, plan))
+
+    def play_time(self, seconds: str) -> None:
+        self.pass_time(float(seconds))
+
+    def _lane(self, told: str) -> str:
+        """Return the one lane of this name, or of which it is the beginning."""
+        (found,) = [told] if told in self.lanes else [x for x in self.lanes if x.startswith(told)]
+        return found
+
+
+def describe(action: act.Action) -> str:
+    """Return an action with all that it says, without what is empty."""
+    fields = {one.name: getattr(action, one.name) for one in attrs.fields(type(action))}
+    told = [f"{name}={plain(one)}" for name, one in fields.items() if one or isinstance(one, float)]
+    return " ".join([type(action).__name__, *told])
+
+
+def plain(value: Any) -> str:
+    """Return a value as short as it can be told from another."""
+    if isinstance(value, Plan):
+        return f"{value.function}({','.join(names(value))})"
+    if isinstance(value, Placement):
+        return value.user
+    if isinstance(value, ConnectionRecord):
+        output = f" .{value.output}" if value.output else ""
+        cause = f" {plain(value.cause)}" if value.cause else ""
+        return f"{value.id}:{value.state.value}{output}({','.join(value.components)}){cause}"
+    if isinstance(value, Part):
+        return "".join(map(str, (value.kind.value, value.id, value.port and f".{value.port}")))
+    if isinstance(value, Parts):
+        return (
+            f"components{plain(value.components)}edges{plain(value.edges)}ports{plain(value.ports)}"
+        )
+    if isinstance(value, BaseException):
+        return f"{type(value).__name__}({plain(str(value))})"
+    if isinstance(value, Enum):
+        return str(value.value)
+    if isinstance(value, frozenset):
+        return f"{{{','.join(sorted(map(plain, value)))}}}"
+    if isinstance(value, tuple):
+        return f"({','.join(map(plain, value))})"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, str):
+        first, *more = value.splitlines()  # why the resolver found nothing is not of interest here
+        return f"{first!r}..." if more else repr(value) if " " in value else value
+    return repr(value)
+
+
+def replay(text: str) -> Iterator[str]:
+    """Yield a transcript's lines, with the actions that follow from its moves now."""
+    lines = text.splitlines()
+    robot, *policy = lines[0].removeprefix("robot: ").split()
+    options = dict(one.split("=") for one in policy)
+    given: Any = {name: POLICIES[name](value) for name, value in options.items()}
+    player = Player(PLANS[robot], FailoverPolicy(**given))
+    yield lines[0]
+    for line in lines[1:]:
+        if line.startswith("> "):
+            yield line
+            yield from player.play(line[2:])
+        elif not line.startswith("  "):
+            yield line
+    player.settle()
+    player.check_at_rest()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_each_move_has_the_actions_that_are_written(name: str) -> None:
+    text = FILES[name].read_text(encoding="utf-8")
+    assert list(replay(text)) == text.splitlines()
+
+
+if __name__ == "__main__":
+    for file in FILES.values():
+        said = file.read_text(encoding="utf-8")
+        file.write_text("\n".join(replay(said)) + "\n", encoding="utf-8")
