@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from tests.control.world import FACE, NAME, Plans, World
+from tests.control.world import FACE, NAME, OTHERS, Plans, World
 
-from uoarm.model import FailoverPolicy
+from uoarm.model import ConnectionState, FailoverPolicy
 
 PLANS = {"face": Plans(FACE), "name": Plans(NAME)}
+CHANGED = {
+    name: {text: Plans(change(text)) for text in (FACE, NAME)} for name, change in OTHERS.items()
+}
 POLICIES = {
     "failover": FailoverPolicy(),
     "none": FailoverPolicy(enabled=False),
@@ -24,13 +28,19 @@ FUNCTIONS = ("face", "camera", "name")
 Move = Callable[[World], None]
 
 
-def moves(world: World, requests: int = 2) -> Iterator[tuple[str, Move]]:
-    """Yield what may happen next, with so many requests at most."""
+def moves(world: World, requests: int = 2, changes: int = 0) -> Iterator[tuple[str, Move]]:
+    """Yield what may happen next, with so many requests and changes at most."""
     yield from world.moves()
+    if world.state.revision < changes and "stop" not in world.asked:
+        for change, plans in CHANGED.items():
+            new = plans[world.first.text]
+            yield f"configure {change}", partial(_configure, plans=new)
+        if world.state.revision:
+            yield "configure back", partial(_configure, plans=world.first)
     made = sum(one.startswith("request") for one in world.asked)
     if made < requests:
-        new, function = f"c{made + 1}", FUNCTIONS[made % len(FUNCTIONS)]
-        yield f"request {new}", lambda one: one.request(new, function)
+        asked, function = f"c{made + 1}", FUNCTIONS[made % len(FUNCTIONS)]
+        yield f"request {asked}", lambda one: one.request(asked, function)
     for identity in world.state.connections:
         yield f"kill {identity}", lambda one, i=identity: one.kill(i)  # type: ignore[misc]
     for name in world.state.bridges:
@@ -43,6 +53,10 @@ def moves(world: World, requests: int = 2) -> Iterator[tuple[str, Move]]:
         yield "stop", World.stop
     if world.wake_at is not None:
         yield "time", lambda one: one.pass_time(0.2)
+
+
+def _configure(world: World, plans: Plans) -> None:
+    world.configure(plans)
 
 
 def explore(first: World, depth: int, most: int) -> int:
@@ -87,6 +101,23 @@ def test_whatever_the_order_nothing_is_left_open_or_unanswered(robot: str, polic
     assert explore(first, depth=12, most=600) == 600
 
 
+@pytest.mark.parametrize("change", CHANGED)
+@pytest.mark.parametrize("robot", PLANS)
+@pytest.mark.parametrize("policy", ["failover", "none", "waits"])
+def test_whatever_the_order_a_change_of_configuration_ends_well(
+    robot: str, policy: str, change: str
+) -> None:
+    first = World(PLANS[robot], POLICIES[policy])
+    first.request("c1", "face")
+    first.request("c2", "camera")
+    for _ in range(8):  # one runs, the other is on its way
+        first.do(next(iter(first.lanes)))
+        if any(one.state is ConnectionState.RUNNING for one in first.state.connections.values()):
+            break
+    first.configure(CHANGED[change][PLANS[robot].text])
+    assert explore(first, depth=12, most=250) == 250
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", POLICIES)
@@ -105,7 +136,7 @@ class Walk(RuleBasedStateMachine):
     @rule(trouble=st.integers(0, 9), choice=st.integers(0, 10_000))
     def move(self, trouble: int, choice: int) -> None:
         """Mostly, let what waits end well: else no walk gets far enough for a takeover."""
-        there = list(moves(self.world, requests=12))
+        there = list(moves(self.world, requests=12, changes=6))
         well = [one for one in there if one[0].startswith("do ")]
         chosen = well if well and trouble < 7 else there
         if chosen:

@@ -12,6 +12,7 @@ from tests.control.world import FACE
 
 from uoarm import RobotManager
 from uoarm._control import _live_parts
+from uoarm._control._revisions import Revision
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import MemoryBridge, wait
@@ -73,7 +74,7 @@ def test_a_search_that_breaks_down_ends_the_connection(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     connection = stage.robot.request("face")
-    monkeypatch.setattr(stage.robot._executor, "_resolve", broken)
+    monkeypatch.setattr(Revision, "resolve", broken)
     stage.one.die("best", "it was unplugged")
     wait(lambda: connection.ended)
     assert "nothing takes over: a fault of ours" in connection.cause
@@ -85,7 +86,7 @@ def test_an_action_that_fails_keeps_none_of_the_others_from_being_done(
 ) -> None:
     caplog.set_level(logging.ERROR, "uoarm")
     connection = stage.robot.request("camera")
-    monkeypatch.setattr(stage.robot._executor, "_forget", broken)
+    monkeypatch.setattr(Revision, "forget", broken)
     stage.one.report(Health.DEGRADED, "it is hot")
     stage.one.die("best", "it was unplugged")
     wait(lambda: connection.gaps)

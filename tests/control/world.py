@@ -7,8 +7,10 @@ what must always hold is checked after each move.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from typing import Any
+
+from attrs import evolve
 
 from uoarm._adapt import check_edge
 from uoarm._control import _actions as act
@@ -17,7 +19,7 @@ from uoarm._control._replacements import find_replacement
 from uoarm._control._state import OPEN, Kind, Part, Parts, Placement, State, names
 from uoarm._control._step import step
 from uoarm._resolve import Resolver, StructureCache
-from uoarm.config import loads
+from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
     ConnectionState,
@@ -31,7 +33,7 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge
 
-__all__ = ["FACE", "NAME", "PORTS", "Plans", "World"]
+__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World"]
 
 NUMBER: Any = {"type": "integer"}
 FACE = """
@@ -86,12 +88,21 @@ functions:
                   view: {from: camera.picture, endpoint: [view]},
                   mask: {from: camera.mask, endpoint: [masked]}}}
 """
+OTHERS: Mapping[str, Callable[[str], str]] = {
+    "another camera": lambda text: text.replace("endpoint: [best]", "endpoint: [better]"),
+    "another order": lambda text: text.replace("priority: 2", "priority: 0"),
+    "no spare": lambda text: "\n".join(one for one in text.splitlines() if "spare" not in one),
+    "another bridge": lambda text: text.replace("two: {plugin: memory}", "two: {plugin: memory2}"),
+    "a new name": lambda text: text.replace("name: finder", "name: detector"),
+}
+"""What a configuration is changed to."""
 
 
 class Plans:
     """What the resolver would find, for each set of components that it may not use."""
 
     def __init__(self, text: str) -> None:
+        self.text = text
         self.robot = loads(text)
         bridges = {name: MemoryBridge(name, {}) for name in self.robot.bridges}
         for one in self.robot.components():
@@ -135,6 +146,7 @@ class World:
         self.asked: tuple[str, ...] = ()
         self.handed: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.wake_at: float | None = None
+        self.first = self.before = self.next = plans
 
     def copy(self) -> World:
         """Return a world that goes its own way from here; all that it holds is immutable."""
@@ -182,6 +194,25 @@ class World:
         """Let a component have played all that it has."""
         self._report(name, Health.FINISHED)
 
+    def configure(self, plans: Plans) -> None:
+        """Change the configuration."""
+        waiter = f"configure {len(self.asked)}"
+        self.asked += (waiter,)
+        self.next = plans
+        found = compare(self.plans.robot, plans.robot)
+        bridges = {one.name: one.bridge for one in plans.robot.components()}
+        self.dead &= frozenset(bridges)
+        self.post(
+            ev.Configured(
+                self.state.revision + 1,
+                waiter,
+                self.state.policy,
+                bridges,
+                found.superseded,
+                found.functions,
+            )
+        )
+
     def pass_time(self, seconds: float) -> None:
         """Let time pass."""
         self.now += seconds
@@ -190,10 +221,11 @@ class World:
 
     # What becomes of actions.
 
-    def do(self, lane: str, *, fails_at: int | None = None) -> None:
+    def do(self, lane: str, *, fails_at: int | None = None, is_late: bool = False) -> None:
         """Do the next action of a lane.
 
         Args:
+            is_late: whether a search was made with the configuration before.
             lane: its name.
             fails_at: of an opening: the number of the part that cannot be opened; of any other
                 action that can fail: not None lets it fail.
@@ -201,7 +233,11 @@ class World:
         action, *rest = self.lanes.pop(lane)
         if rest:
             self.lanes[lane] = tuple(rest)
-        event = self._do(action, fails_at)
+        if is_late:
+            assert isinstance(action, act.Resolve)
+            event: ev.Event | None = self._resolve(action, self.before, self.state.revision - 1)
+        else:
+            event = self._do(action, fails_at)
         if event is not None:
             self.post(event)
 
@@ -216,6 +252,8 @@ class World:
                         f"fail {lane} at {at}",
                         lambda world, lane=lane, at=at: world.do(lane, fails_at=at),  # type: ignore[misc]
                     )
+            elif isinstance(first, act.Resolve) and self.state.revision:
+                yield f"late {lane}", lambda world, lane=lane: world.do(lane, is_late=True)  # type: ignore[misc]
             elif isinstance(first, act.ChangeOver):
                 yield f"fail {lane}", lambda world, lane=lane: world.do(lane, fails_at=0)  # type: ignore[misc]
 
@@ -263,6 +301,8 @@ class World:
         state = self.state
         assert not state.batches
         assert not state.returns
+        assert not state.outdated
+        assert not state.postponed
         assert Counter(self.replies) == Counter(self.asked)
         wanted: set[Part] = set()
         for record in state.connections.values():
@@ -271,6 +311,11 @@ class World:
             assert (record.failure is None) == (record.state is ConnectionState.RUNNING)
             lost = record.failure.lost if record.failure is not None else ()
             placed = record.placement
+            if record.state is ConnectionState.RUNNING:
+                for number in placed.components.values():
+                    assert not state.components[number].is_superseded
+                there = {evolve(one, priority=0) for one in self.plans.robot.components()}
+                assert all(evolve(one.component, priority=0) in there for one in placed.plan.steps)
             for part in placed.parts:
                 if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
                     assert (part.id in lost) == state.components[part.id].is_lost
@@ -318,6 +363,9 @@ class World:
         elif isinstance(action, act.HandOver):
             assert action.before.plan != action.after.plan or action.cause
             self.handed += ((action.connection, names(action.after.plan)),)
+        elif isinstance(action, act.Adopt):
+            assert action.revision == self.state.revision
+            self.before, self.plans = self.plans, self.next
         elif isinstance(action, act.CancelBatch):
             self.cancelled |= {action.batch}
         elif isinstance(action, act.WakeAt):
@@ -337,7 +385,9 @@ class World:
         if isinstance(action, act.Drain):
             return ev.Drained(action.connection)
         if isinstance(action, act.Resolve):
-            return self._resolve(action)
+            return self._resolve(action, self.plans, self.state.revision)
+        if isinstance(action, act.Release):
+            return None
         if isinstance(action, act.FindReplacement):
             return self._find(action)
         if isinstance(action, act.CheckPreferred):
@@ -345,12 +395,12 @@ class World:
             return ev.PreferredChecked(action.connection, there)
         return ev.ChangedOver(action.returning, "" if fails_at is None else "no")
 
-    def _resolve(self, action: act.Resolve) -> ev.Event:
+    def _resolve(self, action: act.Resolve, plans: Plans, revision: int) -> ev.Event:
         try:
-            plan = self.plans(action.function, self.dead)
+            plan = plans(action.function, self.dead)
         except ResolutionError as error:
-            return ev.Resolved(action.connection, None, error)
-        return ev.Resolved(action.connection, plan)
+            return ev.Resolved(action.connection, None, error, revision)
+        return ev.Resolved(action.connection, plan, revision=revision)
 
     def _find(self, action: act.FindReplacement) -> ev.Event:
         asked = action.connection, action.attempt

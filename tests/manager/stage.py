@@ -135,3 +135,20 @@ class Slow:
 
     def __call__(self, message: Narrow) -> Narrow:
         return message
+
+
+class Exclusive:
+    """Can be there once only, as a camera or a serial line is."""
+
+    there = threading.Lock()
+
+    def __init__(self, offset: int = 0) -> None:
+        if not self.there.acquire(blocking=False):
+            raise RuntimeError("the device is in use")
+        self.offset = offset
+
+    def __call__(self, message: Narrow) -> Narrow:
+        return {"value": message["value"] + self.offset}
+
+    def close(self) -> None:
+        self.there.release()

@@ -195,3 +195,49 @@ def test_threads_that_compute_have_short_turns_while_it_serves(robot: RobotManag
     run(robot, Settings(port=0), ready)
     assert during[0] < before / 5
     assert sys.getswitchinterval() == before
+
+
+def _torch(file: Path) -> None:
+    """Give the robot one function more."""
+    torch = "{name: torch, bridge: python, output: {endpoint: ['tests.server.robot:numbers']}}"
+    text = f"{CONFIGURATION}\n  torch:\n    components: [{torch}]\n"
+    fresh = file.with_suffix(".new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(file)
+
+
+def _until(process: subprocess.Popen[str], wanted: str) -> list[str]:
+    """Return what a server tells on standard error up to the wanted line."""
+    assert process.stderr is not None
+    told: list[str] = []
+    while not told or wanted not in told[-1]:
+        told.append(process.stderr.readline())
+        assert told[-1], f"the server ended: {told}"
+    return told
+
+
+@pytest.mark.parametrize("arguments", [(), ("--watch-config",)])
+def test_the_configuration_is_read_again_when_it_is_asked_for_or_watched(
+    start: Start, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    process, port = start(*arguments)
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        client.open("numbers")
+        _torch(tmp_path / "robot.yaml")
+        if not arguments:
+            process.send_signal(signal.SIGHUP)
+        told = _until(process, "+ function torch")
+        assert "revision 1, applied" in "".join(told)
+        client.open("torch")
+
+
+def test_a_file_with_mistakes_leaves_the_configuration_as_it_is(
+    start: Start, tmp_path: Path
+) -> None:
+    process, port = start()
+    file = tmp_path / "robot.yaml"
+    file.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")
+    process.send_signal(signal.SIGHUP)
+    assert "stays as it is" in _until(process, "funktions")[0]
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        client.open("numbers")

@@ -15,6 +15,7 @@ from uoarm.model import Plan
 
 __all__ = [
     "Action",
+    "Adopt",
     "Announce",
     "CallAction",
     "CancelBatch",
@@ -30,6 +31,7 @@ __all__ = [
     "LocalAction",
     "Open",
     "Publish",
+    "Release",
     "Reply",
     "Resolve",
     "RetireBridge",
@@ -154,6 +156,18 @@ class ChangeOver:
 
 
 @frozen
+class Release:
+    """Close components before what takes their place is opened, as one of them can be open only.
+
+    Attributes:
+        components: ids; what they lose is counted when their plans end.
+    """
+
+    lane: str
+    components: tuple[int, ...]
+
+
+@frozen
 class Publish:
     """Show a connection as it is from now on, to whoever holds its handle."""
 
@@ -243,6 +257,13 @@ class RetireBridge:
 
 
 @frozen
+class Adopt:
+    """Resolve with this revision of the configuration, and start bridges as it says."""
+
+    revision: int
+
+
+@frozen
 class WakeAt:
     """Tell when this time is reached."""
 
@@ -258,7 +279,15 @@ class Warn:
 
 
 CallAction: TypeAlias = (
-    Resolve | Open | Close | Finish | Drain | FindReplacement | CheckPreferred | ChangeOver
+    Resolve
+    | Open
+    | Close
+    | Finish
+    | Drain
+    | FindReplacement
+    | CheckPreferred
+    | ChangeOver
+    | Release
 )
 LocalAction: TypeAlias = (
     Publish
@@ -271,6 +300,7 @@ LocalAction: TypeAlias = (
     | CancelBatch
     | Forget
     | RetireBridge
+    | Adopt
     | WakeAt
     | Warn
 )

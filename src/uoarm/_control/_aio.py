@@ -19,6 +19,7 @@ from uoarm._deadlines import event_by
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
+    ConfigurationChange,
     ConnectionState,
     ConnectionStatus,
     Deliver,
@@ -239,6 +240,11 @@ class AsyncRobotManager:
         return self.robot.config
 
     @property
+    def revision(self) -> int:
+        """How many changes of the configuration led to the one in force."""
+        return self.robot.revision
+
+    @property
     def registry(self) -> Registry:
         """The bridge plugins."""
         return self.robot.registry
@@ -286,6 +292,42 @@ class AsyncRobotManager:
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
         return self.robot.status()
+
+    async def apply(
+        self,
+        robot: Robot,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Change the configuration while the manager runs, as `RobotManager.apply` does."""
+        change = partial(
+            self.robot.apply,
+            robot,
+            dry_run=dry_run,
+            force=force,
+            revision=revision,
+            timeout=timeout,
+        )
+        return await self._outside(change)
+
+    async def reload(
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Read a configuration file and apply it, as `RobotManager.reload` does."""
+        reload = partial(self.robot.reload, path, dry_run=dry_run, force=force, timeout=timeout)
+        return await self._outside(reload)
+
+    def history(self) -> tuple[ConfigurationChange, ...]:
+        """Return the last hundred revisions of the configuration, the one in force last."""
+        return self.robot.history()
 
     async def check_availability(self) -> tuple[FunctionStatus, ...]:
         """Return which functions and components can be had now; opens nothing."""

@@ -16,7 +16,7 @@ from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
 
-__all__ = ["BridgeSet"]
+__all__ = ["BridgeSet", "StagedBridges"]
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
@@ -55,6 +55,7 @@ class BridgeSet:
         self._restarts = Restarts(clock)
         self._turns: dict[str, threading.Lock] = {}
         self._dead: dict[str, list[Bridge]] = {}
+        self._replaced: list[Bridge] = []
         self._retiring: set[threading.Thread] = set()
         self._health: dict[str, tuple[Health, str]] = {}
         self._lock = threading.Lock()
@@ -82,16 +83,20 @@ class BridgeSet:
             bridge = self._bridges.get(name)
             if bridge is not None:
                 return bridge
-            bridge = self._start(name)
+            spec = self._specs.get(name)
+            bridge = self._start(name, spec)
             with self._lock:
-                keep = not self._closed
+                # What another configuration has no more is closed where it would go unnoticed.
+                keep = not self._closed and self._specs.get(name) == spec
                 if keep:
                     self._bridges[name] = bridge
                     was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
                     bridge.watch(self._heard)
         if not keep:
             bridge.close()
-            raise ConnectionClosedError("the robot manager is closed")
+            self._require_open()
+            text = f"the configuration of bridge {name!r} was changed while it was started"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
         if was_lost:
             self._listener(HealthEvent(name, Health.OK, "it was started again"))
         return bridge
@@ -122,6 +127,39 @@ class BridgeSet:
                 self._retiring.add(thread)
                 thread.start()
 
+    def stage(self, specs: Mapping[str, BridgeSpec]) -> StagedBridges:
+        """Return the bridges of another configuration: these, where they stay as they are."""
+        return StagedBridges(self, self._specs, specs, self._start)
+
+    def adopt(self, staged: StagedBridges) -> None:
+        """Have these bridges in place of those so far, which go on for who uses them. Quick."""
+        with self._lock:
+            before, self._specs = self._specs, staged.specs
+            for name in {*before, *staged.specs}:
+                if before.get(name) == staged.specs.get(name):
+                    continue
+                self._health.pop(name, None)
+                replaced = self._bridges.pop(name, None)
+                if replaced is not None:
+                    replaced.watch(None)
+                    self._replaced.append(replaced)
+                new = staged.made.pop(name, None)
+                if new is not None:
+                    self._bridges[name] = new
+                    new.watch(self._heard)
+
+    def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
+        """Close those that were replaced and that nobody uses any more; returns at once."""
+        if not self._replaced:
+            return
+        with self._lock:
+            unused = [one for one in self._replaced if not in_use(one)]
+            self._replaced = [one for one in self._replaced if one not in unused]
+            for one in unused:
+                self._dead.setdefault(one.name, []).append(one)
+        for name in {one.name for one in unused}:
+            self.retire(name)
+
     def statuses(self) -> tuple[BridgeStatus, ...]:
         """Return what the status map shows: bridges that were started, those that died included."""
         with self._lock:
@@ -147,8 +185,9 @@ class BridgeSet:
         """
         with self._lock:
             self._closed = True
-            bridges = [*self._bridges.values()]
+            bridges = [*self._bridges.values(), *self._replaced]
             self._bridges.clear()
+            self._replaced.clear()
             dead = tuple(self._dead)
         for name in dead:
             self.retire(name)
@@ -190,8 +229,7 @@ class BridgeSet:
                 self._restarts.died(event.bridge, event.cause)
         self._listener(event)
 
-    def _start(self, name: str) -> Bridge:
-        spec = self._specs.get(name)
+    def _start(self, name: str, spec: BridgeSpec | None) -> Bridge:
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         if spec.host is not None:
@@ -202,3 +240,51 @@ class BridgeSet:
             lambda: self._registry.create(spec),
             on_late=lambda late: late.close(),
         )
+
+
+class StagedBridges:
+    """The bridges of a configuration that is not in force yet; new ones start when needed.
+
+    Args:
+        running: the bridges in force.
+        before: their configuration.
+        specs: the bridges of the new one.
+        start: starts a bridge.
+    """
+
+    def __init__(
+        self,
+        running: BridgeSet,
+        before: Mapping[str, BridgeSpec],
+        specs: Mapping[str, BridgeSpec],
+        start: Callable[[str, BridgeSpec | None], Bridge],
+    ) -> None:
+        self._running = running
+        self._before = before
+        self._start = start
+        self._lock = threading.Lock()
+        self.specs = specs
+        self.made: dict[str, Bridge] = {}
+
+    def get(self, name: str) -> Bridge:
+        """Return the bridge of this name, starting it when it is the first time.
+
+        Raises:
+            UoarmError: as `BridgeSet.get`.
+        """
+        spec = self.specs.get(name)
+        if spec is not None and spec == self._before.get(name):
+            return self._running.get(name)
+        with self._lock:
+            if name not in self.made:
+                self.made[name] = self._start(name, spec)
+            return self.made[name]
+
+    def close(self) -> None:
+        """Close what was started for a configuration that is not taken. Failures are logged."""
+        while self.made:
+            _, bridge = self.made.popitem()
+            try:
+                bridge.close()
+            except BridgeError as error:
+                _log.warning("%s", error)

@@ -20,6 +20,7 @@ from uoarm._control._state import (
     Parts,
     Placement,
     State,
+    recently,
 )
 from uoarm.errors import ResolutionError
 from uoarm.model import Edge, Plan, Step, ValidationMode
@@ -61,6 +62,10 @@ class Draft:
         self.number = state.number
         self.is_closing = state.is_closing
         self.closers = state.closers
+        self.revision = state.revision
+        self.outdated = state.outdated
+        self.postponed = state.postponed
+        self.configurers = state.configurers
 
     def state(self) -> State:
         """Return the state as it is now."""
@@ -81,6 +86,10 @@ class Draft:
             number=self.number,
             is_closing=self.is_closing,
             closers=self.closers,
+            revision=self.revision,
+            outdated=self.outdated,
+            postponed=self.postponed,
+            configurers=self.configurers,
         )
 
     def new_id(self) -> int:
@@ -167,6 +176,25 @@ class Draft:
             self._unlist(joined)
         return tuple(joined.id for joined in ended)
 
+    def failed_lately(self) -> tuple[str, ...]:
+        """Return the components that died within the last minutes, longest ago first."""
+        recent = recently(self.failed, self.now)
+        return tuple(name for name in self.failed if name in recent)
+
+    def supersede(self, names: Iterable[str]) -> None:
+        """Share components no more that are others in the configuration from now on.
+
+        They go on for those who use them; other edges may feed their consumers after a change-over.
+        """
+        for name in names:
+            one = self.serving.pop(name, None)
+            if one is None:
+                continue
+            self.components[one] = evolve(self.components[one], is_superseded=True)
+            for joined in self.edges.values():
+                if joined.consumer == one:
+                    self._unlist(joined)
+
     def missing(self, placement: Placement) -> list[Part]:
         """Return the parts of a plan that are not open, in the order in which they open."""
         return [part for part in placement.parts if self.parts.get(part) != OPEN]
@@ -217,7 +245,7 @@ class Draft:
         found: set[str] = set()
         for edge in plan.edges:
             standing = self.feeding.get((edge.consumer, edge.input))
-            if standing is not None and self.edges[standing].origin != (edge.producer, edge.output):
+            if standing is not None and not self._is_origin(standing, edge):
                 found.update(map(connection_of, self.edges[standing].users))
         return found
 
@@ -245,17 +273,22 @@ class Draft:
 
     def _require_free(self, edge: Edge, *, beside: bool) -> None:
         key = edge.consumer, edge.input
-        origin = edge.producer, edge.output
         standing = self.feeding.get(key)
-        if standing is None or self.edges[standing].origin == origin:
+        if standing is None or self._is_origin(standing, edge):
             return
         waiting = self.beside.get(key)
-        if beside and (waiting is None or self.edges[waiting].origin == origin):
+        if beside and (waiting is None or self._is_origin(waiting, edge)):
             return
         raise ResolutionError(
             f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
             f"{self.edges[standing].edge.producer!r}; this plan feeds it from {edge.producer!r}"
         )
+
+    def _is_origin(self, number: int, edge: Edge) -> bool:
+        """Say whether an edge comes from where another one would come from."""
+        record = self.edges[number]
+        is_another = self.components[record.producer].is_superseded
+        return record.origin == (edge.producer, edge.output) and not is_another
 
     def _use(self, step: Step, user: str) -> int:
         """Use the instance of a component that is there already, or a new one."""
@@ -273,10 +306,7 @@ class Draft:
         """Use the edge that is there already, or a new one in its place or beside it."""
         key = edge.consumer, edge.input
         standing = self.feeding.get(key)
-        is_held = standing is not None and self.edges[standing].origin != (
-            edge.producer,
-            edge.output,
-        )
+        is_held = standing is not None and not self._is_origin(standing, edge)
         places = self.beside if is_held else self.feeding
         found = places.get(key)
         if found is None:

@@ -61,9 +61,18 @@ def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
     return record
 
 
-def end_return(draft: Draft, number: int) -> None:
-    """Leave the members of a return where they are; each looks for its plan again later."""
-    for identity in draft.returns.pop(number).members:
+def end_return(draft: Draft, number: int, *, is_vain: bool = False) -> None:
+    """Leave the members of a return where they are; each looks for its plan again later.
+
+    Args:
+        draft: the state.
+        number: of the return.
+        is_vain: whether members of a reconfiguration should not try it together once more.
+    """
+    group = draft.returns.pop(number)
+    if group.is_reconfiguration and not is_vain:
+        draft.outdated |= frozenset(group.members)
+    for identity in group.members:
         record = draft.connections.get(identity)
         if record is None or record.state is ConnectionState.CLOSING:
             continue

@@ -5,16 +5,17 @@ Frozen values without objects of bridges, so that a trace of them can be kept an
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from typing import TypeAlias
 
 from attrs import frozen
 
 from uoarm._control._state import Part
-from uoarm.model import Health, Plan, PortRef, ValidationMode
+from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 __all__ = [
     "ChangedOver",
+    "Configured",
     "Drained",
     "Ended",
     "Event",
@@ -38,6 +39,7 @@ class Requested:
         waiter: gets exactly one reply.
         plan: the one that is known already, None when it must be sought.
         is_heard: whether a callback waits for the messages.
+        revision: of the configuration that the plan was found with.
     """
 
     connection: str
@@ -46,15 +48,43 @@ class Requested:
     waiter: str
     plan: Plan | None = None
     is_heard: bool = False
+    revision: int = 0
 
 
 @frozen
 class Resolved:
-    """The search for the plan of a request is over."""
+    """The search for the plan of a request is over.
+
+    Attributes:
+        revision: of the configuration in which the search began.
+    """
 
     connection: str
     plan: Plan | None
     error: BaseException | None = None
+    revision: int = 0
+
+
+@frozen
+class Configured:
+    """The configuration was replaced by another, which was checked.
+
+    Attributes:
+        revision: its number.
+        waiter: gets one reply, when every connection has moved that can.
+        policy: for failover from now on.
+        bridges: the bridge of each component.
+        superseded: components that are gone or are others from now on, as are those of a bridge
+            that is another.
+        functions: those for which a request may get another plan now.
+    """
+
+    revision: int
+    waiter: str
+    policy: FailoverPolicy
+    bridges: Mapping[str, str]
+    superseded: frozenset[str]
+    functions: frozenset[str]
 
 
 @frozen
@@ -181,4 +211,5 @@ Event: TypeAlias = (
     | ChangedOver
     | TimeReached
     | Stopped
+    | Configured
 )

@@ -28,6 +28,7 @@ from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._control._live_parts import LiveParts
 from uoarm._control._replacements import find_replacement
+from uoarm._control._revisions import Revisions, StagedRevision
 from uoarm._control._state import PORTS, Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
@@ -36,12 +37,9 @@ from uoarm._dataplane import Clock
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import ComponentStatus, Health, Plan
+from uoarm.model import ComponentStatus, Health
 
-__all__ = ["Executor", "Resolve"]
-
-Resolve = Callable[[str, "frozenset[str]", "frozenset[str]"], Plan]
-"""Resolves a function without the components of these names, and without others if it can."""
+__all__ = ["Executor"]
 
 _OPEN_SECONDS = 60.0
 _log = logging.getLogger("uoarm")
@@ -55,8 +53,7 @@ class Executor:
         state: to begin with.
         bridges: of the manager.
         events: where changes are announced.
-        resolve: finds plans.
-        forget: asks for the structures of a component again the next time.
+        revisions: of the configuration, in which plans are found.
         clock: seconds.
     """
 
@@ -66,15 +63,13 @@ class Executor:
         *,
         bridges: BridgeSet,
         events: EventDispatcher,
-        resolve: Resolve,
-        forget: Callable[[str], None],
+        revisions: Revisions,
         clock: Clock,
     ) -> None:
         self.state = state
         self.live = LiveParts(bridges, lambda: self.state, clock)
         self._bridges = bridges
-        self._resolve = resolve
-        self._forget = forget
+        self._revisions = revisions
         self._clock = clock
         self._events: deque[ev.Event] = deque()
         self._owning = threading.Lock()
@@ -94,6 +89,7 @@ class Executor:
             act.CancelBatch: lambda one: self._cancelled.add(one.batch),
             act.Forget: self._forget_all,
             act.RetireBridge: lambda one: bridges.retire(one.bridge),
+            act.Adopt: lambda one: self._adopt(one.revision),
             act.WakeAt: lambda one: self._timer.wake_at(one.time),
             act.Warn: lambda one: _log.warning("connection %s: %s", one.connection, one.text),
             act.Resolve: lambda one: self._call(one, lambda: self._seek_plan(one)),
@@ -104,6 +100,7 @@ class Executor:
             act.FindReplacement: lambda one: self._call(one, lambda: self._seek_replacement(one)),
             act.CheckPreferred: lambda one: self._call(one, lambda: self._check_preferred(one)),
             act.ChangeOver: lambda one: self._call(one, lambda: self._change_over(one)),
+            act.Release: lambda one: self._call(one, lambda: self.live.release(one.components)),
         }
 
     def post(self, event: ev.Event) -> None:
@@ -145,6 +142,31 @@ class Executor:
         """End a connection, and close in this thread what only it used. Idempotent."""
         waiter = f"kill {next(self._numbers)}"
         self._ask(ev.Killed(identity, waiter, cause, is_failure))
+
+    def configure(self, staged: StagedRevision, timeout: float) -> None:
+        """Put a configuration into force; wait until every connection has moved that can.
+
+        Raises:
+            BridgeTimeoutError: they have not in time; they go on with it.
+        """
+        robot = staged.revision.robot
+        event = ev.Configured(
+            staged.revision.number,
+            f"configuration {staged.revision.number}",
+            robot.failover,
+            {one.name: one.bridge for one in robot.components()},
+            staged.difference.superseded,
+            staged.difference.functions,
+        )
+        self._revisions.expect(staged)
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        step_name = f"changing to revision {event.revision} of the configuration"
+        try:
+            _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+        except BaseException:
+            self._lanes.abandon(event.waiter)
+            raise
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
@@ -298,8 +320,13 @@ class Executor:
             joined.renew_check()
 
     def _forget_all(self, action: act.Forget) -> None:
+        revision = self._revisions.current
         for name in action.components:
-            self._forget(name)
+            revision.forget(name)
+
+    def _adopt(self, number: int) -> None:
+        self._revisions.adopt(number)
+        self._bridges.retire_replaced(self.live.uses)
 
     # Calls into bridges. What they are about is taken now: the state may forget it meanwhile.
 
@@ -352,21 +379,23 @@ class Executor:
         return ev.Opened(action.batch, tuple(done))
 
     def _seek_plan(self, action: act.Resolve) -> ev.Event:
+        revision = self._revisions.current
         try:
-            plan = self._resolve(action.function, frozenset(), action.avoided)
+            plan = revision.resolve(action.function, avoided=action.avoided)
         except BaseException as error:  # noqa: BLE001 - handed to who asked
-            return ev.Resolved(action.connection, None, error)
-        return ev.Resolved(action.connection, plan)
+            return ev.Resolved(action.connection, None, error, revision.number)
+        return ev.Resolved(action.connection, plan, revision=revision.number)
 
     def _seek_replacement(self, action: act.FindReplacement) -> ev.Event:
         asked = action.connection, action.attempt
+        revision = self._revisions.current
         try:
             plan = find_replacement(
                 action.plan,
                 action.output,
                 action.excluded,
                 action.failed,
-                lambda name, excluded: self._resolve(name, excluded, action.avoided),
+                lambda name, excluded: revision.resolve(name, excluded, action.avoided),
             )
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
@@ -376,10 +405,11 @@ class Executor:
 
     def _check_preferred(self, action: act.CheckPreferred) -> ev.Event:
         wanted = names(action.plan)
+        revision = self._revisions.current
         for name in wanted:
-            self._forget(name)
+            revision.forget(name)
         try:
-            found = names(self._resolve(action.plan.function, frozenset(), action.avoided))
+            found = names(revision.resolve(action.plan.function, avoided=action.avoided))
         except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
             if not isinstance(error, UoarmError):
                 _log.exception("looking for a preferred plan failed")

@@ -11,11 +11,12 @@ from uoarm._control._events import ChangedOver, PreferredChecked, ReplacementSou
 from uoarm._control._failover import hand_over, seek
 from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, names, recently
 from uoarm.errors import ResolutionError
-from uoarm.model import ConnectionState
+from uoarm.model import ConnectionState, Plan
 
-__all__ = ["abandon", "advance", "changed_over", "checked", "found", "look"]
+__all__ = ["abandon", "advance", "changed_over", "checked", "found", "look", "seek_for"]
 
 _CAUSE = "its preferred components are available again"
+_RECONFIGURED = "the configuration was changed"
 
 
 def look(draft: Draft, record: ConnectionRecord) -> None:
@@ -51,7 +52,7 @@ def checked(draft: Draft, event: PreferredChecked) -> None:
         return
     number = draft.new_id()
     draft.returns[number] = Return(number, {record.id: None}, draft.now)
-    _seek_for(draft, draft.put(record, returning=number))
+    seek_for(draft, draft.put(record, returning=number))
 
 
 def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
@@ -59,19 +60,29 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     group = draft.returns.get(event.returning)
     if group is None or record.returning != group.id:
         return
-    if event.plan is None or names(event.plan) == names(record.placement.plan):
+    members = {**group.members, record.id: event.plan}
+    rivals = set[str]() if event.plan is None else draft.rivals(event.plan)
+    if group.is_reconfiguration:
+        if event.plan is None or _serves(draft, record, event.plan):
+            del members[record.id]  # what it cannot go on with is replaced after the change-over
+            draft.put(record, returning=0)
+        if event.plan is None:
+            draft.actions.append(Warn(record.id, f"stays where it is: {event.error}"))
+    elif event.plan is None or names(event.plan) == names(record.placement.plan):
         abandon(draft, group, event.error or "its preferred components are gone again")
         return
-    members = {**group.members, record.id: event.plan}
-    for identity in sorted(draft.rivals(event.plan) - set(members)):
+    for identity in sorted(rivals - set(members)):
         for other in _with_whom(draft, identity):
             draft.put(drop_next(draft, draft.connections[other]), returning=group.id)
             members[other] = None
     group = draft.returns[group.id] = evolve(group, members=members)
     for identity, plan in members.items():
         if plan is None:
-            _seek_for(draft, draft.connections[identity])
+            seek_for(draft, draft.connections[identity])
             return
+    if not members:
+        del draft.returns[group.id]
+        return
     for identity, plan in members.items():
         member = draft.connections[identity]
         assert plan is not None, "each has one"
@@ -124,8 +135,12 @@ def changed_over(draft: Draft, event: ChangedOver) -> None:
             failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
             seek(draft, draft.put(record, failure=failure))
             continue
-        hand_over(draft, record, group.began, _CAUSE, returns=True)
-        record = draft.connections[identity]
+        if group.is_reconfiguration:
+            hand_over(draft, record, group.began, _RECONFIGURED, returns=True)
+            record = draft.put(draft.connections[identity], moves=record.moves)
+        else:
+            hand_over(draft, record, group.began, _CAUSE, returns=True)
+            record = draft.connections[identity]
         ids = set(record.placement.components.values())
         if any(draft.components[one].is_lost for one in ids):
             lost = tuple(one for one in ids if draft.components[one].is_lost)
@@ -139,11 +154,13 @@ def abandon(draft: Draft, group: Return, error: str) -> None:
     """Leave all where they are."""
     first = next(iter(group.members))
     draft.actions.append(Warn(first, f"stays where it is: {error}"))
-    end_return(draft, group.id)
+    end_return(draft, group.id, is_vain=True)
 
 
-def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
+def seek_for(draft: Draft, record: ConnectionRecord) -> None:
+    """Look for the better plan of a member."""
     record = draft.put(record, attempt=record.attempt + 1)
+    is_reconfiguration = draft.returns[record.returning].is_reconfiguration
     draft.actions.append(
         FindReplacement(
             lane=f"return {record.returning}",
@@ -152,7 +169,7 @@ def _seek_for(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=frozenset(),
-            failed=(),
+            failed=draft.failed_lately() if is_reconfiguration else (),
             avoided=recently(draft.stale, draft.now),
             returning=record.returning,
         )
@@ -170,10 +187,18 @@ def _with_whom(draft: Draft, identity: str) -> tuple[str, ...]:
     group = draft.returns.get(record.returning)
     if group is None:
         return (identity,) if _may_return(record) else ()
-    if group.is_changing:
+    if group.is_changing or group.is_reconfiguration:
         return ()
     del draft.returns[group.id]
     return tuple(group.members)
+
+
+def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
+    """Say whether the plan that runs is the one that was found, and all of it may go on."""
+    current = record.placement
+    return names(plan) == names(current.plan) and not any(
+        draft.components[one].is_superseded for one in current.components.values()
+    )
 
 
 def _look_later(draft: Draft, record: ConnectionRecord) -> None:

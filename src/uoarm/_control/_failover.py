@@ -38,6 +38,7 @@ __all__ = [
     "hand_over",
     "health_reported",
     "look_again",
+    "replace",
     "seek",
     "try_another",
 ]
@@ -102,12 +103,17 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
         draft.failed[name] = draft.now
         if event.is_stale:
             draft.stale[name] = draft.now
-    draft.actions.append(Stop(draft.lose(lost)))
     were = f"component {dead[0]!r} was"
     if len(dead) > 1:
         were = f"components {', '.join(map(repr, dead))} were"
     cause = f"{were} lost: {event.cause}"
-    failure = ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned)
+    replace(draft, ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned))
+
+
+def replace(draft: Draft, failure: ComponentFailure) -> None:
+    """Let no message through what was lost, and have the connections that use it go on without."""
+    lost = failure.lost
+    draft.actions.append(Stop(draft.lose(lost)))
     for identity in tuple(draft.connections):
         record = draft.connections[identity]
         if record.state is ConnectionState.CLOSING:
@@ -164,7 +170,6 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
         end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
         return
     record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
-    failed = recently(draft.failed, draft.now)
     draft.actions.append(
         FindReplacement(
             lane=f"{record.id}#{record.attempt}",
@@ -173,7 +178,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=failure.excluded,
-            failed=tuple(name for name in draft.failed if name in failed),
+            failed=draft.failed_lately(),
             avoided=recently(draft.stale, draft.now),
         )
     )
@@ -188,6 +193,11 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
         try:
             placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
         except ResolutionError as error:
+            if draft.configurers:  # others move from what is in the way
+                retry_at = draft.now + _AGAIN_SECONDS
+                draft.put(record, failure=evolve(failure, retry_at=retry_at))
+                draft.actions.append(WakeAt(retry_at))
+                return
             draft.actions.append(Warn(record.id, str(error)))
             _seek_without(draft, record, _added(record, event.plan))
             return

@@ -29,6 +29,7 @@ from uoarm._control._state import (
     State,
 )
 from uoarm._dataplane import Clock
+from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import ValidationMode
 
@@ -89,6 +90,7 @@ class LiveParts:
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
         self.ports: dict[int, ApplicationPorts] = {}
+        self._ending: set[LiveComponent] = set()
         self._hanging: dict[str, list[LiveComponent]] = {}
 
     def edges_of(self, placement: Placement | None) -> list[LiveEdge]:
@@ -111,10 +113,13 @@ class LiveParts:
         placed_edges = self.edges_of(placement)
         dead = _there(self.components, lost)
         runtime = None if placement is None else self.runtimes.get(connection)
+        components = _there(self.components, parts.components)
+        self._ending.update(components)  # before it is gone from the others: somebody may look
+        _taken(self.components, parts.components)
         return Ending(
             _taken(self.ports, parts.ports),
             _taken(self.edges, parts.edges),
-            _taken(self.components, parts.components),
+            components,
             placed_edges,
             placed_components,
             dead,
@@ -181,6 +186,16 @@ class LiveParts:
             losses = ending.runtime.losses
             gap = ending.runtime.take_gap(placement)
             losses.count(gap, losses.lost_with(ending.gone()), ending.ended())
+
+    def release(self, components: Iterable[int]) -> None:
+        """Close components whose plans have not ended yet."""
+        for live in _there(self.components, components):
+            live.close()
+
+    def uses(self, bridge: Bridge) -> bool:
+        """Say whether a component of a bridge is open, or on its way to be closed."""
+        lives = (*self.components.copy().values(), *tuple(self._ending))
+        return any(live.bridge is bridge for live in lives)
 
     def drain(self, edges: Iterable[LiveEdge]) -> None:
         """Wait until what is under way has passed every edge, half a minute for each at most."""
@@ -271,8 +286,10 @@ class LiveParts:
             joined.close()
         for live in ending.components:
             live.close()
+            self._ending.discard(live)
             if live.is_hanging:
                 self._hanging.setdefault(live.component.name, []).append(live)
+        self._bridges.retire_replaced(self.uses)
 
     def _refuse_hanging(self, name: str) -> None:
         hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]

@@ -11,7 +11,6 @@ from types import TracebackType
 from typing import final
 
 from uoarm import _bounded
-from uoarm._adapt import check_edge
 from uoarm._control._availability import check_availability
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection import Connection
@@ -19,23 +18,25 @@ from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
+from uoarm._control._revisions import Revision, Revisions, StagedRevision
 from uoarm._control._staleness import StalenessWatch
 from uoarm._control._state import State, recently
 from uoarm._dataplane import Clock, make_check
 from uoarm._mistakes import choose
-from uoarm._resolve import Resolver, StructureCache
 from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
 from uoarm.errors import (
     BridgeError,
+    ConfigurationError,
     ConnectionClosedError,
     FailureReason,
     MessageError,
-    ResolutionError,
     UsageError,
 )
 from uoarm.model import (
+    ConfigurationChange,
     Deliver,
+    Effect,
     FunctionStatus,
     Message,
     Plan,
@@ -60,7 +61,6 @@ class RobotManager:
     All methods may be called from any thread, callbacks and listeners included.
 
     Attributes:
-        config: the configuration, with the options that uoarm chose filled in.
         registry: the bridge plugins.
 
     Args:
@@ -79,7 +79,7 @@ class RobotManager:
         clock: Clock = time.monotonic,
     ) -> None:
         self.registry = registry or Registry()
-        self.config = robot = assign(robot, self.registry.types)
+        robot = assign(robot, self.registry.types)
         self._clock = clock
         self._numbers = itertools.count(1)
         self._events = EventDispatcher(clock)
@@ -92,14 +92,12 @@ class RobotManager:
             robot.hosts,
             robot.origin,
         )
-        self._structures = StructureCache(self._bridges.get)
-        self._resolver = Resolver(robot, self._structures, check_edge, clock=clock)
+        self._revisions = Revisions(robot, self._bridges, clock)
         self._executor = Executor(
             State(robot.failover, {one.name: one.bridge for one in robot.components()}),
             bridges=self._bridges,
             events=self._events,
-            resolve=self._resolve,
-            forget=self._forget,
+            revisions=self._revisions,
             clock=clock,
         )
         self._staleness = StalenessWatch(
@@ -108,9 +106,18 @@ class RobotManager:
             lambda event: self._executor.report(event, is_stale=True),
             clock,
         )
-        if any(one.expect for each in robot.components() for one in each.outputs):
-            self._staleness.start()
+        self._watch_rates(robot)
         self._bridges.machines.begin()
+
+    @property
+    def config(self) -> Robot:
+        """The configuration in force, with the options that uoarm chose filled in."""
+        return self._revisions.current.robot
+
+    @property
+    def revision(self) -> int:
+        """How many changes of the configuration led to the one in force."""
+        return self._revisions.current.number
 
     @classmethod
     def from_file(
@@ -140,14 +147,15 @@ class RobotManager:
         """
         self._require_open()
         function = _reference(name).function
-        known = self._known(function)
+        revision = self._revisions.current
+        known = self._known(function, revision)
         if known is not None:
             return known
         avoided = recently(self._executor.state.stale, self._clock())
         return _bounded.run(
             f"resolving {function!r}",
             timeout,
-            lambda: self._resolve(function, frozenset(), avoided),
+            lambda: revision.resolve(function, avoided=avoided),
         )
 
     def request(
@@ -180,6 +188,7 @@ class RobotManager:
         self._require_open()
         mode = choose(ValidationMode, validate, "validate", UsageError)
         wanted = _reference(name)
+        revision = self._revisions.current
         runtime = ConnectionRuntime(f"c{next(self._numbers)}", queue or _INBOX)
         if on_message is not None:
             runtime.receiver.inbox.subscribe(on_message)
@@ -188,8 +197,9 @@ class RobotManager:
             wanted,
             mode,
             waiter=f"request {runtime.id}",
-            plan=self._known(wanted.function),
+            plan=self._known(wanted.function, revision),
             is_heard=on_message is not None,
+            revision=revision.number,
         )
         connection = Connection(runtime, self._executor)
         self._executor.request(runtime, event, f"request for {name!r}", timeout)
@@ -238,9 +248,10 @@ class RobotManager:
         Blocks while bridges are asked, several components at once, each within its limit.
         """
         self._require_open()
-        for component in self.config.components():
-            self._forget(component.name)
-        return check_availability(self.config, self._structures, self.resolve)
+        revision = self._revisions.current
+        for component in revision.robot.components():
+            revision.forget(component.name)
+        return check_availability(revision.robot, revision.structures, self.resolve)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
@@ -248,6 +259,83 @@ class RobotManager:
         Listeners run in one thread of the manager, never in a thread that moves messages.
         """
         return self._events.listen(listener)
+
+    def apply(
+        self,
+        robot: Robot,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Change the configuration while the manager runs; one change at a time.
+
+        Connections whose plan stays as it is notice nothing. The others go on with their new
+        plans as after a failover, with a gap noted: what is new opens beside what runs, and takes
+        its place. Where that cannot be (a device that can be open once only), what the new
+        configuration has no more is closed first. Takeovers of that kind are not counted for
+        `failover.limit`.
+
+        Args:
+            robot: the configuration, as `uoarm.config.load` returns it.
+            dry_run: whether to say only what would happen. Bridges that are new or others are
+                started for that, asked for structures and closed again.
+            force: whether connections may end for it that find no other plan.
+            revision: of the configuration that the change was made for; None: any.
+            timeout: seconds, for finding out what would happen, and once more for moving.
+
+        Raises:
+            ConfigurationError: connections would end, or it changes what cannot be changed while
+                the manager runs: other machines, and where they join. Nothing has changed.
+            UsageError: another revision is in force. Nothing has changed.
+            BridgeTimeoutError: a bridge hangs. Nothing has changed, unless the text says that
+                connections were changing already.
+        """
+        self._require_open()
+        what = "finding out what the change of configuration would do"
+        with self._revisions.alone(timeout):
+            self._revisions.require(revision)
+            staged = _bounded.run(
+                what, timeout, lambda: self._stage(robot), on_late=lambda late: late.bridges.close()
+            )
+            ending = [one for one in staged.change.connections if one.effect is Effect.ENDS]
+            if dry_run or (ending and not force):
+                staged.bridges.close()
+            if dry_run:
+                return staged.change
+            if ending and not force:
+                told = "\n".join(f"  {one}" for one in ending)
+                raise ConfigurationError(
+                    f"the change would end connections; force it, or kill them first:\n{told}"
+                )
+            self._watch_rates(robot)
+            self._executor.configure(staged, timeout)
+            return self._revisions.history()[-1]
+
+    def reload(
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Read a configuration file and `apply` it; None: the file that is in force, again.
+
+        Raises:
+            UsageError: the configuration in force is of no file, and no other is named.
+            ConfigurationError: the file has mistakes, all of which the text lists, or as `apply`.
+        """
+        path = path or self.config.origin
+        if not path:
+            raise UsageError("the configuration was not read from a file: name one")
+        robot = load(path, self.registry.types)
+        return self.apply(robot, dry_run=dry_run, force=force, timeout=timeout)
+
+    def history(self) -> tuple[ConfigurationChange, ...]:
+        """Return the last hundred revisions of the configuration, the one in force last."""
+        return self._revisions.history()
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
@@ -278,27 +366,21 @@ class RobotManager:
             raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
         return reply
 
-    def _known(self, function: str) -> Plan | None:
+    def _known(self, function: str, revision: Revision) -> Plan | None:
         """Return the plan that was found before, unless it may use what was stale lately."""
         stale = recently(self._executor.state.stale, self._clock())
-        return None if stale else self._resolver.known(function)
+        return None if stale else revision.resolver.known(function)
 
-    def _resolve(self, name: str, excluded: frozenset[str], avoided: frozenset[str]) -> Plan:
-        """Resolve without what is avoided; where there is nothing else, with it."""
-        avoided -= excluded
-        if avoided:
-            try:
-                return self._resolver.resolve(name, excluded=excluded | avoided)
-            except ResolutionError:
-                _log.debug("nothing but what was stale lately can provide %r", name)
-        return self._resolver.resolve(name, excluded=excluded)
+    def _stage(self, robot: Robot) -> StagedRevision:
+        robot = assign(robot, self.registry.types)
+        return self._revisions.stage(robot, lambda: self._executor.state)
+
+    def _watch_rates(self, robot: Robot) -> None:
+        if any(one.expect for each in robot.components() for one in each.outputs):
+            self._staleness.start()
 
     def _noticed(self, event: HealthEvent) -> None:
         self._executor.report(event)
-
-    def _forget(self, component: str) -> None:
-        self._structures.forget(component)
-        self._resolver.invalidate(component)
 
     def _require_open(self) -> None:
         if self._executor.state.is_closing:

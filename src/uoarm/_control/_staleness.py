@@ -76,8 +76,9 @@ class StalenessWatch:
         self._thread = threading.Thread(target=self._run, name="uoarm-stale", daemon=True)
 
     def start(self) -> None:
-        """Look ten times a second from now on."""
-        self._thread.start()
+        """Look ten times a second from now on. Idempotent; by one thread at a time."""
+        if self._thread.ident is None:
+            self._thread.start()
 
     def close(self) -> None:
         """Look no more."""

@@ -104,6 +104,7 @@ class ComponentRecord:
         users: the placements that depend on it.
         health: how it is doing.
         is_lost: whether it died; then it is shared no more.
+        is_superseded: whether the configuration has another in its place, or none; the same.
     """
 
     id: int
@@ -111,6 +112,7 @@ class ComponentRecord:
     users: tuple[str, ...]
     health: ComponentHealth = _WELL
     is_lost: bool = False
+    is_superseded: bool = False
 
     @property
     def name(self) -> str:
@@ -119,7 +121,9 @@ class ComponentRecord:
 
     def used_by(self, users: tuple[str, ...]) -> ComponentRecord:
         """Return it with other users; built directly, as sharing does little else."""
-        return ComponentRecord(self.id, self.step, users, self.health, self.is_lost)
+        return ComponentRecord(
+            self.id, self.step, users, self.health, self.is_lost, self.is_superseded
+        )
 
 
 @frozen
@@ -287,18 +291,20 @@ class ConnectionRecord(NamedTuple):
 
 @frozen
 class Return:
-    """Connections that go back to better plans at once, since an input has one producer.
+    """Connections that change to better plans at once, since an input has one producer.
 
     Attributes:
         members: connections by id, with the plan found for each, None while it is sought.
         began: when the messages of the plans so far are counted to.
         is_changing: whether the inputs are changing hands, which nothing interrupts.
+        is_reconfiguration: whether the plans are better since the configuration is another.
     """
 
     id: int
     members: Mapping[str, Plan | None]
     began: float
     is_changing: bool = False
+    is_reconfiguration: bool = False
 
 
 @frozen
@@ -318,6 +324,10 @@ class State:
         number: the last id given.
         is_closing: whether no request is taken any more.
         closers: who waits until every connection has ended.
+        revision: of the configuration.
+        outdated: connections whose plan may be another in this revision.
+        postponed: connections whose first plan, placed now, would be in the way of those.
+        configurers: who waits until all those have moved.
     """
 
     policy: FailoverPolicy
@@ -336,6 +346,10 @@ class State:
     number: int = 0
     is_closing: bool = False
     closers: tuple[str, ...] = ()
+    revision: int = 0
+    outdated: frozenset[str] = frozenset()
+    postponed: tuple[str, ...] = ()
+    configurers: tuple[str, ...] = ()
 
 
 def names(plan: Plan) -> tuple[str, ...]:

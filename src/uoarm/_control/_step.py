@@ -11,12 +11,13 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._control import _failback, _failover
+from uoarm._control import _failback, _failover, _reconfiguration
 from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Reply, Resolve
 from uoarm._control._draft import Draft
 from uoarm._control._endings import end, finish_if_asked
 from uoarm._control._events import (
     ChangedOver,
+    Configured,
     Drained,
     Ended,
     Event,
@@ -49,6 +50,7 @@ def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, .
     """
     draft = Draft(state, now)
     _HANDLERS[type(event)](draft, event)
+    _reconfiguration.go_on(draft)
     return draft.state(), tuple(draft.actions)
 
 
@@ -61,18 +63,24 @@ def _requested(draft: Draft, event: Requested) -> None:
             event.connection, event.wanted, event.validate, event.waiter, is_heard=event.is_heard
         )
     )
-    if event.plan is not None:
+    if event.plan is not None and event.revision == draft.revision:
         _begin(draft, record, event.plan)
     else:
-        avoided = recently(draft.stale, draft.now)
-        draft.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
+        _resolve(draft, record)
+
+
+def _resolve(draft: Draft, record: ConnectionRecord) -> None:
+    avoided = recently(draft.stale, draft.now)
+    draft.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
 
 
 def _resolved(draft: Draft, event: Resolved) -> None:
     record = draft.connections.get(event.connection)
     if record is None or record.current is not None:
         return
-    if event.plan is None:
+    if event.revision != draft.revision:  # the configuration was changed meanwhile
+        _resolve(draft, record)
+    elif event.plan is None:
         _refuse(draft, record, event.error)
     else:
         _begin(draft, record, event.plan)
@@ -93,7 +101,10 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     try:
         placement = draft.place(record, plan, record.id)
     except ResolutionError as error:
-        _refuse(draft, record, error)
+        if draft.configurers:  # others move from what is in the way
+            draft.postponed = (*draft.postponed, record.id)
+        else:
+            _refuse(draft, record, error)
         return
     record = draft.put(record, current=placement)
     draft.actions += [Publish(record), Announce(f"connection {record.id}", record.state.value)]
@@ -219,7 +230,8 @@ def _ended(draft: Draft, event: Ended) -> None:
 
 def _stopped(draft: Draft, event: Stopped) -> None:
     draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
-    for record in tuple(draft.connections.values()):
+    for identity in tuple(draft.connections):
+        record = draft.connections[identity]  # an end may change others, with which it returns
         if record.current is None:
             _refuse(draft, record, ConnectionClosedError(_CLOSED))
         else:
@@ -264,4 +276,5 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     ChangedOver: _failback.changed_over,
     TimeReached: _time_reached,
     Stopped: _stopped,
+    Configured: _reconfiguration.configured,
 }

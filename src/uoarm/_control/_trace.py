@@ -16,7 +16,7 @@ import attrs
 from uoarm import errors
 from uoarm._control import _events
 from uoarm._control._state import Kind, Part
-from uoarm.model import Health, Plan, PortRef, Role, ValidationMode
+from uoarm.model import FailoverPolicy, Health, Plan, PortRef, Role, ValidationMode
 
 __all__ = ["FindPlan", "read", "write"]
 
@@ -54,8 +54,12 @@ def _plain(value: object) -> object:
         return [value.function, value.port]
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, (tuple, frozenset)):
+    if isinstance(value, frozenset):
+        return [_plain(one) for one in sorted(value)]
+    if isinstance(value, tuple):
         return [_plain(one) for one in value]
+    if isinstance(value, FailoverPolicy):
+        return attrs.asdict(value)
     return value
 
 
@@ -87,4 +91,7 @@ _READERS: Mapping[str, Callable[[Any], object]] = {
     "part": _part,
     "done": lambda told: tuple(Part(Kind(kind), *rest) for kind, *rest in told),
     "spared": frozenset,
+    "policy": lambda told: FailoverPolicy(**told),
+    "superseded": frozenset,
+    "functions": frozenset,
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 from attrs import define, field
 
@@ -61,6 +61,20 @@ class StructureCache:
         """
         with self._lock:
             self._entries.pop(component, None)
+
+    def carried_over(
+        self, bridge: Callable[[str], Bridge], without: Container[str]
+    ) -> StructureCache:
+        """Return a cache that knows what this one does, but for some components."""
+        made = StructureCache(bridge)
+        with self._lock:
+            known = {name: one.found for name, one in self._entries.items() if name not in without}
+        made._entries = {name: _Entry(found=found) for name, found in known.items()}
+        return made
+
+    def use(self, bridge: Callable[[str], Bridge]) -> None:
+        """Ask other bridges from now on."""
+        self._bridge = bridge
 
     def _ask(self, component: Component) -> Structures:
         found: dict[str, MessageStructure] = {}

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import errno
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from uoarm import RobotManager
 from uoarm.cli._shared import configuration_option, needing, open_robot, reporting
+from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, Settings
@@ -17,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["serve", "token"]
 
 _USED = 5
+_LOOK_SECONDS = 0.5
+_END_SECONDS = 5.0
 _LAST_PORT = 65_535
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -54,15 +62,20 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("--certificate", type=_FILE, help="PEM file of the certificate, for TLS.")
 @click.option("--key", type=_FILE, help="PEM file of its key.")
 @click.option("--client-authority", type=_FILE, help="PEM file that client certificates rest on.")
+@click.option(
+    "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
+)
 def serve(
     robot: str | None,
     file: str,
+    *,
+    watch_config: bool,
     tls: str | None,
     front_end_ports: list[tuple[str, int]],
     rosbridge_port: int | None,
     **settings: Any,
 ) -> None:
-    """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM.
+    """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM; SIGHUP reads it again.
 
     Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
     speaks rosbridge v2. /healthz and /metrics answer over HTTP.
@@ -75,7 +88,8 @@ def serve(
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
         chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
         try:
-            run(manager, chosen, lambda server: _say(server, chosen))
+            with _reloading(manager, watch=watch_config):
+                run(manager, chosen, lambda server: _say(server, chosen))
         except OSError as error:
             hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
             click.echo(f"error: {error.strerror or error}{hint}", err=True)
@@ -96,6 +110,70 @@ def token(name: str, role: str) -> None:
     made = make_token()
     click.echo(f"token: {made}", err=True)
     click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
+
+
+@contextmanager
+def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
+    """Reload the configuration at SIGHUP, and where it is watched when its file has changed."""
+    asked, over = threading.Event(), threading.Event()
+    path = Path(manager.config.origin)
+
+    def run() -> None:
+        seen = before = _stamp(path)
+        while not over.is_set():
+            is_asked = asked.wait(_LOOK_SECONDS if watch else None)
+            if over.is_set():
+                return
+            asked.clear()
+            now = _stamp(path)
+            is_written = now is not None and now not in (seen, None) and now == before
+            before = now
+            if is_asked or (watch and is_written):  # a file that still changes is being written
+                seen = now
+                _reload(manager)
+
+    def end() -> None:
+        over.set()
+        asked.set()
+
+    thread = threading.Thread(target=run, name="uoarm-reload", daemon=True)
+    thread.start()
+    on_terminal = sys.stdin.isatty()
+
+    def hang_up(number: int, frame: object) -> None:
+        del number, frame
+        if on_terminal and not sys.stdin.isatty():  # its window was closed
+            signal.raise_signal(signal.SIGTERM)
+        else:
+            asked.set()
+
+    hangup = getattr(signal, "SIGHUP", None)  # not on every system
+    former = signal.signal(hangup, hang_up) if hangup is not None else None
+    try:
+        yield
+    finally:
+        if hangup is not None:
+            signal.signal(hangup, former)
+        end()
+        thread.join(_END_SECONDS)
+
+
+def _reload(manager: RobotManager) -> None:
+    try:
+        change = manager.reload()
+    except UoarmError as error:
+        click.echo(f"the configuration stays as it is: {error}", err=True)
+        return
+    click.echo(str(change), err=True)
+
+
+def _stamp(path: Path) -> tuple[int, ...] | None:
+    """Return what tells a file from what it was before; None: there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
 
 
 def _name_and_port(given: str) -> tuple[str, int]:

@@ -2,15 +2,18 @@
 
 from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
+from uoarm.config._difference import Difference, compare
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._shape import published_schema
 
 __all__ = [
     "ASSIGN",
+    "Difference",
     "Place",
     "Problem",
     "Report",
     "assign",
+    "compare",
     "inspect",
     "installation",
     "load",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 from weakref import WeakSet
 
 from attrs import define, field
@@ -48,6 +49,8 @@ _OPTIONS = {
     "additionalProperties": False,
 }
 
+_Key: TypeAlias = tuple[str, tuple[str, ...], str]
+
 
 @define
 class _Slot:
@@ -77,8 +80,8 @@ class PythonBridge(Bridge):
         seconds: Any = options.get("timeout", _HANDLER_SECONDS)
         self._handler_seconds = float(seconds)
         self._loop = LoopThread(f"uoarm-{name}-loop")
-        self._slots: dict[str, _Slot] = {}
-        self._services: dict[str, Endpoint] = {}
+        self._slots: dict[_Key, _Slot] = {}
+        self._services: dict[_Key, Endpoint] = {}
         self._sources: WeakSet[threading.Thread] = WeakSet()
         self._counting = threading.Lock()
 
@@ -130,8 +133,8 @@ class PythonBridge(Bridge):
         del structures
         instance = self._enter(endpoint, self._target(endpoint))
         with self._counting:
-            is_first = endpoint.component not in self._services
-            self._services.setdefault(endpoint.component, endpoint)
+            is_first = _key(endpoint) not in self._services
+            self._services.setdefault(_key(endpoint), endpoint)
         try:
             return instance.answer(endpoint, message, timeout)
         finally:
@@ -161,7 +164,7 @@ class PythonBridge(Bridge):
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
         """Return the component's instance; one that is slow to build holds up nobody else."""
         with self._counting:
-            slot = self._slots.setdefault(endpoint.component, _Slot())
+            slot = self._slots.setdefault(_key(endpoint), _Slot())
             slot.users += 1
         try:
             with slot.building:
@@ -175,11 +178,11 @@ class PythonBridge(Bridge):
 
     def _leave(self, endpoint: Endpoint) -> None:
         with self._counting:
-            slot = self._slots[endpoint.component]
+            slot = self._slots[_key(endpoint)]
             slot.users -= 1
             if slot.users:
                 return
-            del self._slots[endpoint.component]
+            del self._slots[_key(endpoint)]
         if slot.instance is not None:
             slot.instance.close()
 
@@ -189,6 +192,11 @@ class PythonBridge(Bridge):
         else:
             cause = f"its source raised {type(failure).__name__}: {failure}"
             self.report(Health.LOST, cause, channel=channel)
+
+
+def _key(endpoint: Endpoint) -> _Key:
+    """Tell a component from the one of its name in another revision of the configuration."""
+    return endpoint.component, endpoint.address, json.dumps(endpoint.parameters, default=id)
 
 
 def _check_endpoint(address: tuple[str, ...], options: Options) -> str:

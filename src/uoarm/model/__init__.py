@@ -2,6 +2,7 @@
 
 from uoarm.model._availability import Availability, FunctionStatus
 from uoarm.model._budget import Budget, Spending
+from uoarm.model._change import ConfigurationChange, ConnectionEffect, Effect
 from uoarm.model._component import (
     Component,
     Endpoint,
@@ -48,11 +49,14 @@ __all__ = [
     "ChannelStatus",
     "Component",
     "ComponentStatus",
+    "ConfigurationChange",
+    "ConnectionEffect",
     "ConnectionState",
     "ConnectionStatus",
     "ControlMessage",
     "Deliver",
     "Edge",
+    "Effect",
     "Endpoint",
     "Expectation",
     "FailoverPolicy",

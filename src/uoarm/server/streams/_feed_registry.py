@@ -86,11 +86,7 @@ class FeedRegistry:
         self._watchers: dict[Watcher, None] = {}
         self._names: dict[str, str] = {}
         self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
-        self._functions = {
-            component.name: function.name
-            for function in robot.config.functions.values()
-            for component in function.components
-        }
+        self._functions = _functions_of_components(robot)
         self._stop_listening = robot.listen(
             lambda event: self.mailbox.put(functools.partial(self._heard, event))
         )
@@ -273,6 +269,8 @@ class FeedRegistry:
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
+        if kind == "configuration":
+            self._functions = _functions_of_components(self.robot)
         function = self._functions.get(name, "") if kind == "component" else ""
         if kind == "connection":
             function = self._function_of(name)
@@ -322,3 +320,7 @@ def _request(
 def _ignore(message: Message) -> None:
     """Take the messages of a connection that is open for sending only."""
     del message
+
+
+def _functions_of_components(robot: RobotManager) -> dict[str, str]:
+    return {one.name: one.function for one in robot.config.components()}

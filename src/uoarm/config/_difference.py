@@ -1,0 +1,103 @@
+"""What is different between two configurations, as far as connections that run are concerned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from attrs import evolve, frozen
+
+from uoarm.model import BridgeSpec, Component, Robot
+
+__all__ = ["Difference", "compare"]
+
+
+@frozen
+class Difference:
+    """What another configuration has in place of one before.
+
+    Attributes:
+        bridges: names of those that were added, taken away or are others.
+        superseded: components of the one before that are gone or are others, as are those of a
+            bridge that is another. A priority alone makes no other component.
+        functions: those for which a request may get another plan, since they, or what they are
+            fed by, have other candidates or another order of them.
+        told: every difference as a line, `+ component x`, `- bridge y`, `~ function z`.
+    """
+
+    bridges: frozenset[str]
+    superseded: frozenset[str]
+    functions: frozenset[str]
+    told: tuple[str, ...]
+
+
+def compare(before: Robot, after: Robot) -> Difference:
+    """Return what is different; nothing of the origin, the warnings or the descriptions is."""
+    bridges = _differing(before.bridges, after.bridges)
+    old = {one.name: _unranked(one) for one in before.components()}
+    new = {one.name: _unranked(one) for one in after.components()}
+    of_bridges = {one.name for one in old.values() if one.bridge in bridges}
+    superseded = frozenset((_differing(old, new) & set(old)) | of_bridges)
+    own = {
+        name
+        for name in {*before.functions, *after.functions}
+        if _candidates(before, name) != _candidates(after, name)
+        or any(one.name in superseded for one in _candidates(before, name))
+    }
+    told = (
+        *_told("bridge", before.bridges, after.bridges),
+        *_told("component", old, new),
+        *_told("function", _named(before), _named(after)),
+        *(() if before.failover == after.failover else ("~ failover",)),
+        *(() if before.applications == after.applications else ("~ applications",)),
+    )
+    functions = _fed_by(own, (*before.components(), *after.components()))
+    return Difference(bridges, superseded, functions, told)
+
+
+def _candidates(robot: Robot, function: str) -> tuple[Component, ...]:
+    found = robot.functions.get(function)
+    return () if found is None else found.components
+
+
+def _unranked(component: Component) -> Component:
+    return evolve(component, priority=0)
+
+
+def _named(robot: Robot) -> Mapping[str, tuple[tuple[str, int], ...]]:
+    """Return each function's candidates by name; what they are is told of themselves."""
+    return {
+        name: tuple((one.name, one.priority) for one in function.components)
+        for name, function in robot.functions.items()
+    }
+
+
+def _differing(
+    before: Mapping[str, BridgeSpec] | Mapping[str, Component],
+    after: Mapping[str, BridgeSpec] | Mapping[str, Component],
+) -> frozenset[str]:
+    return frozenset(name for name in {*before, *after} if before.get(name) != after.get(name))
+
+
+def _told(kind: str, before: Mapping[str, object], after: Mapping[str, object]) -> Iterable[str]:
+    for name in dict.fromkeys((*before, *after)):
+        if name not in after:
+            yield f"- {kind} {name}"
+        elif name not in before:
+            yield f"+ {kind} {name}"
+        elif before[name] != after[name]:
+            yield f"~ {kind} {name}"
+
+
+def _fed_by(functions: set[str], components: Iterable[Component]) -> frozenset[str]:
+    """Return the functions, and those whose plans may have one of them."""
+    consumers: dict[str, set[str]] = {}
+    for one in components:
+        for port in one.inputs:
+            if port.source is not None:
+                consumers.setdefault(port.source.function, set()).add(one.function)
+    found, waiting = set(functions), list(functions)
+    while waiting:
+        more = consumers.get(waiting.pop(), set()) - found
+        found |= more
+        waiting += more
+    return frozenset(found)

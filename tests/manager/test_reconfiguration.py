@@ -1,0 +1,269 @@
+"""Another configuration while the manager runs: who moves, who notices nothing, who is refused."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+from attrs import evolve
+from tests.manager import stage
+
+from uoarm import RobotManager
+from uoarm.bridge import BridgeType, Registry
+from uoarm.config import loads
+from uoarm.errors import ConfigurationError, UsageError
+from uoarm.model import Effect, Listening, Options
+from uoarm.testing import Emitter, MemoryBridge, patience, wait
+
+NUMBER = {"type": "integer"}
+ROBOT = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+  lamp:
+    components:
+      - {name: light, bridge: two, output: {endpoint: [light]}}
+"""
+OTHER_CAMERA = ROBOT.replace("endpoint: [best]", "endpoint: [better]")
+NO_LAMP = ROBOT[: ROBOT.index("  lamp:")]
+
+
+class Lab:
+    """Two bridges with everything that the configurations name."""
+
+    def __init__(self, *names: str) -> None:
+        self.bridges: dict[str, MemoryBridge] = {}
+        self.emitters: dict[str, Emitter] = {}
+        for name in names:
+            self.make(name)
+
+    def make(self, name: str) -> MemoryBridge:
+        """Return a new bridge of this name, which takes the place of the one before."""
+        bridge = self.bridges[name] = MemoryBridge(name, {})
+        for component in ("best", "better", "spare", "light"):
+            self.emitters[f"{name}.{component}"] = bridge.emitter(component, NUMBER)
+        bridge.loop("finder", NUMBER)
+        return bridge
+
+    def emit(self, emitter: str, number: int) -> None:
+        """Let `BRIDGE.COMPONENT` emit."""
+        self.emitters[emitter].emit(number)
+
+
+@pytest.fixture
+def lab() -> Lab:
+    return Lab("one", "two")
+
+
+@pytest.fixture
+def robot(lab: Lab) -> Iterator[RobotManager]:
+    with RobotManager(loads(ROBOT), bridges=lab.bridges) as manager:
+        yield manager
+
+
+def test_a_connection_goes_on_with_what_the_configuration_says_now(
+    robot: RobotManager, lab: Lab
+) -> None:
+    face, lamp = robot.request("face"), robot.request("lamp")
+    lab.emit("one.best", 1)
+    assert face.get(timeout=10) == 1
+
+    change = robot.apply(loads(OTHER_CAMERA))
+
+    assert change.is_applied
+    assert change.revision == robot.revision == 1
+    assert change.differences == ("~ component best",)
+    assert [(one.connection, one.effect) for one in change.connections] == [(face.id, Effect.MOVES)]
+    lab.emit("one.better", 2)
+    assert face.get(timeout=10) == 2
+    assert [gap.cause for gap in face.gaps] == ["the configuration was changed"]
+    assert lamp.gaps == ()
+    wait(lambda: lab.bridges["one"].open_channels == 1)  # the one before was closed
+
+
+def test_what_is_not_concerned_loses_nothing(robot: RobotManager, lab: Lab) -> None:
+    heard: list[object] = []
+    robot.request("lamp", on_message=heard.append)
+    over = threading.Event()
+
+    def emit() -> None:
+        for number in range(2_000):
+            lab.emit("two.light", number)
+        over.set()
+
+    sender = threading.Thread(target=emit)
+    sender.start()
+    while not over.is_set():
+        robot.apply(loads(OTHER_CAMERA))
+        robot.apply(loads(ROBOT))
+    sender.join()
+    wait(lambda: len(heard) == 2_000)
+    assert heard == list(range(2_000))
+
+
+def test_a_dry_run_says_what_would_happen_and_does_nothing(robot: RobotManager) -> None:
+    face, lamp = robot.request("face"), robot.request("lamp")
+    change = robot.apply(loads(NO_LAMP.replace("[best]", "[better]")), dry_run=True)
+    assert not change.is_applied
+    assert {one.connection: one.effect for one in change.connections} == {
+        face.id: Effect.MOVES,
+        lamp.id: Effect.ENDS,
+    }
+    assert "- component light" in change.differences
+    assert "- function lamp" in change.differences
+    assert robot.revision == 0
+    assert lamp.state.value == face.state.value == "running"
+
+
+def test_a_change_that_would_end_a_connection_is_refused_unless_forced(
+    robot: RobotManager,
+) -> None:
+    lamp = robot.request("lamp")
+    with pytest.raises(ConfigurationError, match=rf"(?s)force it.*{lamp.id} \(lamp\) ends"):
+        robot.apply(loads(NO_LAMP))
+    assert robot.revision == 0
+    assert lamp.state.value == "running"
+
+    robot.apply(loads(NO_LAMP), force=True)
+    wait(lambda: lamp.ended)
+    assert "the configuration has 'light' no more" in lamp.cause
+
+
+def test_a_change_made_for_another_revision_is_refused(robot: RobotManager) -> None:
+    robot.apply(loads(OTHER_CAMERA), revision=0)
+    with pytest.raises(UsageError, match="made for revision 0, and revision 1 is in force"):
+        robot.apply(loads(ROBOT), revision=0)
+
+
+def test_what_was_in_force_before_can_be_applied_again(robot: RobotManager) -> None:
+    robot.apply(loads(OTHER_CAMERA))
+    before = robot.history()[0].robot
+    assert before is not None
+    robot.apply(before)
+    assert [one.revision for one in robot.history()] == [0, 1, 2]
+    assert robot.config.functions["camera"] == before.functions["camera"]
+
+
+def test_another_order_of_candidates_moves_what_runs(robot: RobotManager, lab: Lab) -> None:
+    camera, face = robot.request("camera"), robot.request("face")
+    robot.apply(loads(ROBOT.replace("priority: 2", "priority: 0")))
+    lab.emit("two.spare", 7)
+    assert camera.get(timeout=10) == face.get(timeout=10) == 7
+    assert "best" not in camera.plan.provider.component.name
+
+
+def test_a_change_to_the_same_configuration_changes_nothing(robot: RobotManager) -> None:
+    face = robot.request("face")
+    change = robot.apply(loads(ROBOT))
+    assert change.differences == ()
+    assert change.connections == ()
+    assert face.gaps == ()
+
+
+@pytest.fixture
+def made() -> list[MemoryBridge]:
+    return []
+
+
+@pytest.fixture
+def registry(lab: Lab, made: list[MemoryBridge]) -> Registry:
+    """Return a registry that makes bridges of the lab."""
+
+    def create(name: str, options: Options) -> MemoryBridge:
+        del options
+        made.append(lab.make(name))
+        return made[-1]
+
+    found = Registry(())
+    schema = {"properties": {"level": {"type": "integer"}}}
+    found.add(BridgeType("memory", "", create, options_schema=schema, contract=2))
+    return found
+
+
+def test_a_bridge_with_other_options_is_another_one(
+    lab: Lab, registry: Registry, made: list[MemoryBridge]
+) -> None:
+    other = ROBOT.replace("two: {plugin: memory}", "two: {plugin: memory, options: {level: 2}}")
+    with RobotManager(loads(ROBOT), registry=registry) as robot:
+        face, camera = robot.request("face"), robot.request("camera")
+        robot.apply(loads(other))
+        before, after = (one for one in made if one.name == "two")
+        lab.emit("one.best", 3)
+        assert face.get(timeout=10) == camera.get(timeout=10) == 3
+        assert after.open_channels > 0
+        wait(lambda: before.closed)
+        assert camera.gaps == ()
+    assert after.closed
+
+
+def test_a_change_that_is_refused_leaves_no_bridge_behind(
+    lab: Lab, registry: Registry, made: list[MemoryBridge]
+) -> None:
+    other = NO_LAMP.replace("two: {plugin: memory}", "two: {plugin: memory, options: {level: 2}}")
+    with RobotManager(loads(ROBOT), registry=registry) as robot:
+        robot.request("lamp")
+        robot.request("face")
+        with pytest.raises(ConfigurationError):
+            robot.apply(loads(other))
+        before, after = (one for one in made if one.name == "two")
+        assert after.closed
+        assert not before.closed
+
+
+def test_a_new_function_and_a_new_bridge_can_be_requested(
+    lab: Lab, registry: Registry, made: list[MemoryBridge]
+) -> None:
+    more = ROBOT.replace("bridges: {", "bridges: {three: {plugin: memory}, ")
+    torch = "{name: torch, bridge: three, output: {endpoint: [light]}}"
+    more += f"  torch:\n    components:\n      - {torch}\n"
+    with RobotManager(loads(ROBOT), registry=registry) as robot:
+        face = robot.request("face")
+        robot.apply(loads(more))
+        connection = robot.request("torch")
+        lab.emit("three.light", 5)
+        assert connection.get(timeout=10) == 5
+        assert face.gaps == ()
+
+
+def test_where_other_machines_join_cannot_be_changed(robot: RobotManager) -> None:
+    config = loads(ROBOT)
+    joined = evolve(config, hosts=Listening("tcp/127.0.0.1:0"))
+    with pytest.raises(ConfigurationError, match="`hosts` cannot be changed while"):
+        robot.apply(joined)
+    assert robot.revision == 0
+
+
+EXCLUSIVE = """
+version: 1
+bridges: {py: {plugin: python}}
+functions:
+  numbers:
+    components: [{name: numbers, bridge: py, output: {endpoint: ["tests.manager.stage:narrow"]}}]
+  device:
+    components:
+      - {name: device, bridge: py, parameters: {offset: 1},
+         input: {from: numbers, endpoint: ["tests.manager.stage:Exclusive"]},
+         output: {endpoint: ["tests.manager.stage:Exclusive"]}}
+"""
+
+
+def test_what_can_be_open_only_once_is_closed_before_it_is_opened_anew(
+    make_robot: Callable[[str], RobotManager],
+) -> None:
+    robot = make_robot(EXCLUSIVE)
+    device = robot.request("device")
+    stage.script.put({"value": 1})
+    assert device.get(timeout=patience()) == {"value": 2}
+    robot.apply(loads(EXCLUSIVE.replace("offset: 1", "offset: 5"), origin=robot.config.origin))
+    wait(lambda: device.gaps)
+    stage.script.put({"value": 1})
+    assert device.get(timeout=patience()) == {"value": 6}
