@@ -62,7 +62,7 @@ def _tables(address: str) -> None:
 def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
     """Measure what one would write by hand: stubs, omniORB's marshalling, one connector each."""
     import omniORB  # noqa: PLC0415
-    from uoarm_rtm._connector import Connector, asked  # noqa: PLC0415
+    from uoarm_rtm._connector import Connections, asked  # noqa: PLC0415
     from uoarm_rtm._naming import NamingService  # noqa: PLC0415
     from uoarm_rtm._orb import Orb  # noqa: PLC0415
     from uoarm_rtm._peer import peer_at  # noqa: PLC0415
@@ -82,14 +82,15 @@ def _bare(address: str, kind: str, message: Any, *, echo: bool) -> list[float]:
             return OpenRTM.PORT_OK
 
     wishes = asked(Settings(), kind)
-    into = Connector(peer.port(f"{PORTS[kind]}_in"), "peer", wishes, 5.0)
+    connections = Connections(orb, "bench", 5.0)
+    into = connections.connect("peer", wishes, peer.port(f"{PORTS[kind]}_in"))
     key = "dataport.corba_cdr.inport_ior"
     target = orb.reference(into.properties[key])._narrow(OpenRTM.InPortCdr)  # noqa: SLF001
     back = None
     if echo:
         inlet = orb.serve(Inlet())
         port = peer.port(f"{PORTS[kind]}_out")
-        back = Connector(port, "peer", {**wishes, key: orb.text(inlet)}, 5.0)
+        back = connections.connect("peer", {**wishes, key: orb.text(inlet)}, port)
     values = {**message, "tm": RTC.Time(**message["tm"])}
     native = getattr(RTC, name)(**values)
 

@@ -23,6 +23,15 @@ settings.register_profile("rtm-long", max_examples=2000, deadline=None)
 settings.load_profile(f"rtm-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Where this run and its processes note their connectors: not at the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = tmp_path_factory.mktemp("state")
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        yield folder / "uoarm" / "rtm"
+
+
 @pytest.fixture(scope="session")
 def nameserver() -> Iterator[str]:
     """The address of a naming service of this run."""

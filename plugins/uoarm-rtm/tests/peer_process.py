@@ -167,6 +167,12 @@ class Process:
         ports = (self._in, self._out)
         return [len(port.get_connector_profiles()) for port in ports]
 
+    def made(self) -> list[dict[str, str]]:
+        """The properties of all connectors."""
+        ports = (self._in, self._out)
+        found = [each for port in ports for each in port.get_connector_profiles()]
+        return [properties_of(each.properties) for each in found]
+
     def speak(self, language: str) -> None:
         """Say in the profile which language it is written in."""
         usual = self._component.get_component_profile

@@ -28,6 +28,7 @@ from uoarm.cli._shared import (
     open_robot,
     print_json,
     reporting,
+    terminable,
 )
 from uoarm.cli._status import status
 from uoarm.config import inspect, load
@@ -40,8 +41,10 @@ _LARGE = 1_000_000
 
 @click.group(cls=PluginGroup)
 @click.version_option(uoarm.__version__, prog_name="uoarm")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""
+    terminable(context)
 
 
 @main.command()

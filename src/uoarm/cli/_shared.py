@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -22,6 +24,7 @@ __all__ = [
     "plain",
     "print_json",
     "reporting",
+    "terminable",
 ]
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -39,6 +42,24 @@ configuration_option = click.option(
     help="Configuration file; also UOARM_CONFIG.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+
+
+def terminable(context: click.Context) -> None:
+    """Have SIGTERM end whatever command runs as Ctrl-C does: what is open is closed first.
+
+    Commands that serve have handlers of their own. A second signal ends the process at once.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        return
+
+    def end(number: int, _: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        sys.exit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)
+    context.call_on_close(lambda: signal.signal(signal.SIGTERM, signal.SIG_DFL))
 
 
 @contextmanager

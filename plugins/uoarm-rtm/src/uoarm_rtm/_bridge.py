@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import threading
+import time
+import weakref
 from collections.abc import Callable
+from functools import partial
 
 from uoarm.bridge import (
     Bridge,
@@ -21,6 +25,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
+from uoarm_rtm._connector import Connections
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._discovery import discovered
 from uoarm_rtm._naming import NamingService
@@ -49,6 +54,7 @@ from uoarm_rtm.errors import IdlError
 
 __all__ = ["RtmBridge"]
 
+_EXIT_SECONDS = 3.0
 _PORT_KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
 
 
@@ -75,6 +81,7 @@ class RtmBridge(Bridge):
             NamingService(self._orb, each, seconds) for each in self._settings.nameservers
         ]
         self._directory = Directory(self._services, seconds)
+        self._connections = Connections(self._orb, self._settings.component, seconds)
         self._guard = threading.Lock()
         self._making = threading.Lock()
         self._own: Own | None = None
@@ -84,6 +91,8 @@ class RtmBridge(Bridge):
         own = f"{self._settings.component}.rtc"
         self._attendance = Attendance(self._directory, self._component_changed, own)
         self._watch = Watch(self._ticks, self._settings.watch_seconds)
+        self._at_exit = partial(_let_go, weakref.ref(self))
+        atexit.register(self._at_exit)
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)
@@ -159,7 +168,9 @@ class RtmBridge(Bridge):
         interface, operation = self._types.interface(wanted)
         offer = offered(peer, port, interface.name, provided=True)
         seconds = self._settings.call_seconds
-        return Caller(self._orb, peer, port, interface, offer, operation, seconds)
+        return Caller(
+            self._orb, peer, port, interface, offer, operation, seconds, self._connections
+        )
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
@@ -174,8 +185,7 @@ class RtmBridge(Bridge):
         interface, operation = self._types.interface(address.type or _only_type(peer, port))
         wanted = offered(peer, port, interface.name, provided=False)
         servant = servant_of(interface, operation, handler)
-        seconds = self._settings.call_seconds
-        return Offer(self._orb, endpoint, peer, port, wanted, servant, seconds)
+        return Offer(self._orb, endpoint, peer, port, wanted, servant, self._connections)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         addresses = address_of(source), address_of(sink)
@@ -187,8 +197,9 @@ class RtmBridge(Bridge):
             return None
         if _is_big_in_cpp(start[0], settings) or _is_big_in_cpp(end[0], settings):
             return None
-        seconds = self._settings.call_seconds
-        native = Native(source, (start, end), settings, seconds, self._told, self._active.tick)
+        native = Native(
+            source, (start, end), settings, self._connections, self._told, self._active.tick
+        )
         for (peer, _), wish in ((end, settings_of(sink)), (start, settings)):
             self._activate(native, peer, wish)
         with self._guard:
@@ -199,6 +210,7 @@ class RtmBridge(Bridge):
         return discovered(self.name, self._directory, self._types, self._settings.call_seconds)
 
     def _close(self) -> None:
+        atexit.unregister(self._at_exit)
         self._watch.close()
         with self._guard:
             self._ticking.clear()
@@ -210,10 +222,25 @@ class RtmBridge(Bridge):
             self._own.close()
         self._orb.close()
 
+    def let_go(self) -> None:
+        """End all connections, in a process that exits without closing the bridge.
+
+        In this thread, since none can begin any more; what takes too long is left to the next
+        process.
+        """
+        self._watch.close()
+        deadline = time.monotonic() + _EXIT_SECONDS
+        for channel in list(self._open):
+            if time.monotonic() < deadline:
+                with contextlib.suppress(BridgeError):
+                    channel._close()  # noqa: SLF001 - all of them are ours
+        self._active.tick()
+
     def _place(self, endpoint: Endpoint) -> Place:
         peer, port = self._port(endpoint, address_of(endpoint))
         return Place(
             self._orb,
+            self._connections,
             endpoint,
             peer,
             port,
@@ -292,6 +319,12 @@ class RtmBridge(Bridge):
 
     def _component_changed(self, health: Health, cause: str, path: str) -> None:
         self.report(health, cause, component=path or None)
+
+
+def _let_go(reference: weakref.ref[RtmBridge]) -> None:
+    bridge = reference()
+    if bridge is not None and not bridge.closed:
+        bridge.let_go()
 
 
 def _is_big_in_cpp(peer: Peer, settings: Settings) -> bool:

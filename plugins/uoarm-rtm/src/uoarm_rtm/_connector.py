@@ -2,6 +2,9 @@
 
 Only the remote port stands in the profile; what we serve goes along as a stringified reference,
 since components in Python refuse object references (observed at OpenRTM-aist-Python).
+
+What we connect is ours to end: each connector says in its properties who made it, and stands in
+the journal for as long as it may exist, so that the next process ends what this one could not.
 """
 
 from __future__ import annotations
@@ -17,12 +20,14 @@ from omniORB import CORBA
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm_rtm._calls import calls
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._orb import limit
+from uoarm_rtm._journal import Entry, journal
+from uoarm_rtm._leftovers import NAME, PROCESS, Leftovers, end_connector
+from uoarm_rtm._orb import Orb, limit
 from uoarm_rtm._peer import Port, pairs, properties_of
 from uoarm_rtm._settings import Settings
 from uoarm_rtm._stubs import RTC
 
-__all__ = ["Connector", "asked"]
+__all__ = ["Connections", "Connector", "asked"]
 
 _MEANINGS = {
     "RTC_ERROR": "it failed, or does not know what was asked",
@@ -48,38 +53,68 @@ def asked(settings: Settings, data_type: str) -> dict[str, str]:
     }
 
 
-class Connector:
-    """One connection; made by connecting, ended by `disconnect`.
+class Connections:
+    """Makes the connectors of one bridge; the first one waits until what the dead left is ended.
 
     Args:
-        port: the remote port.
+        orb: the ORB to call through.
+        name: of the bridge, which connectors carry.
+        seconds: limit of each call.
+    """
+
+    def __init__(self, orb: Orb, name: str, seconds: float) -> None:
+        self._orb = orb
+        self._seconds = seconds
+        self._properties = {NAME: name, PROCESS: journal().process}
+        self._clearing = threading.Lock()
+        self._cleared = False
+
+    def connect(
+        self, where: str, properties: Mapping[str, str], port: Port, *others: Port
+    ) -> Connector:
+        """Connect ports.
+
+        Args:
+            where: the component's path and the port, for errors.
+            properties: what the profile asks.
+            port: the one that is asked.
+            others: further ports of the connection.
+
+        Raises:
+            BridgeError: REFUSED with the port's answer; UNAVAILABLE when it is gone. Nothing
+                stays connected.
+            BridgeTimeoutError: no answer; a connection that comes about later is ended.
+        """
+        with self._clearing:
+            if not self._cleared:
+                self._cleared = True
+                Leftovers(self._orb, self._seconds).end()
+        references = [limit(each.reference, self._seconds) for each in (port, *others)]
+        iors = tuple(self._orb.text(each) for each in references)
+        return Connector(where, {**properties, **self._properties}, references, iors)
+
+
+class Connector:
+    """One connection; made by connecting, ended by `disconnect`. `Connections` makes them.
+
+    Args:
         where: the component's path and the port, for errors.
         properties: what the profile asks.
-        seconds: limit of each call.
-        others: further ports of the connection, after the first.
-
-    Raises:
-        BridgeError: REFUSED with the port's answer; UNAVAILABLE when it is gone. Nothing stays
-            connected.
-        BridgeTimeoutError: no answer; a connection that comes about later is ended.
+        ports: of the connection, the one that is asked first; calls have their limits.
+        iors: of the ports, for the journal.
     """
 
     def __init__(
-        self,
-        port: Port,
-        where: str,
-        properties: Mapping[str, str],
-        seconds: float,
-        others: tuple[Any, ...] = (),
+        self, where: str, properties: Mapping[str, str], ports: list[Any], iors: tuple[str, ...]
     ) -> None:
         self.id = f"uoarm-{uuid.uuid4()}"
-        self._port = limit(port.reference, seconds)
+        self._ports = ports
         self._where = where
-        ports = [port.reference, *others]
         profile = RTC.ConnectorProfile(self.id, self.id, ports, pairs(properties))
+        journal().write(Entry(self.id, iors, where))
         try:
             with corba_errors(f"connecting to {where}"):
-                code, profile = self._port.connect(profile)
+                code, profile = ports[0].connect(profile)
         except BridgeTimeoutError:
             # Whether it will be connected is unknown: it is told to let go when it wakes up.
             threading.Thread(target=self._let_go, name="uoarm-rtm-undo", daemon=True).start()
@@ -107,30 +142,33 @@ class Connector:
         text = f"{self._where} connected, but published none of {', '.join(keys)}"
         raise BridgeError(text, FailureReason.REFUSED)
 
-    def alive(self) -> bool:
-        """Whether the port still has this connection.
+    def alive(self, end: int = 0) -> bool:
+        """Whether a port still has this connection; `end` counts ports from the one asked.
 
         Raises:
             BridgeError: the component is gone.
             BridgeTimeoutError: it hangs.
         """
         with corba_errors(f"looking at the connection to {self._where}"):
-            return bool(self._port.get_connector_profile(self.id).connector_id == self.id)
+            profile = self._ports[end].get_connector_profile(self.id)
+            return bool(profile.connector_id == self.id)
 
     def disconnect(self) -> None:
-        """End the connection; one that the other side has ended is fine.
+        """End the connection at every port; one that the other side has ended is fine.
 
         Raises:
-            BridgeTimeoutError: no answer.
+            BridgeTimeoutError: a port did not answer; the next process tries again.
         """
         try:
             with corba_errors(f"disconnecting from {self._where}"):
-                self._port.disconnect(self.id)
+                end_connector(self.id, self._ports)
         except BridgeTimeoutError:
             raise
         except BridgeError:
-            return  # a component that is gone has no connections
+            return  # the ORB has ended before
+        journal().erase(self.id)
 
     def _let_go(self) -> None:
         with contextlib.suppress(CORBA.Exception), calls:
-            self._port.disconnect(self.id)
+            end_connector(self.id, self._ports)
+            journal().erase(self.id)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
-from uoarm_rtm._connector import Connector, asked
+from uoarm_rtm._connector import Connections, asked
 from uoarm_rtm._peer import Peer, Port
 from uoarm_rtm._settings import Settings
 
@@ -21,7 +21,7 @@ class Native(Channel):
         endpoint: of the OutPort.
         ends: both components with their ports, the OutPort first.
         settings: options of the OutPort's endpoint.
-        seconds: limit of each call.
+        connections: makes the connector.
         report: takes (channel, health, sentence).
         ended: called when the connection has ended.
 
@@ -34,7 +34,7 @@ class Native(Channel):
         endpoint: Endpoint,
         ends: tuple[tuple[Peer, Port], tuple[Peer, Port]],
         settings: Settings,
-        seconds: float,
+        connections: Connections,
         report: Callable[[Channel, Health, str], None],
         ended: Callable[[], None],
     ) -> None:
@@ -45,8 +45,7 @@ class Native(Channel):
         self._ended = ended
         self._lost = False
         properties = asked(settings, out.data_type)
-        others = (into.reference,)
-        self._connector = Connector(out, self._where, properties, seconds, others)
+        self._connector = connections.connect(self._where, properties, out, into)
 
     def facts(self) -> Mapping[str, object]:
         """Return which ports are connected."""

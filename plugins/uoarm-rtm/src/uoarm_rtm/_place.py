@@ -11,7 +11,7 @@ from uoarm.bridge import Channel
 from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._codec import Codec
-from uoarm_rtm._connector import Connector
+from uoarm_rtm._connector import Connections, Connector
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._settings import Settings
@@ -27,6 +27,7 @@ class Place:
     """
 
     orb: Orb
+    connections: Connections
     endpoint: Endpoint
     peer: Peer
     port: Port

@@ -11,7 +11,7 @@ from omniORB import CORBA
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
-from uoarm_rtm._connector import Connector
+from uoarm_rtm._connector import Connections, Connector
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._operations import Interface, Operation
 from uoarm_rtm._orb import Orb, limit, narrowed
@@ -98,6 +98,7 @@ class Caller:
         offer: as the port has it.
         operation: the one to call; empty for that which each request names.
         seconds: limit of connecting.
+        connections: makes the connector.
     """
 
     def __init__(
@@ -109,7 +110,9 @@ class Caller:
         offer: PortInterface,
         operation: str,
         seconds: float,
+        connections: Connections,
     ) -> None:
+        self._connections = connections
         self._operation = operation
         self._orb = orb
         self._port = port
@@ -161,7 +164,7 @@ class Caller:
     def _reach(self) -> Any:
         with self._lock:
             if self._object is None:
-                connector = Connector(self._port, self._where, {}, self._seconds)
+                connector = self._connections.connect(self._where, {}, self._port)
                 names = f"{self._offer.type}.{self._offer.name}"
                 ior = connector.published(
                     f"{self._instance}.port.{self._port.name}.provided.{names}", f"port.{names}"

@@ -11,7 +11,7 @@ from omniORB import CORBA
 from uoarm.bridge import Channel
 from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Message
-from uoarm_rtm._connector import Connector
+from uoarm_rtm._connector import Connections
 from uoarm_rtm._operations import Interface, Operation
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import Peer, Port, PortInterface, properties_of
@@ -76,7 +76,7 @@ class Offer(Channel):
         port: its CorbaPort.
         wanted: the required interface, as the port has it.
         servant: what answers.
-        seconds: limit of connecting.
+        connections: makes the connector.
 
     Raises:
         BridgeError: the port refuses; nothing stays connected.
@@ -90,7 +90,7 @@ class Offer(Channel):
         port: Port,
         wanted: PortInterface,
         servant: Any,
-        seconds: float,
+        connections: Connections,
     ) -> None:
         super().__init__(endpoint)
         self._orb = orb
@@ -101,7 +101,7 @@ class Offer(Channel):
         keys = {f"{peer.instance}.port.{port.name}.required.{names}": ior, f"port.{names}": ior}
         where = f"port {port.name!r} of component {peer.path!r}"
         try:
-            self._connector = Connector(port, where, keys, seconds)
+            self._connector = connections.connect(where, keys, port)
         except BaseException:
             orb.withdraw(self._reference)
             raise

@@ -13,7 +13,7 @@ from uoarm.model import Health, Message
 from uoarm_rtm._buffering import buffer_policy, push_policy
 from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
-from uoarm_rtm._connector import Connector, asked
+from uoarm_rtm._connector import asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
@@ -64,7 +64,7 @@ class InPortSink(Sink):
             self._outlet = place.orb.serve(self._buffer)
             properties[OUTPORT_IOR] = place.orb.text(self._outlet)
         try:
-            self._connector = Connector(place.port, place.where, properties, place.seconds)
+            self._connector = place.connections.connect(place.where, properties, place.port)
             if not pulls:
                 self._target = self._reach()
         except BridgeError:

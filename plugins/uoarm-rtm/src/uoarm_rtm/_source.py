@@ -13,7 +13,7 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Deliver, Health
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._codec import BIG, LITTLE
-from uoarm_rtm._connector import Connector, asked
+from uoarm_rtm._connector import asked
 from uoarm_rtm._data_ports import INPORT_IOR, OUTPORT_IOR
 from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
@@ -63,7 +63,7 @@ class OutPortSource(Source):
         if self._inlet is not None:
             properties[INPORT_IOR] = place.orb.text(self._inlet)
         try:
-            self._connector = Connector(place.port, place.where, properties, place.seconds)
+            self._connector = place.connections.connect(place.where, properties, place.port)
             if self._inlet is None:
                 self._begin_pulling()
         except BridgeError:

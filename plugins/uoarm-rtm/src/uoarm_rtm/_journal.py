@@ -1,0 +1,208 @@
+"""The connectors of this process in private files, so that what a killed one leaves can be ended.
+
+    $XDG_STATE_HOME/uoarm/rtm/TOKEN/lock     held locked for as long as the process runs
+    $XDG_STATE_HOME/uoarm/rtm/TOKEN/ID.json  one for each connector that may exist
+
+The kernel lets go of the lock however the process ends, so a folder whose lock can be had belongs
+to a process that is gone. An entry is written before the ports are asked to connect and removed
+after they have let go: what is in no file was never connected, or has ended.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import json
+import logging
+import os
+import secrets
+import shutil
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from attrs import frozen
+
+__all__ = ["Entry", "Journal", "journal", "process_of"]
+
+_MOST_OCTETS = 1 << 16
+_MOST_ENTRIES = 10_000
+_LOCK = "lock"
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+@frozen
+class Entry:
+    """A connector: its id, the stringified references of its ports, and where it leads."""
+
+    id: str
+    ports: tuple[str, ...]
+    where: str
+
+
+class Journal:
+    """The files of one process.
+
+    Where they cannot be written, that is logged once and connectors are made all the same.
+
+    Args:
+        base: folder of all processes of this user.
+    """
+
+    def __init__(self, base: Path) -> None:
+        self._base = base
+        self.token = secrets.token_hex(8)
+        self._lock: int | None = None
+        self._broken = False
+        self._guard = threading.Lock()
+        # A record lock keeps no thread of its own process out, and any close gives it up.
+        self._looking = threading.Lock()
+
+    @property
+    def process(self) -> str:
+        """What connectors say of their maker: host, process id and token."""
+        return f"{socket.gethostname()}/{os.getpid()}/{self.token}"
+
+    def write(self, entry: Entry) -> None:
+        """Keep an entry; it is on its way to the disk when this returns, and outlives us."""
+        with self._guard:
+            if self._broken:
+                return
+            try:
+                folder = self._folder()
+                file = folder / f"{entry.id}.json"
+                new = file.with_suffix(".new")
+                new.write_text(json.dumps({"ports": entry.ports, "where": entry.where}))
+                new.replace(file)
+            except OSError as error:
+                self._broken = True
+                text = "connectors cannot be noted in %s (%s): a kill would leave them behind"
+                _log.warning(text, self._base, error)
+
+    def erase(self, identifier: str) -> None:
+        """Remove an entry, whose connector has ended; also one that is not there."""
+        with contextlib.suppress(OSError):
+            (self._base / self.token / f"{identifier}.json").unlink()
+
+    def runs(self, token: str) -> bool | None:
+        """Whether a process runs; None for one that has no files here."""
+        if token == self.token:
+            return True
+        if not (self._base / token / _LOCK).is_file():
+            return None
+        with self._looking, self._locked(token) as dead:
+            return not dead
+
+    def left(self) -> Iterator[tuple[str, list[Entry]]]:
+        """Yield the token and the entries of each process that is gone, one at a time.
+
+        Nobody else is given them meanwhile. `forget` removes an entry; what stays is yielded
+        again another time.
+        """
+        try:
+            tokens = sorted(each.name for each in self._base.iterdir() if each.name[0] != ".")
+        except OSError:
+            return
+        for token in tokens:
+            if token == self.token:
+                continue
+            with self._looking, self._locked(token) as dead:
+                if not dead:
+                    continue
+                yield token, self._entries(token)
+                if not any((self._base / token).glob("*.json")):
+                    shutil.rmtree(self._base / token, ignore_errors=True)
+
+    def forget(self, token: str, identifier: str) -> None:
+        """Remove an entry of a process that is gone."""
+        with contextlib.suppress(OSError):
+            (self._base / token / f"{identifier}.json").unlink()
+
+    def close(self) -> None:
+        """Remove our folder where nothing is left in it; the process is about to end."""
+        with self._guard, contextlib.suppress(OSError):
+            folder = self._base / self.token
+            if self._lock is not None and not any(folder.glob("*.json")):
+                shutil.rmtree(folder)
+
+    def _folder(self) -> Path:
+        folder = self._base / self.token
+        if self._lock is None:
+            # It gets its name when it is locked, so that nobody takes it for a dead one's.
+            made = folder.with_name(f".{self.token}")
+            made.mkdir(mode=0o700, parents=True)
+            lock = os.open(made / _LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+            # Record locks are the process's own: children that are forked do not hold them.
+            fcntl.lockf(lock, fcntl.LOCK_EX)
+            made.rename(folder)
+            self._lock = lock
+        return folder
+
+    @contextlib.contextmanager
+    def _locked(self, token: str) -> Iterator[bool]:
+        """Hold the lock of another process's folder; False where it has it, or the folder goes."""
+        try:
+            lock = os.open(self._base / token / _LOCK, os.O_RDWR | os.O_CLOEXEC)
+        except OSError:
+            yield False
+            return
+        try:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+        else:
+            yield True
+        finally:
+            os.close(lock)
+
+    def _entries(self, token: str) -> list[Entry]:
+        entries = []
+        for file in sorted((self._base / token).glob("*.json"))[:_MOST_ENTRIES]:
+            try:
+                with file.open("rb") as opened:
+                    found = json.loads(opened.read(_MOST_OCTETS))
+                ports = tuple(str(each) for each in found["ports"])
+                entries.append(Entry(file.stem, ports, str(found["where"])))
+            except (OSError, ValueError, KeyError, TypeError):
+                _log.warning("%s is no entry of a connector: removed", file)
+                self.forget(token, file.stem)
+        return entries
+
+
+class _Process:
+    """The journal of this process; a child that is forked begins one of its own."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._journal: Journal | None = None
+
+    def journal(self) -> Journal:
+        with self._guard:
+            if self._journal is None:
+                base = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+                self._journal = Journal(Path(base).expanduser() / "uoarm" / "rtm")
+                atexit.register(self._journal.close)
+            return self._journal
+
+    def forget(self) -> None:
+        self.__init__()  # type: ignore[misc]  # in a child, where no other thread is
+
+
+_process = _Process()
+os.register_at_fork(after_in_child=_process.forget)
+
+
+def journal() -> Journal:
+    """Return the journal of this process."""
+    return _process.journal()
+
+
+def process_of(text: str) -> tuple[str, int, str] | None:
+    """Read what `Journal.process` writes: host, process id, token; None for anything else."""
+    parts = text.split("/")
+    if len(parts) != 3 or not all(parts) or not parts[1].isdigit():  # noqa: PLR2004 - as it says
+        return None
+    return parts[0], int(parts[1]), parts[2]

@@ -1,0 +1,105 @@
+# ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
+"""Connectors that processes of ours have left behind: ended by the next one, and only those."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from omniORB import CORBA
+
+from uoarm.errors import BridgeError
+from uoarm_rtm._calls import calls
+from uoarm_rtm._journal import Entry, journal
+from uoarm_rtm._orb import Orb, limit
+from uoarm_rtm._stubs import RTC
+
+__all__ = ["NAME", "PROCESS", "Leftovers", "end_connector"]
+
+NAME, PROCESS = "uoarm.name", "uoarm.process"
+"""Properties by which a connector tells its maker: the bridge, and `Journal.process`."""
+
+_AT_ONCE = 8
+
+_log = logging.getLogger("uoarm.rtm")
+
+
+def end_connector(identifier: str, ports: Sequence[Any]) -> None:
+    """End a connector at each of its ports, of which any may be gone; those have no connectors.
+
+    The first walks all of them. The others are told on their own, since a walk ends at a port
+    whose component is gone, and leaves those behind it as they are (observed).
+
+    Raises:
+        CORBA.TIMEOUT: a port did not answer; the others were told.
+    """
+    silent: CORBA.TIMEOUT | None = None
+    for index, port in enumerate(ports):
+        try:
+            if index == 0:
+                port.disconnect(identifier)
+            else:
+                port.notify_disconnect(identifier)
+        except CORBA.TIMEOUT as error:
+            silent = error
+        except CORBA.Exception as error:
+            _log.debug("connector %s: a port is gone: %r", identifier, error)
+    if silent is not None:
+        raise silent
+
+
+class Leftovers:
+    """What the journals of processes that are gone hold.
+
+    Args:
+        orb: the ORB to call through.
+        seconds: limit of each call.
+    """
+
+    def __init__(self, orb: Orb, seconds: float) -> None:
+        self._orb = orb
+        self._seconds = seconds
+
+    def end(self) -> int:
+        """End them, several at once; returns how many.
+
+        Those whose component hangs are left in the journal, for the next process. Blocks for the
+        limits of two calls at most, however many there are.
+        """
+        ended = 0
+        deadline = time.monotonic() + self._seconds
+
+        def end(entry: Entry) -> bool:
+            return time.monotonic() < deadline and self._end(entry)
+
+        for token, entries in journal().left():
+            if not entries:
+                continue
+            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-clear") as pool:
+                for entry, done in zip(entries, pool.map(end, entries), strict=True):
+                    if done:
+                        journal().forget(token, entry.id)
+                        ended += 1
+        if ended:
+            _log.info("ended %d connectors that killed processes of ours had left", ended)
+        return ended
+
+    def _end(self, entry: Entry) -> bool:
+        """End one; returns whether it is certain that it does not exist any more."""
+        ports = []
+        for ior in entry.ports:
+            try:
+                reference = self._orb.reference(ior)._unchecked_narrow(RTC.PortService)
+                ports.append(limit(reference, self._seconds))
+            except (BridgeError, AttributeError):  # what cannot be read was never connected
+                _log.warning("%s: the journal has no reference of its port", entry.where)
+        try:
+            with calls:
+                end_connector(entry.id, ports)
+        except CORBA.Exception as error:
+            _log.warning("connector %s to %s is left: %r", entry.id, entry.where, error)
+            return False
+        return True
