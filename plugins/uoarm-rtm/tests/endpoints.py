@@ -9,11 +9,16 @@ from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
 from uoarm.testing import patience, wait
 
-__all__ = ["Inbox", "endpoint", "looked", "sink", "source", "stamped"]
+__all__ = ["Inbox", "endpoint", "looked", "of", "sink", "source", "stamped"]
 
 
 def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
     return Endpoint("rtm", "thing", role, address, options=options)
+
+
+def of(component: str, role: Role, port: str, **options: Any) -> Endpoint:
+    """An endpoint of a component that the configuration calls as it is bound, without `.rtc`."""
+    return Endpoint("rtm", component, role, (f"{component}.rtc", port), options=options)
 
 
 def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:

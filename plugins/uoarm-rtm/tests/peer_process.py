@@ -252,9 +252,21 @@ class Process:
     def activate(self) -> None:
         self._component.lifecycle.activate()
 
+    def deactivate(self) -> None:
+        self._component.lifecycle.deactivate()
+
+    def state(self) -> str:
+        return str(self._component.lifecycle.state)
+
     def cut(self) -> None:
         for port in (self._in, self._out):
             port.disconnect_all()
+
+    def forget(self) -> None:
+        """Drop all connections on our side alone, as a component does whose write fails."""
+        for port in (self._in, self._out):
+            for each in port.get_connector_profiles():
+                port.drop(each.connector_id)
 
     def close(self) -> None:
         self._component.close()

@@ -9,6 +9,7 @@ from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
 from uoarm_rtm._control import change
 from uoarm_rtm._peer import Peer, state_of
+from uoarm_rtm._place import Place
 
 __all__ = ["Activations"]
 
@@ -30,14 +31,22 @@ class Activations:
         self._ours: dict[str, Peer] = {}
         self._users: dict[str, set[Channel]] = {}
 
-    def enter(self, channel: Channel, peer: Peer) -> None:
-        """Have a component ACTIVE while a channel is open.
+    def enter(self, channel: Channel, place: Place) -> None:
+        """Have a component ACTIVE while a channel is open, where its endpoint asks for that.
+
+        One that has failed (ERROR) is reset before, where the endpoint allows it.
 
         Raises:
             BridgeError: it cannot be activated.
         """
+        if not place.settings.activate:
+            return
+        peer = place.peer
         with self._lock:
-            if state_of(peer, self._seconds) != "active":
+            state = state_of(peer, self._seconds)
+            if state == "error" and place.settings.reset:
+                change(peer, "reset", self._seconds, there_is_fine=True)
+            if state != "active":
                 change(peer, "activate", self._seconds, there_is_fine=True)
                 self._ours[peer.path] = peer
             self._users.setdefault(peer.path, set()).add(channel)

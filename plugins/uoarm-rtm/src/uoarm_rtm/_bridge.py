@@ -32,7 +32,7 @@ from uoarm_rtm._naming import NamingService
 from uoarm_rtm._native import Native
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._own import Own
-from uoarm_rtm._peer import Peer, Port
+from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._place import Place
 from uoarm_rtm._service_call import Caller, described, offered
 from uoarm_rtm._service_port import Offer, servant_of
@@ -44,6 +44,7 @@ from uoarm_rtm._settings import (
     Settings,
     address_of,
     bridge_settings,
+    linked,
     settings_of,
 )
 from uoarm_rtm._sink import InPortSink
@@ -114,6 +115,7 @@ class RtmBridge(Bridge):
                 request=_control.CONFIGURATION_REQUEST, reply=_control.CONFIGURATION_REPLY
             )
         port = peer.port(address.port)
+        self._well(peer)
         return described(*self._types.interface(address.type or _only_type(peer, port)))
 
     def _open_source(
@@ -191,17 +193,17 @@ class RtmBridge(Bridge):
         addresses = address_of(source), address_of(sink)
         if any(each.component == SELF for each in addresses):
             return None
-        start, end = self._port(source, addresses[0]), self._port(sink, addresses[1])
-        settings = settings_of(source)
-        if not self._types.same(start[1].data_type, end[1].data_type) or settings.stale_after:
+        settings = linked(source, sink)
+        if settings is None:
             return None
-        if _is_big_in_cpp(start[0], settings) or _is_big_in_cpp(end[0], settings):
+        start, end = self._place(source), self._place(sink)
+        if not self._types.same(start.port.data_type, end.port.data_type):
             return None
-        native = Native(
-            source, (start, end), settings, self._connections, self._told, self._active.tick
-        )
-        for (peer, _), wish in ((end, settings_of(sink)), (start, settings)):
-            self._activate(native, peer, wish)
+        if _is_big_in_cpp(start.peer, settings) or _is_big_in_cpp(end.peer, settings):
+            return None
+        native = Native(start, end, settings, self._component_changed)
+        for place in (end, start):
+            self._activate(native, place)
         with self._guard:
             self._ticking[native] = native.tick
         return native
@@ -269,6 +271,8 @@ class RtmBridge(Bridge):
             )
             raise BridgeError(text, FailureReason.REFUSED)
         settings = settings_of(endpoint)
+        if not settings.reset:
+            self._well(peer)
         misread = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
         if _is_big_in_cpp(peer, settings) and (endpoint.role, settings.flow) in misread:
             text = (
@@ -278,18 +282,25 @@ class RtmBridge(Bridge):
             raise BridgeError(text, FailureReason.REFUSED)
         return peer, port
 
+    def _well(self, peer: Peer) -> None:
+        """Raise BridgeError, UNAVAILABLE, where a component has failed: then another is chosen."""
+        if state_of(peer, self._settings.call_seconds) == "error":
+            text = (
+                f"component {peer.path!r} has failed: it is in state ERROR; reset it, "
+                "or give its endpoint `activate: true` and `reset: true`"
+            )
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
     def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> None:
         """Have a channel watched, and its component activated when that is asked."""
-        self._activate(channel, place.peer, place.settings)
+        self._activate(channel, place)
         with self._guard:
             self._ticking[channel] = tick
 
-    def _activate(self, channel: Channel, peer: Peer, settings: Settings) -> None:
+    def _activate(self, channel: Channel, place: Place) -> None:
         """Activate a component for as long as channels ask for it, where that is asked."""
-        if not settings.activate:
-            return
         try:
-            self._active.enter(channel, peer)
+            self._active.enter(channel, place)
         except BridgeError:
             channel.close()
             raise

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from uoarm.bridge import Channel
-from uoarm.errors import BridgeError, BridgeTimeoutError
-from uoarm.model import Endpoint, Health
-from uoarm_rtm._connector import Connections, asked
-from uoarm_rtm._peer import Peer, Port
+from uoarm.model import Health
+from uoarm_rtm._connector import asked
+from uoarm_rtm._place import Place, Trouble
 from uoarm_rtm._settings import Settings
 
 __all__ = ["Native"]
@@ -18,12 +17,10 @@ class Native(Channel):
     """A connector from one component's OutPort to another's InPort.
 
     Args:
-        endpoint: of the OutPort.
-        ends: both components with their ports, the OutPort first.
-        settings: options of the OutPort's endpoint.
-        connections: makes the connector.
-        report: takes (channel, health, sentence).
-        ended: called when the connection has ended.
+        source: the OutPort.
+        sink: the InPort.
+        settings: what the options of both ends ask together.
+        report: takes (health, sentence, name of the component that it is about).
 
     Raises:
         BridgeError: a port refuses; nothing stays connected.
@@ -31,44 +28,55 @@ class Native(Channel):
 
     def __init__(
         self,
-        endpoint: Endpoint,
-        ends: tuple[tuple[Peer, Port], tuple[Peer, Port]],
+        source: Place,
+        sink: Place,
         settings: Settings,
-        connections: Connections,
-        report: Callable[[Channel, Health, str], None],
-        ended: Callable[[], None],
+        report: Callable[[Health, str, str], None],
     ) -> None:
-        super().__init__(endpoint)
-        (source, out), (sink, into) = ends
-        self._where = f"port {out.name!r} of {source.path!r} to port {into.name!r} of {sink.path!r}"
+        super().__init__(source.endpoint)
+        self._ends = source, sink
+        self._where = f"{source.where} to {sink.where}"
         self._report = report
-        self._ended = ended
         self._lost = False
-        properties = asked(settings, out.data_type)
-        self._connector = connections.connect(self._where, properties, out, into)
+        self._idle = dict.fromkeys(range(2), "")
+        self._states = ["", ""]
+        properties = asked(settings, source.port.data_type)
+        self._connector = source.connections.connect(
+            self._where, properties, source.port, sink.port
+        )
 
     def facts(self) -> Mapping[str, object]:
-        """Return which ports are connected."""
-        return {"native": self._where}
+        """Return which ports are connected, and the states of both components."""
+        return {"native": self._where, "states": tuple(self._states)}
 
     def tick(self) -> None:
-        """Look after the connection; called about once a second by the bridge's watch."""
+        """Look at both ends, about once a second; the one with the surest sign is blamed.
+
+        When an end dies the other drops the connection: what is gone is the cause of what ended.
+        """
         if self._lost or self.closed:
             return
-        cause = ""
-        try:
-            if not self._connector.alive():
-                cause = f"{self._where}: the components have ended the connection"
-        except BridgeTimeoutError:
-            cause = f"{self._where}: the source does not answer: it hangs"
-        except BridgeError as error:
-            cause = str(error)
-        if cause:
+        looks = [place.look(self._connector, end) for end, place in enumerate(self._ends)]
+        self._states = [each.state for each in looks]
+        worst = max(range(2), key=lambda end: looks[end].trouble)
+        if looks[worst].trouble > Trouble.INACTIVE:
             self._lost = True
-            self._report(self, Health.LOST, cause)
+            text = f"{looks[worst].cause}; it was connected from {self._where}"
+            self._tell(worst, Health.LOST, text)
+            return
+        for end, seen in enumerate(looks):
+            if seen.cause != self._idle[end]:
+                self._idle[end] = seen.cause
+                text = f"{self._ends[end].where} works again"
+                self._tell(end, Health.DEGRADED if seen.cause else Health.OK, seen.cause or text)
+
+    def _tell(self, end: int, health: Health, cause: str) -> None:
+        if not self.closed:
+            self._report(health, cause, self._ends[end].endpoint.component)
 
     def _close(self) -> None:
         try:
             self._connector.disconnect()
         finally:
-            self._ended()
+            for place in self._ends:
+                place.ended()

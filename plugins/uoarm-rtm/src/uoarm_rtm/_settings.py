@@ -21,6 +21,7 @@ __all__ = [
     "Settings",
     "address_of",
     "bridge_settings",
+    "linked",
     "mistake",
     "settings_of",
 ]
@@ -30,6 +31,12 @@ SELF = "self"
 
 LIFECYCLE, CONFIGURATION = "@lifecycle", "@configuration"
 """Port names that mean a component itself rather than a port of it."""
+
+_OF_ONE_END = frozenset({"activate", "reset", "stale_after", "timeout"})
+_OF_OPTIONS = {
+    "dataport.serializer.cdr.endian": "endian",
+    "dataport.data_type": "the third part of the address",
+}
 
 _NAMESERVER = "corbaloc::localhost:2809/NameService"
 _TEXTS: dict[str, object] = {"type": "array", "items": {"type": "string"}, "minItems": 1}
@@ -109,7 +116,8 @@ class Settings:
     subscription: Literal["flush", "new", "periodic"] = "flush"
     rate: float = 20.0
     endian: Literal["little", "big"] = "little"
-    activate: bool = False
+    activate: Literal[False, True, "keep"] = False
+    reset: bool = False
     timeout: float | None = None
     stale_after: float | None = None
     properties: Mapping[str, str] = field(factory=dict, hash=False)
@@ -156,6 +164,32 @@ def settings_of(endpoint: Endpoint) -> Settings:
         return _settings(endpoint.options)
 
 
+def linked(source: Endpoint, sink: Endpoint) -> Settings | None:
+    """Return what both ends of a native link ask together; None where one link cannot be both.
+
+    That is so where the two contradict each other, or ask for what needs us in between:
+    `stale_after` of an output, `timeout` of an input.
+    """
+    if source.options.get("stale_after") is not None or sink.options.get("timeout") is not None:
+        return None
+    together: dict[str, object] = {}
+    for options in (source.options, sink.options):
+        for name, value in options.items():
+            if name in _OF_ONE_END:
+                continue
+            before = together.setdefault(name, value)
+            if isinstance(before, Mapping) and isinstance(value, Mapping):
+                if any(key in value and value[key] != before[key] for key in before):
+                    return None
+                together[name] = {**before, **value}
+            elif before != value:
+                return None
+    try:
+        return _settings(together)
+    except ValueError:  # each is right by itself, and the two are not
+        return None
+
+
 def mistake(address: tuple[str, ...], options: Options) -> str:
     """Return what is wrong with an address or its options, or ""."""
     try:
@@ -185,9 +219,13 @@ def _settings(options: Options) -> Settings:
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
-    activate = options.get("activate", False)
-    if not isinstance(activate, bool):
-        raise ValueError(f"activate must be true or false, got {activate!r}")  # noqa: TRY004 - one kind
+    activate, reset = options.get("activate", False), options.get("reset", False)
+    if not isinstance(activate, bool) and activate != "keep":
+        raise ValueError(f"activate must be true, false or keep, got {activate!r}")
+    if not isinstance(reset, bool):
+        raise ValueError(f"reset must be true or false, got {reset!r}")  # noqa: TRY004 - one kind
+    if reset and not activate:
+        raise ValueError("reset means nothing without activate: true or keep")
     flow = _one_of(options, "flow", ("push", "pull"))
     subscription = _one_of(options, "subscription", ("flush", "new", "periodic"))
     if "push_policy" in options and (flow == "pull" or subscription == "flush"):
@@ -203,6 +241,7 @@ def _settings(options: Options) -> Settings:
         _seconds(options, "rate") or Settings().rate,
         _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
         activate,
+        reset,
         _seconds(options, "timeout"),
         _seconds(options, "stale_after"),
         properties,
@@ -241,4 +280,12 @@ def _texts(value: object) -> tuple[str, ...]:
 def _properties(value: object) -> Mapping[str, str]:
     if not isinstance(value, Mapping) or not all(isinstance(each, str) for each in value.values()):
         raise ValueError(f"properties must be a table of strings, got {value!r}")
+    for name, option in _OF_OPTIONS.items():
+        if name in value:
+            # We encode and decode by the option: the property alone would make garbage of both.
+            raise ValueError(f"properties must not hold {name}: use {option}")
+    interface = value.get("dataport.interface_type", "corba_cdr")
+    if interface != "corba_cdr":
+        text = f"interface type {interface!r} is not spoken here: only corba_cdr is"
+        raise ValueError(text)
     return dict(value)

@@ -9,7 +9,7 @@ from omniORB import CORBA
 
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Health, Message
+from uoarm.model import Message
 from uoarm_rtm._buffering import buffer_policy, push_policy
 from uoarm_rtm._calls import Calls, calls
 from uoarm_rtm._codec import BIG, LITTLE
@@ -135,7 +135,7 @@ class InPortSink(Sink):
         except BridgeError as error:
             if error.reason is FailureReason.UNAVAILABLE:
                 self._gone = str(error)
-            self.pulse.tell(Health.DEGRADED, str(error))
+            self.pulse.degrade(str(error))
         else:
             self.pulse.beat()
 
@@ -145,12 +145,12 @@ class InPortSink(Sink):
                 status = self._target.put(data)
         except CORBA.TIMEOUT as error:
             text = f"{self._place.where} did not take a message within its time limit"
-            self.pulse.tell(Health.DEGRADED, text)
+            self.pulse.degrade(text)
             raise BridgeTimeoutError(text) from error
         except CORBA.Exception as error:
             self._be_open()
             text = f"{self._place.where} is gone ({corba_text(error)})"
-            self.pulse.tell(Health.LOST, text)
+            self.pulse.lose(text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
         if status != OpenRTM.PORT_OK:
             self.pulse.refused += 1

@@ -10,7 +10,7 @@ from omniORB import CORBA
 
 from uoarm.bridge import Source
 from uoarm.errors import BridgeError, MessageError
-from uoarm.model import Deliver, Health
+from uoarm.model import Deliver
 from uoarm_rtm._buffering import buffer_policy, says_what_empty_means
 from uoarm_rtm._codec import BIG, LITTLE
 from uoarm_rtm._connector import asked
@@ -78,7 +78,7 @@ class OutPortSource(Source):
             message = self._place.codec.decode(data, self._order)
         except MessageError as error:
             self.pulse.refused += 1
-            self.pulse.tell(Health.DEGRADED, f"{self._place.where}: {error}")
+            self.pulse.degrade(f"{self._place.where}: {error}")
             return OpenRTM.PORT_ERROR
         self.pulse.beat()
         self._deliver(message)
@@ -125,4 +125,4 @@ class OutPortSource(Source):
         )
 
     def _lost(self, error: CORBA.Exception) -> None:
-        self.pulse.tell(Health.LOST, f"{self._place.where} is gone ({corba_text(error)})")
+        self.pulse.lose(f"{self._place.where} is gone ({corba_text(error)})")

@@ -1,0 +1,138 @@
+"""Native links: both ends are watched, the one at fault is blamed, and both ends' options hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, of, stamped
+from peers import Peer
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge, Channel
+from uoarm.model import Health, Role
+from uoarm.testing import wait
+
+Start = Callable[..., Peer]
+
+
+def linked(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) -> Channel | None:
+    return bridge.link(of("From", Role.OUTPUT, "out", **out), of("Into", Role.INPUT, "in", **into))
+
+
+FAULTS: dict[str, tuple[Callable[[Peer, Peer], object], str, str]] = {
+    "the sink dies": (lambda _, into: into.kill(), "Into", "gone"),
+    "the source dies": (lambda out, _: out.kill(), "From", "gone"),
+    "the sink hangs": (lambda _, into: into.freeze(), "Into", "it hangs"),
+    "the source hangs": (lambda out, _: out.freeze(), "From", "it hangs"),
+    "the sink fails": (lambda _, into: into.abort(), "Into", "in state ERROR"),
+    "the source fails": (lambda out, _: out.abort(), "From", "in state ERROR"),
+    "the sink drops it": (lambda _, into: into.forget(), "Into", "has ended the connection"),
+    "the source drops it": (lambda out, _: out.forget(), "From", "has ended the connection"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_end_at_fault_is_blamed_and_the_other_let_go(
+    make_bridge: Callable[..., Bridge], peer: Start, fault: str
+) -> None:
+    happen, blamed, words = FAULTS[fault]
+    bridge, events = make_bridge(call_timeout=1), Inbox()
+    bridge.watch(events)
+    ends = {"From": peer("From"), "Into": peer("Into")}
+    for each in ends.values():
+        each.activate()
+    link = linked(bridge, {}, {})
+    assert link is not None
+    happen(*ends.values())
+    if "dies" in fault and blamed == "Into":
+        ends["From"].count(0, 1)  # at which the source drops the connection
+    event = events.event(Health.LOST, words)
+    assert event.component == blamed
+    lost = [each for each in events.messages if each.health is Health.LOST]
+    assert {each.component for each in lost} <= {blamed, f"{blamed}.rtc"}
+    if "hangs" not in fault:
+        link.close()
+        other = ends["Into" if blamed == "From" else "From"]
+        assert other.connectors() == [0, 0]
+
+
+def test_a_second_sink_takes_over(nameserver: str, peer: Start, tmp_path: Path) -> None:
+    numbers, first, second = peer("Numbers"), peer("First"), peer("Second")
+    for each in (numbers, first, second):
+        each.activate()
+    takes = "input: {from: numbers, endpoint:"
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"""
+version: 1
+bridges:
+  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1}}}}
+functions:
+  numbers:
+    components:
+      - {{name: numbers, bridge: rtm, output: {{endpoint: [Numbers.rtc, out]}}}}
+  taker:
+    components:
+      - {{name: first, bridge: rtm, priority: 2, {takes} [First.rtc, in]}}}}
+      - {{name: second, bridge: rtm, priority: 1, {takes} [Second.rtc, in]}}}}
+""")
+    with RobotManager.from_file(file) as robot, robot.request("taker") as connection:
+        assert [each.native for each in robot.status().routes] == [True]
+        first.kill()
+        numbers.count(0, 1)
+        wait(lambda: connection.plan.provider.component.name == "second")
+        wait(lambda: second.connectors() == [1, 0])
+        wait(lambda: numbers.connectors() == [0, 1])
+        numbers.count(7, 8)
+        wait(lambda: stamped(7, 7) in second.received() or second.received()[-1]["data"] == 7)
+        healths = {each.name: each.health for each in robot.status().components}
+        assert healths == {"numbers": Health.OK, "second": Health.OK}
+    assert (numbers.connectors(), second.connectors()) == ([0, 0], [0, 0])
+
+
+def test_the_options_of_both_ends_hold(bridge: Bridge, peer: Start) -> None:
+    component, _ = peer("From"), peer("Into")
+    into = {
+        "subscription": "new",
+        "push_policy": "fifo",
+        "outport_buffer": {"length": 100, "full_policy": "block", "write_timeout": 0.5},
+        "inport_buffer": {"length": 1, "full_policy": "do_nothing"},
+        "properties": {"of.the.sink": "yes"},
+    }
+    link = linked(bridge, {"properties": {"of.the.source": "yes"}, "activate": True}, into)
+    assert link is not None
+    [made] = component.made()
+    wanted = {
+        "dataport.subscription_type": "new",
+        "dataport.publisher.push_policy": "fifo",
+        "dataport.outport.buffer.length": "100",
+        "dataport.outport.buffer.write.full_policy": "block",
+        "dataport.outport.buffer.write.timeout": "0.5",
+        "dataport.inport.buffer.length": "1",
+        "dataport.inport.buffer.write.full_policy": "do_nothing",
+        "of.the.source": "yes",
+        "of.the.sink": "yes",
+    }
+    assert {name: made.get(name) for name in wanted} == wanted
+    link.close()
+
+
+@pytest.mark.parametrize(
+    ("out", "into"),
+    [
+        ({"subscription": "periodic"}, {"subscription": "new"}),
+        ({"properties": {"a": "1"}}, {"properties": {"a": "2"}}),
+        ({"stale_after": 5}, {}),
+        ({}, {"timeout": 1}),
+        ({"push_policy": "all", "subscription": "new"}, {"flow": "pull"}),
+    ],
+    ids=str,
+)
+def test_what_one_connection_cannot_be_goes_through_us(
+    bridge: Bridge, peer: Start, out: dict[str, Any], into: dict[str, Any]
+) -> None:
+    component, _ = peer("From"), peer("Into")
+    assert linked(bridge, out, into) is None
+    assert component.connectors() == [0, 0]

@@ -1,0 +1,123 @@
+"""The states of components: what has failed is replaced, what is inactive is told or activated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, of, sink, source, stamped
+from peers import Peer
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge, Channel, Sink
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Endpoint, Health, Role
+from uoarm.testing import wait
+
+Start = Callable[..., Peer]
+PORTS = {Role.OUTPUT: "out", Role.INPUT: "in"}
+
+
+def opened(bridge: Bridge, at: Endpoint) -> Channel:
+    channel: Channel = (
+        sink(bridge, at) if at.role is Role.INPUT else source(bridge, at, lambda _: None)
+    )
+    return channel
+
+
+@pytest.mark.parametrize("role", PORTS)
+def test_a_component_that_fails_is_lost(bridge: Bridge, peer: Start, role: Role) -> None:
+    component, events = peer("Worker"), Inbox()
+    bridge.watch(events)
+    component.activate()
+    at = of("Worker", role, PORTS[role])
+    channel = opened(bridge, at)
+    component.abort()
+    assert events.event(Health.LOST, "it is in state ERROR").channel is channel
+    with pytest.raises(BridgeError, match="is in state ERROR; reset it, or give") as caught:
+        bridge.describe(at)
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+@pytest.mark.parametrize("role", PORTS)
+def test_a_component_that_others_deactivate_is_degraded(
+    bridge: Bridge, peer: Start, role: Role
+) -> None:
+    component, events = peer("Worker"), Inbox()
+    bridge.watch(events)
+    channel = opened(bridge, of("Worker", role, PORTS[role], activate=True))
+    wait(lambda: channel.facts()["state"] == "active")
+    assert not [each for each in events.messages if each.channel is channel]
+    component.deactivate()
+    event = events.event(Health.DEGRADED, "is inactive: it does nothing now")
+    assert event.channel is channel
+    if isinstance(channel, Sink):
+        channel.send(stamped(1))
+    component.activate()
+    assert events.event(Health.OK, "works again").channel is channel
+    healths = [each.health for each in events.messages if each.channel is channel]
+    assert healths == [Health.DEGRADED, Health.OK]
+
+
+@pytest.mark.parametrize("native", [False, True])
+def test_a_component_is_kept_active_where_that_is_asked(
+    bridge: Bridge, peer: Start, native: bool
+) -> None:
+    component, _ = peer("Worker"), peer("From")
+    at = of("Worker", Role.INPUT, "in", activate="keep")
+    if native:
+        assert bridge.link(of("From", Role.OUTPUT, "out"), at) is not None
+    else:
+        opened(bridge, at)
+    wait(lambda: component.state() == "ACTIVE_STATE")
+    component.deactivate()
+    wait(lambda: component.calls() == ["activated", "deactivated", "activated"])
+
+
+def test_a_failed_component_is_reset_where_that_is_allowed(bridge: Bridge, peer: Start) -> None:
+    component = peer("Worker")
+    component.activate()
+    component.abort()
+    with pytest.raises(BridgeError, match="state ERROR"):
+        opened(bridge, of("Worker", Role.INPUT, "in", activate=True))
+    opened(bridge, of("Worker", Role.INPUT, "in", activate=True, reset=True))
+    assert component.calls() == ["activated", "aborting", "reset", "activated"]
+
+
+@pytest.mark.parametrize("options", ["{}", "{activate: true}"])
+def test_the_next_candidate_takes_over_from_one_that_fails(
+    nameserver: str, peer: Start, tmp_path: Path, options: str
+) -> None:
+    first, second = peer("First"), peer("Second")
+    for each in (first, second):
+        each.activate()
+    file = tmp_path / "robot.yaml"
+    file.write_text(f"""
+version: 1
+bridges:
+  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1}}}}
+functions:
+  numbers:
+    components:
+      - name: first
+        bridge: rtm
+        priority: 2
+        output: {{endpoint: [First.rtc, out], options: {options}}}
+      - {{name: second, bridge: rtm, priority: 1, output: {{endpoint: [Second.rtc, out]}}}}
+""")
+
+    def provider(connection: Any) -> str:
+        return str(connection.plan.provider.component.name)
+
+    with RobotManager.from_file(file) as robot:
+        with robot.request("numbers") as connection:
+            assert provider(connection) == "first"
+            first.abort()
+            wait(lambda: provider(connection) == "second")
+        [numbers] = robot.check_availability()
+        assert numbers.provider == "second"
+        assert "state ERROR" in numbers.candidates[0].cause
+        with robot.request("numbers") as connection:
+            assert provider(connection) == "second"
