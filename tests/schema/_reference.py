@@ -70,6 +70,7 @@ class Reference:
     def __init__(self, schema: object) -> None:
         self._root = schema
         self._anchors: dict[str, object] = {}
+        self._listings: dict[int, frozenset[object]] = {}
         for node in _schemas(schema):
             if "$id" in node and node is not schema:
                 raise UnsupportedSchemaError("an embedded $id")
@@ -121,7 +122,7 @@ class Reference:
             return (set(), set()) if schema else None
         assert isinstance(schema, Mapping)
         marks: Marks = (set(), set())
-        if not _scalar_rules(schema, value):
+        if not (self._listed(schema, value) and _scalar_rules(schema, value)):
             return None
         for part in self._conjuncts(schema, value):
             if not self._merge(marks, part, value):
@@ -133,6 +134,15 @@ class Reference:
         if isinstance(value, dict) and not self._object(schema, value, marks):
             return None
         return marks
+
+    def _listed(self, schema: Mapping[str, object], value: object) -> bool:
+        if "const" in schema and frozen(schema["const"]) != frozen(value):
+            return False
+        if "enum" not in schema:
+            return True
+        if id(schema) not in self._listings:  # which lives as long as this
+            self._listings[id(schema)] = frozenset(map(frozen, _items(schema, "enum")))
+        return frozen(value) in self._listings[id(schema)]
 
     def _merge(self, marks: Marks, schema: object, value: object) -> bool:
         found = self._marks(schema, value)
@@ -176,7 +186,8 @@ class Reference:
             return False
         marks[1].update(range(min(len(prefix), len(value))))
         if "items" in schema:
-            if not self._every((schema["items"], item) for item in value[len(prefix) :]):
+            rest = {id(item): item for item in value[len(prefix) :]}  # often a million times one
+            if not self._every((schema["items"], item) for item in rest.values()):
                 return False
             marks[1].update(range(len(value)))
         if "contains" in schema:
@@ -186,8 +197,8 @@ class Reference:
             if not _within(len(hits), {**schema, "minContains": low}, "minContains", "maxContains"):
                 return False
         if "unevaluatedItems" in schema:
-            rest = [item for n, item in enumerate(value) if n not in marks[1]]
-            if not self._every((schema["unevaluatedItems"], item) for item in rest):
+            unmarked = [item for n, item in enumerate(value) if n not in marks[1]]
+            if not self._every((schema["unevaluatedItems"], item) for item in unmarked):
                 return False
             marks[1].update(range(len(value)))
         return True
@@ -238,10 +249,6 @@ def _scalar_rules(schema: Mapping[str, object], value: object) -> bool:
         names = declared if isinstance(declared, list) else [declared]
         if not any(_has_type(value, str(name)) for name in names):
             return False
-    if "const" in schema and frozen(schema["const"]) != frozen(value):
-        return False
-    if "enum" in schema and frozen(value) not in {frozen(v) for v in _items(schema, "enum")}:
-        return False
     if isinstance(value, str):
         pattern = schema.get("pattern")
         if isinstance(pattern, str) and not compiled(pattern).search(value):

@@ -82,3 +82,21 @@ def test_recursion_ends() -> None:
 def test_an_empty_schema_has_none() -> None:
     with pytest.raises(Unsatisfiable):
         find(instances({"type": "integer", "minimum": 1, "maximum": 0}), lambda _: True)
+
+
+class CountedChoices(RandomChoices):
+    """Says how many numbers were chosen."""
+
+    made = 0
+
+    def integer(self, low: int, high: int) -> int:
+        self.made += 1
+        return super().integer(low, high)
+
+
+def test_a_schema_whose_instances_are_too_large_is_given_up_soon() -> None:
+    branch = {"$ref": "#"}
+    tree = {"type": "object", "properties": {"l": branch, "r": branch}, "required": ["l", "r"]}
+    choices = CountedChoices(0)
+    assert find_instance(tree, choices, Reference(tree).accepts) == (None, False)
+    assert 4_000 < choices.made < 12_000

@@ -24,10 +24,15 @@ _LONG_ARRAY = 12
 _MOST_COUNT = 2_000
 
 
+class TooLargeError(ValueError):
+    """A candidate became too large to be finished."""
+
+
 class Builder:
     """Builds candidates for one schema document."""
 
     def __init__(self, schema: object, choices: Choices) -> None:
+        self._schema = schema
         self._document = Document(schema)
         self._choices = choices
         self._nodes = 0
@@ -41,10 +46,21 @@ class Builder:
             "null": lambda *_: None,
         }
 
-    def build(self, schemas: Iterable[object], depth: int = 0) -> object:
-        """A value meant to satisfy all of ``schemas``; not checked."""
+    def candidate(self) -> object:
+        """A value meant to satisfy the schema; not checked.
+
+        Raises:
+            TooLargeError: it would have more nodes than one may have.
+        """
+        self._nodes = 0
+        return self._build([self._schema])
+
+    def _build(self, schemas: Iterable[object], depth: int = 0) -> object:
+        """A part of a candidate, meant to satisfy all of ``schemas``."""
         self._nodes += 1
-        if depth > _DEEPEST or self._nodes > _MOST_NODES:
+        if self._nodes > _MOST_NODES:
+            raise TooLargeError
+        if depth > _DEEPEST:
             return None
         parts = self._document.parts(self._choices, schemas)
         if parts is None:
@@ -83,7 +99,7 @@ class Builder:
             wanted = [_item_schema(part, place) for part in parts]
             if contained and chance(choices, 60):
                 wanted += contained
-            item = self.build(wanted, depth + 1)
+            item = self._build(wanted, depth + 1)
             repeat = count - place if place >= prefix and count > _LONG_ARRAY else 1
             items += [item] * repeat
         return items
@@ -103,7 +119,7 @@ class Builder:
         spare = (name for name in (*optional, *(f"p{n}" for n in range(low))))
         wanted += [name for name in spare if name not in wanted][: max(0, low - len(wanted))]
         names = [name for name in dict.fromkeys(wanted) if isinstance(name, str)]
-        return {name: self.build(_value_schemas(parts, name), depth + 1) for name in names}
+        return {name: self._build(_value_schemas(parts, name), depth + 1) for name in names}
 
     def _extra_names(self, parts: Sequence[Keywords]) -> list[object]:
         choices = self._choices
@@ -113,7 +129,7 @@ class Builder:
             names += [choices.matching(pattern) for pattern in patterns if chance(choices, 60)]
             constraint = part.get("propertyNames")
             if constraint is not None and chance(choices, 60):
-                names += [name for name in (self.build([constraint]),) if isinstance(name, str)]
+                names += [name for name in (self._build([constraint]),) if isinstance(name, str)]
             for keyword in ("dependentRequired", "dependentSchemas"):
                 names += [name for name in _mapping(part, keyword) if chance(choices, 50)]
         closed = any(part.get("additionalProperties") is False for part in parts)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from jsonschema import Draft202012Validator
 
 from uoarm.testing._choices import DrawnChoices, chance
-from uoarm.testing._instance_builder import Builder
+from uoarm.testing._instance_builder import Builder, TooLargeError
 from uoarm.testing._instance_mutations import mutate
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 Schema: TypeAlias = "bool | Mapping[str, object]"
 
 _ATTEMPTS = 6
+_TOO_LARGE = 2
+"""Candidates that may become too large before a schema is given up: the next ones would, too."""
 
 
 def instances(
@@ -52,8 +54,15 @@ def find_instance(
     schema: object, choices: Choices, accepts: Callable[[object], bool]
 ) -> tuple[object, bool]:
     """A valid value and True, or None and False when a handful of attempts gave none."""
+    builder, too_large = Builder(schema, choices), 0
     for _ in range(_ATTEMPTS):
-        value = Builder(schema, choices).build([schema])
+        try:
+            value = builder.candidate()
+        except TooLargeError:
+            too_large += 1
+            if too_large == _TOO_LARGE:
+                break
+            continue
         if chance(choices, 40):
             changed = mutate(choices, value)
             if accepts(changed):
