@@ -15,6 +15,7 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from uoarm.testing import patience, slowness
+from uoarm.testing._limits import default_limits
 
 __all__ = ["Scheduler"]
 
@@ -42,6 +43,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: runs with `make test-long` only")
     if config.option.timeout is None:
         config.option.timeout = HANGING * patience()
+    limits = default_limits(patience())
+    limits.__enter__()
+    config.add_cleanup(lambda: limits.__exit__(None, None, None))
 
 
 def pytest_report_header() -> str:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 
+from uoarm._host import RemoteBridge
+from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Endpoint, Role
+from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
 TESTS = Path(__file__).parents[1]
@@ -42,6 +47,14 @@ def at(target: str, role: Role, **parameters: object) -> Endpoint:
     return Endpoint("python", target.partition(":")[2], role, (target,), parameters=parameters)
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
+    spec = HostedWorld(tmp_path_factory.getbasetemp()).spec()
+    made = RemoteBridge(evolve(spec, host={"silence": patience(), "start": patience()}))
+    yield made
+    made.close()
+
+
 class TestHostedPythonBridge(BridgeConformance):
     """The whole suite."""
 
@@ -51,3 +64,9 @@ class TestHostedPythonBridge(BridgeConformance):
     @pytest.fixture
     def world(self, tmp_path: Path) -> World:
         return HostedWorld(tmp_path)
+
+    @pytest.fixture
+    def bridge(self, shared: Bridge) -> Iterator[Bridge]:
+        """One host for all tests that end none, each of which leaves nothing open in it."""
+        yield shared
+        assert shared.open_channels == 0

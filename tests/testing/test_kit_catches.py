@@ -11,9 +11,11 @@ from tests.testing import test_memory_conformance as memory
 from tests.testing.bad_bridges import BUGS, RULED_OUT, BadWorld, Bug, table
 
 from uoarm.testing import patience
+from uoarm.testing._limits import default_limits
 from uoarm.testing.conformance._rules import PAGE, rule_of
 
 ROOT = Path(__file__).parents[2]
+HANGING = 5.0  # until a bug that never ends is given up
 CAUGHT = {bug.caught.__name__: bug for bug in BUGS}
 
 
@@ -31,7 +33,8 @@ def run(bug: Bug, world: memory.MemoryWorld) -> None:
     }
     wanted = inspect.signature(bug.caught).parameters
     try:
-        bug.caught(**{name: given[name] for name in wanted})
+        with default_limits(HANGING):
+            bug.caught(**{name: given[name] for name in wanted})
     finally:
         world.close()
         with suppress(Exception):  # one of the bugs

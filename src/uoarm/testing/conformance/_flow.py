@@ -116,15 +116,13 @@ class Flow:
             with line(world, bridge, kind) as through:
                 through.carries(through.example())
 
-    def test_a_line_opens_and_closes_many_times(self, world: World, kind: str) -> None:
-        bridge = world.bridge()
-        try:
-            for _ in range(20):
-                with line(world, bridge, kind) as through:
-                    assert bridge.open_channels == len({through.sink, through.source})
-                assert bridge.open_channels == 0
-        finally:
-            bridge.close()
+    def test_a_line_opens_and_closes_many_times(
+        self, world: World, bridge: Bridge, kind: str
+    ) -> None:
+        for _ in range(20):
+            with line(world, bridge, kind) as through:
+                assert bridge.open_channels == len({through.sink, through.source})
+            assert bridge.open_channels == 0
 
     def test_nothing_is_lost_or_doubled_in_a_stream(
         self, world: World, bridge: Bridge, kind: str

@@ -10,6 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm.bridge import Bridge
+from uoarm.testing._limits import default_limits
 from uoarm.testing._patience import patience
 from uoarm.testing.conformance._breaking import Breaking
 from uoarm.testing.conformance._declaring import Declaring
@@ -34,6 +35,12 @@ class BridgeConformance(Declaring, Describing, Flow, Ending, Trouble, Breaking, 
 
     kinds: ClassVar[tuple[str, ...]] = ()
     hosted: ClassVar[bool] = False
+
+    @pytest.fixture(autouse=True)
+    def _in_time(self, world: World) -> Iterator[None]:
+        """Have what is opened, asked and closed last as long as the world may be slow."""
+        with default_limits(world.patience):
+            yield
 
     @pytest.fixture(autouse=True)
     def _in_a_host(self, world: World, monkeypatch: pytest.MonkeyPatch) -> None:

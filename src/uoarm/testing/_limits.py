@@ -1,0 +1,33 @@
+"""The limits of calls that are given none, on a machine that may be slow."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from uoarm import AsyncRobotManager, RobotManager
+from uoarm.bridge import Bridge, Channel
+
+__all__ = ["default_limits"]
+
+
+@contextmanager
+def default_limits(seconds: float) -> Iterator[None]:
+    """Have calls of bridges, channels and managers that are given no `timeout` last so long.
+
+    What an application waits for a framework is nothing that a test is about, unless it says so.
+    """
+    found = [
+        (method.__kwdefaults__, method.__kwdefaults__["timeout"])
+        for owner in (Bridge, Channel, RobotManager, AsyncRobotManager)
+        for _, method in inspect.getmembers(owner, inspect.isfunction)
+        if isinstance((method.__kwdefaults__ or {}).get("timeout"), float)
+    ]
+    for defaults, _ in found:
+        defaults["timeout"] = seconds
+    try:
+        yield
+    finally:
+        for defaults, before in found:
+            defaults["timeout"] = before
