@@ -6,6 +6,7 @@ import os
 import random
 import time
 from collections.abc import Generator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,9 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: runs with `make test-long` only")
     if config.option.timeout is None:
         config.option.timeout = HANGING * patience()
-    limits = default_limits(patience())
-    limits.__enter__()
-    config.add_cleanup(lambda: limits.__exit__(None, None, None))
+    limits = ExitStack()
+    limits.enter_context(default_limits(patience()))
+    config.add_cleanup(limits.close)
 
 
 def pytest_report_header() -> str:

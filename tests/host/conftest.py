@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from tests.host import hosted
 
+from uoarm._host import remote_bridge
 from uoarm._host.transport.zenoh_transport import Transport
-from uoarm.testing import Census
+from uoarm.testing import Census, patience
 
 
 @pytest.fixture
@@ -23,6 +24,14 @@ def nothing_is_left(tmp_path: Path) -> Iterator[None]:
     before.check()
     left = Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*")
     assert not list(left)
+
+
+@pytest.fixture(scope="module")
+def unhurried() -> Iterator[None]:
+    """For tests in which no host hangs: one that answers late is waited for when it closes."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(remote_bridge, "_CLOSE_SECONDS", patience())
+        yield
 
 
 @pytest.fixture

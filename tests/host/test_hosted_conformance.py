@@ -48,13 +48,15 @@ def at(target: str, role: Role, **parameters: object) -> Endpoint:
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
+def shared(unhurried: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bridge]:
+    del unhurried
     spec = HostedWorld(tmp_path_factory.getbasetemp()).spec()
     made = RemoteBridge(evolve(spec, host={"silence": patience(), "start": patience()}))
     yield made
     made.close()
 
 
+@pytest.mark.usefixtures("unhurried")
 class TestHostedPythonBridge(BridgeConformance):
     """The whole suite."""
 

@@ -39,6 +39,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineRegistry]:
     made.close()
 
 
+@pytest.mark.usefixtures("unhurried")
 class TestJoinedPythonBridge(BridgeConformance):
     """The whole suite."""
 

@@ -20,6 +20,8 @@ from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import Census, patience, wait
 
+pytestmark = pytest.mark.usefixtures("unhurried")
+
 
 @pytest.fixture
 def far(tmp_path: Path) -> Iterator[RemoteBridge]:

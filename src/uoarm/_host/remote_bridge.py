@@ -47,8 +47,6 @@ __all__ = ["RemoteBridge"]
 _BLOCKING_SECONDS = 10.0
 _PROMPT_SECONDS = 0.2
 _CLOSE_SECONDS = 2.0
-_CLOSE_SHARE = 0.6
-"""Of the silence after which a host counts as dead, as what it may take to close something."""
 _log = logging.getLogger("uoarm")
 
 
@@ -78,7 +76,6 @@ class RemoteBridge(Bridge):
         self._services = RequestWorkers(f"uoarm-serve-{spec.name}")
         self._reported_death = threading.Lock()
         settings = HostSettings.read(spec.host or {})
-        self._close_seconds = max(_CLOSE_SECONDS, _CLOSE_SHARE * settings.silence)
         connect: Callable[..., ProcessConnection | MachineConnection] = partial(
             ProcessConnection, origin=origin
         )
@@ -211,7 +208,7 @@ class RemoteBridge(Bridge):
 
     def _close(self) -> None:
         self._services.close()
-        self._host.close(lambda: self._ask("close", timeout=self._close_seconds))
+        self._host.close(lambda: self._ask("close", timeout=_CLOSE_SECONDS))
 
     def _ask(self, operation: str, **values: Any) -> Any:
         try:
@@ -224,7 +221,7 @@ class RemoteBridge(Bridge):
         """Ask about an open channel; one of a dead host is closed already."""
         try:
             if not self._host.dead:
-                return self._host.ask(operation, {"timeout": self._close_seconds, **values})
+                return self._host.ask(operation, {"timeout": _CLOSE_SECONDS, **values})
         except UoarmError:
             if not self._host.dead:
                 raise

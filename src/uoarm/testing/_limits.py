@@ -18,12 +18,12 @@ def default_limits(seconds: float) -> Iterator[None]:
 
     What an application waits for a framework is nothing that a test is about, unless it says so.
     """
-    found = [
-        (method.__kwdefaults__, method.__kwdefaults__["timeout"])
+    methods = (
+        method.__kwdefaults__ or {}
         for owner in (Bridge, Channel, RobotManager, AsyncRobotManager)
         for _, method in inspect.getmembers(owner, inspect.isfunction)
-        if isinstance((method.__kwdefaults__ or {}).get("timeout"), float)
-    ]
+    )
+    found = [(one, one["timeout"]) for one in methods if isinstance(one.get("timeout"), float)]
     for defaults, _ in found:
         defaults["timeout"] = seconds
     try:
