@@ -21,7 +21,6 @@ BURST = {100: 5000, 1_000: 5000, 1_000_000: 100}
 RELAYS = (
     "a bare rclpy relay",
     "uoarm bridge, source to sink",
-    "uoarm bridge, events executor",
     "uoarm native link",
     "uoarm manager, adapted route",
 )
@@ -156,11 +155,11 @@ functions:
         sys.stdin.read()
 
 
-def relay_by_bridge(here: str, there: str, *, executor: str, link: bool) -> None:
+def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
     from uoarm.bridge import Registry  # noqa: PLC0415
     from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
 
-    bridge = Registry().create(BridgeSpec("ros", "ros2", {"executor": executor}))
+    bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
     qos = {"qos": {"history": "keep_all"}}
     source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=qos)
     sink = Endpoint("ros", "there", Role.INPUT, (there, KIND))
@@ -188,8 +187,7 @@ def relay(name: str, number: str) -> None:
     elif "manager" in name:
         relay_by_manager(here, there)
     else:
-        executor = "events" if "events" in name else "standard"
-        relay_by_bridge(here, there, executor=executor, link="link" in name)
+        relay_by_bridge(here, there, link="link" in name)
 
 
 if __name__ == "__main__":

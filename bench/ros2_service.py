@@ -29,8 +29,7 @@ def main() -> int:
     with subprocess.Popen(arguments, stdin=subprocess.PIPE) as process:
         rows = [
             row("a bare rclpy client", _by_hand()),
-            row("uoarm bridge", _by_uoarm("standard")),
-            row("uoarm bridge, events executor", _by_uoarm("events")),
+            row("uoarm bridge", _by_uoarm()),
         ]
         process.communicate(timeout=20)
     print_table("ROS 2 service call (us)", ("client", "median", "p99", ""), rows)
@@ -70,11 +69,11 @@ def _spin(executor: Any) -> None:
         executor.spin()
 
 
-def _by_uoarm(executor: str) -> list[float]:
+def _by_uoarm() -> list[float]:
     from uoarm.bridge import Registry  # noqa: PLC0415
     from uoarm.model import BridgeSpec, Endpoint, Role  # noqa: PLC0415
 
-    bridge = Registry().create(BridgeSpec("ros", "ros2", {"executor": executor}))
+    bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
     service = Endpoint("ros", "switch", Role.SERVICE, (NAME, KIND))
     bridge.describe(service)
 

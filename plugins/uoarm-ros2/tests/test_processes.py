@@ -11,15 +11,17 @@ import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, sink, source
 from peers import DOMAIN, Peer
+from uoarm_ros2._middleware._wait_set import WaitSet
 
 from uoarm.bridge import Bridge, Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Role
-from uoarm.testing import Background, Census, patience
+from uoarm.testing import Background, Census, patience, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -79,6 +81,38 @@ def test_an_application_keeps_its_own_rclpy(tmp_path: Path) -> None:
     assert (done.stdout.strip(), done.returncode) == ("[1, 2]", 0), done.stderr
 
 
+LEFT_OPEN = """
+import sys, threading
+from std_msgs.msg import Int64
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+
+bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
+options = {"peer": "optional", "wait": 0.0}
+into = Endpoint("ros", "c", Role.INPUT, ("/left", "std_msgs/msg/Int64"), options=options)
+sink = bridge.open_sink(into, bridge.describe(into).message)
+out = Endpoint("ros", "c", Role.OUTPUT, ("/left", "std_msgs/msg/Int64"))
+came = threading.Event()
+source = bridge.open_source(out, bridge.describe(out).message, lambda _: came.set())
+sink.send({"data": 1})
+came.wait()
+if sys.argv[1] == "raises":
+    raise SystemExit(3)
+"""
+
+
+@pytest.mark.parametrize(("how", "code"), [("returns", 0), ("raises", 3)])
+def test_a_process_that_ends_without_close_ends_as_it_wants(
+    tmp_path: Path, how: str, code: int
+) -> None:
+    script = tmp_path / "left_open.py"
+    script.write_text(LEFT_OPEN)
+    done = subprocess.run(
+        [sys.executable, str(script), how], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (code, "")
+
+
 def test_making_a_bridge_changes_nothing_global(make_bridge: Make) -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     was_enabled = faulthandler.is_enabled()
@@ -91,9 +125,8 @@ def _resident() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-@pytest.mark.parametrize("executor", ["standard", "events"])
-def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make, executor: str) -> None:
-    bridge = make_bridge(executor=executor, settle=0)
+def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make) -> None:
+    bridge = make_bridge(settle=0)
     at = endpoint(Role.INPUT, "/again", INT64, peer="optional", wait=0.0)
     from_there = endpoint(Role.OUTPUT, "/again", INT64, peer="optional", wait=0.0)
 
@@ -114,6 +147,35 @@ def test_five_hundred_openings_leave_nothing_behind(make_bridge: Make, executor:
     assert _resident() - memory < 500 * 8_000
 
 
+def test_wait_sets_are_built_only_when_something_comes_or_goes(
+    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built: list[int] = []
+    init = WaitSet.__init__
+
+    def count(self: WaitSet, context: Any, guard: Any, entities: Any) -> None:
+        built.append(len(tuple(entities)))
+        init(self, context, guard, entities)
+
+    monkeypatch.setattr(WaitSet, "__init__", count)
+    bridge, talker, inbox = make_bridge(), peer("talker"), Inbox()
+    for number in range(20):
+        idle = endpoint(Role.OUTPUT, f"/idle_{number}", INT64, peer="optional", wait=0.0)
+        source(bridge, idle, print)
+    talker.do("advertise", topic="/busy", history="keep_all")
+    at = endpoint(Role.OUTPUT, "/busy", INT64, qos={"history": "keep_all"})
+    channel = source(bridge, at, inbox)
+    talker.do("publish", topic="/busy", count=10)
+    inbox.wait_for(10)
+    before = len(built)
+    talker.do("publish", topic="/busy", count=1000, first=11)
+    inbox.wait_for(1010)
+    assert inbox.numbers() == list(range(1, 1011))
+    assert len(built) == before
+    channel.close()
+    wait(lambda: len(built) == before + 2)
+
+
 def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     make_bridge("first").close()
     census = Census()
@@ -124,15 +186,14 @@ def test_bridges_come_and_go_without_a_trace(make_bridge: Make) -> None:
     census.check()
 
 
-@pytest.mark.parametrize("executor", ["standard", "events"])
 def test_a_bridge_closes_in_time_while_messages_flow_both_ways(
-    make_bridge: Make, peer: Start, executor: str
+    make_bridge: Make, peer: Start
 ) -> None:
     talker = peer("talker")
     talker.do("advertise", topic="/flood")
     out = endpoint(Role.INPUT, "/out", INT64, peer="optional", wait=0.0)
     for number in range(5):
-        bridge, inbox = make_bridge(f"number_{number}", executor=executor), Inbox()
+        bridge, inbox = make_bridge(f"number_{number}"), Inbox()
         source(bridge, endpoint(Role.OUTPUT, "/flood", INT64), inbox)
         sending = Background(partial(send_until_closed, sink(bridge, out)))
         talker.start("publish", topic="/flood", count=500, period=0.001)
@@ -167,7 +228,7 @@ def test_a_bridge_closes_in_time_while_a_receiver_hangs(bridge: Bridge, peer: St
     leave.set()
 
 
-@pytest.mark.parametrize("option", [{"domain_id": -1}, {"domain": 3}, {"executor": "fast"}])
+@pytest.mark.parametrize("option", [{"domain_id": -1}, {"domain": 3}, {"executor": "events"}])
 def test_the_options_schema_refuses(option: dict[str, object]) -> None:
     from jsonschema import Draft202012Validator
     from uoarm_ros2 import uoarm_bridge_types

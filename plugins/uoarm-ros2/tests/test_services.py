@@ -38,9 +38,8 @@ def service(*address: str, **options: Any) -> Any:
     return endpoint(Role.SERVICE, *address, **options)
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_a_call_is_answered(make_bridge: Make, peer: Start, executor: str) -> None:
-    bridge, server = make_bridge(executor=executor), peer("server")
+def test_a_call_is_answered(make_bridge: Make, peer: Start) -> None:
+    bridge, server = make_bridge(), peer("server")
     server.do("serve", name="/increment")
     found = bridge.describe(service("/increment"))
     assert found.request is not None
@@ -161,9 +160,8 @@ def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start)
     assert answer["message"] == "41"
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_an_action_is_a_call(make_bridge: Make, peer: Start, executor: str) -> None:
-    bridge, server = make_bridge(executor=executor), peer("server", "threads")
+def test_an_action_is_a_call(make_bridge: Make, peer: Start) -> None:
+    bridge, server = make_bridge(), peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.01)
     found = bridge.describe(service("/fibonacci", FIBONACCI))
     assert found.request is not None
@@ -186,9 +184,8 @@ def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) ->
     assert server.do("goal_ends")["ends"] == ["canceled"]
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_an_action_is_four_streams(make_bridge: Make, peer: Start, executor: str) -> None:
-    bridge, server = make_bridge(executor=executor), peer("server", "threads")
+def test_an_action_is_four_streams(make_bridge: Make, peer: Start) -> None:
+    bridge, server = make_bridge(), peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.02)
     feedback, results, statuses = Inbox(), Inbox(), Inbox()
     for part, inbox in (("feedback", feedback), ("result", results), ("status", statuses)):

@@ -21,9 +21,8 @@ Start = Callable[..., Peer]
 UNKNOWN = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_no_first_message_is_lost(make_bridge: Make, peer: Start, executor: str) -> None:
-    bridge, talker = make_bridge(executor=executor), peer("talker")
+def test_no_first_message_is_lost(make_bridge: Make, peer: Start) -> None:
+    bridge, talker = make_bridge(), peer("talker")
     for attempt in range(5):
         topic = f"/first_{attempt}"
         talker.do("advertise", topic=topic)
@@ -35,11 +34,8 @@ def test_no_first_message_is_lost(make_bridge: Make, peer: Start, executor: str)
         channel.close()
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_ten_thousand_numbered_messages_pass_a_relay_whole(
-    make_bridge: Make, peer: Start, executor: str
-) -> None:
-    bridge = make_bridge(executor=executor)
+def test_ten_thousand_numbered_messages_pass_a_relay_whole(make_bridge: Make, peer: Start) -> None:
+    bridge = make_bridge()
     talker, listener = peer("talker"), peer("listener")
     talker.do("advertise", topic="/numbers", history="keep_all")
     listener.do("subscribe", topic="/relayed", history="keep_all")
@@ -100,11 +96,10 @@ def test_auto_follows_a_publisher_that_comes_back_with_less(bridge: Bridge, peer
     assert "best_effort" in str(channel.facts()["qos"])
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
 def test_auto_adapts_to_what_is_left_when_the_better_publisher_goes(
-    make_bridge: Make, peer: Start, executor: str
+    make_bridge: Make, peer: Start
 ) -> None:
-    bridge = make_bridge(executor=executor)
+    bridge = make_bridge()
     events, inbox = Inbox(), Inbox()
     bridge.watch(events)
     good, bad = peer("good"), peer("bad")
@@ -132,11 +127,8 @@ def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer:
     assert bridge.open_channels == 0
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
-def test_a_clash_that_comes_later_is_an_event(
-    make_bridge: Make, peer: Start, executor: str
-) -> None:
-    bridge = make_bridge(executor=executor)
+def test_a_clash_that_comes_later_is_an_event(make_bridge: Make, peer: Start) -> None:
+    bridge = make_bridge()
     events = Inbox()
     bridge.watch(events)
     good, bad = peer("good"), peer("bad")
@@ -165,7 +157,7 @@ def test_a_peer_is_counted_once_although_its_node_is_named_later(
         return tuple(evolve(one, node=UNKNOWN) if one.node == "/bad" else one for one in found)
 
     monkeypatch.setattr(Station, "publishers", named_late)
-    bridge = make_bridge(executor="events")
+    bridge = make_bridge()
     events = Inbox()
     bridge.watch(events)
     good, bad = peer("good"), peer("bad")
@@ -188,16 +180,16 @@ def test_a_subscription_that_asks_for_more_is_an_event(bridge: Bridge, peer: Sta
     events.event(Health.DEGRADED, "clash on durability (offered volatile, asked tran")
 
 
-@pytest.mark.parametrize("executor", ["events", "standard"])
 def test_a_killed_publisher_is_lost_and_its_successor_resumes(
-    make_bridge: Make, peer: Start, executor: str
+    make_bridge: Make, peer: Start
 ) -> None:
-    bridge = make_bridge(executor=executor)
+    bridge = make_bridge()
     events, inbox = Inbox(), Inbox()
     bridge.watch(events)
     talker = peer("talker")
-    talker.do("advertise", topic="/mortal")
-    channel = source(bridge, endpoint(Role.OUTPUT, "/mortal", INT64), inbox)
+    talker.do("advertise", topic="/mortal", history="keep_all")
+    whole = {"history": "keep_all"}
+    channel = source(bridge, endpoint(Role.OUTPUT, "/mortal", INT64, qos=whole), inbox)
     talker.start("publish", topic="/mortal", count=100_000, period=0.001)
     inbox.wait_for(100)
     talker.kill()

@@ -57,9 +57,7 @@ class Ros2Bridge(Bridge):
         given = {key: value for key, value in options.items() if key != "node"}
         node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
         self._settings = BridgeSettings(node, **given)  # type: ignore[arg-type]  # by the schema
-        self._participant = Participant(
-            self._settings.domain_id, self._settings.namespace, self._settings.executor
-        )
+        self._participant = Participant(self._settings.domain_id, self._settings.namespace)
         try:
             self._station = self._participant.station(node)
         except BaseException:

@@ -59,7 +59,6 @@ class End(ABC):
         self._clashing = False
         self._unlooked = False
         self._strange = False
-        self._unfit: set[bytes] = set()
         self._closed = False
         self.policies = self._fitting()
         self.native = self._create()
@@ -113,8 +112,6 @@ class End(ABC):
         self._pulse.tick()
         if self._closed:
             return
-        if self._place.station.without_events:
-            self._look_around()
         if self._unanswered:
             self._unanswered -= 1
             self._answer_clash()
@@ -152,16 +149,6 @@ class End(ABC):
         self._pulse.peers(
             current, f"{self.peer_word} of {self._place.topic.name}", required=required
         )
-
-    def _look_around(self) -> None:
-        """Do in the place of events: see who is matched, and who on the graph does not fit."""
-        current = self.count()
-        if current != self._pulse.matched:
-            self._matched(current)
-        unfit = {peer.identity for peer in self.peers() if self.clashes_with(peer.policies)}
-        if unfit - self._unfit:
-            self._clash(self._pulse.incompatible + len(unfit - self._unfit))
-        self._unfit = unfit
 
     def _strangers(self) -> list[Peer]:
         """Return the peers whose type has our name and another definition: DDS matches by name."""

@@ -116,8 +116,9 @@ class Server(Channel):
         report: Callable[[Channel, Health, str], None],
     ) -> None:
         super().__init__(endpoint)
-        native = import_type(type_name)
+        native: Any = import_type(type_name)
         request, reply = _records(native, type_name)
+        self._native = native
         self._name = name
         self._read = reader(request)
         self._write = writer(reply)
@@ -144,11 +145,11 @@ class Server(Channel):
         # The handler that is at work may be what asked for the close.
         self._participant.dismiss(self._station, 0.0 if self._answering else _STOP_SECONDS)
 
-    def _answer(self, request: Any, response: Any) -> Any:
+    def _answer(self, request: Any, reply: Callable[[Any], None]) -> None:
         self._answering = True
         self.count += 1
         try:
-            reply = self._write(self._handler(self._read(request)))
+            answer = self._write(self._handler(self._read(request)))
         except Exception as error:
             self.failures += 1
             self._failing = True
@@ -157,12 +158,11 @@ class Server(Channel):
             if not self._refusable:
                 raise
             _log.warning("%s", cause)
-            response.success, response.message = False, str(error)
-            return response
+            answer = self._native.Response(success=False, message=str(error))
         else:
             if self._failing:
                 self._failing = False
                 self._report(self, Health.OK, f"serving {self._name} works again")
-            return reply
         finally:
             self._answering = False
+        reply(answer)

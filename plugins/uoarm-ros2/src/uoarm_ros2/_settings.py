@@ -52,10 +52,6 @@ BRIDGE_OPTIONS: Schema = {
             **_SECONDS,
             "description": "seconds for a matched publisher to learn of us; default 0.05",
         },
-        "executor": {
-            "enum": ["standard", "events"],
-            "description": "rclpy executor; events is faster and still experimental in rclpy",
-        },
     },
 }
 
@@ -89,7 +85,6 @@ class BridgeSettings:
     domain_id: int | None = None
     wait: float = _WAIT_SECONDS
     settle: float = _SETTLE_SECONDS
-    executor: str = "standard"
 
 
 @frozen

@@ -4,11 +4,9 @@ One `Participant` is one rclpy context with nodes of its own. The process's defa
 signal handlers, its logging and its global executor are left to the application.
 """
 
-from rclpy.task import Future
-
 from uoarm_ros2._middleware._environment import environment
 from uoarm_ros2._middleware._participant import Participant
 from uoarm_ros2._middleware._peer import Peer
 from uoarm_ros2._middleware._station import Station
 
-__all__ = ["Future", "Participant", "Peer", "Station", "environment"]
+__all__ = ["Participant", "Peer", "Station", "environment"]

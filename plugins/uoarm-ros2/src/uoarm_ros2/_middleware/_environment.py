@@ -8,7 +8,6 @@ from pathlib import Path
 import rclpy
 
 from uoarm_ros2._installation import installation, wheels
-from uoarm_ros2._middleware._executor import has_events_executor
 
 __all__ = ["environment"]
 
@@ -24,7 +23,6 @@ def environment() -> dict[str, str]:
         "rmw": rclpy.get_rmw_implementation_identifier(),
         "domain": os.environ.get("ROS_DOMAIN_ID", "0 (ROS_DOMAIN_ID is not set)"),
         "discovery": _discovery(),
-        "executor": "events, standard" if has_events_executor() else "standard",
     }
 
 

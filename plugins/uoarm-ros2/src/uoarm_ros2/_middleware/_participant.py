@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 import time
 
@@ -11,19 +12,23 @@ from uoarm_ros2._middleware._station import Station
 
 __all__ = ["Participant"]
 
+_EXIT_SECONDS = 2.0
+
 
 class Participant:
     """One rclpy context and the stations in it; the context goes when the last station has."""
 
-    def __init__(self, domain_id: int | None, namespace: str, executor: str) -> None:
+    def __init__(self, domain_id: int | None, namespace: str) -> None:
         self._namespace = namespace
-        self._executor = executor
         self._lock = threading.Lock()
         self._stations: list[Station] = []
         self._names: set[str] = set()
         self._alive = 1
+        self._closed = False
         self._context = Context()
         self._context.init(args=[], domain_id=domain_id, initialize_logging=False)
+        # A thread that is inside rclpy while the interpreter ends brings down the whole process.
+        atexit.register(self.close, _EXIT_SECONDS)
 
     @property
     def domain_id(self) -> int:
@@ -35,7 +40,7 @@ class Participant:
         with self._lock:
             self._alive += 1
         try:
-            station = Station(self._context, name, self._namespace, self._executor, self._release)
+            station = Station(self._context, name, self._namespace, self._release)
         except BaseException:
             self._release()
             raise
@@ -55,7 +60,15 @@ class Participant:
         station.stop(limit)
 
     def close(self, limit: float) -> None:
-        """Stop every station; a thread that a callback holds ends when the callback does."""
+        """Stop every station; a thread that a callback holds ends when the callback does.
+
+        Happens by itself when the interpreter ends; idempotent.
+        """
+        atexit.unregister(self.close)
+        with self._lock:
+            closed, self._closed = self._closed, True
+        if closed:
+            return
         deadline = time.monotonic() + limit
         with self._lock:
             stations, self._stations = self._stations, []

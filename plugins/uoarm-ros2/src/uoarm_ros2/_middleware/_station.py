@@ -5,52 +5,58 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_names_and_types
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    SubscriptionEventCallbacks,
-    UnsupportedEventTypeError,
-)
-from rclpy.exceptions import InvalidHandle
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 
-from uoarm_ros2._middleware._executor import new_executor
+from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
 from uoarm_ros2._middleware._profile import new_profile
+from uoarm_ros2._middleware._wait_set import (
+    Entity,
+    EventEntity,
+    ReplyEntity,
+    RequestEntity,
+    SubscriptionEntity,
+    WaitableEntity,
+)
 from uoarm_ros2._qos import Policies
 
 __all__ = ["Station"]
 
-_SPIN_SECONDS = 0.2
-_PERFORM_SECONDS = 2.0
-_DISCARD_SECONDS = 0.1
-T = TypeVar("T")
+_TICK_SECONDS = 0.2
+_SUBSCRIPTION_EVENTS = {
+    "deadline": "RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED",
+    "incompatible_qos": "RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS",
+    "matched": "RCL_SUBSCRIPTION_MATCHED",
+    "message_lost": "RCL_SUBSCRIPTION_MESSAGE_LOST",
+}
+_PUBLISHER_EVENTS = {
+    "deadline": "RCL_PUBLISHER_OFFERED_DEADLINE_MISSED",
+    "incompatible_qos": "RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS",
+    "matched": "RCL_PUBLISHER_MATCHED",
+}
+Notify = Callable[[Any], None]
 _log = logging.getLogger("uoarm.ros2")
 
 
 class Station:
-    """One node, its executor and the thread that spins it.
+    """One node, its wait-set loop and the thread that makes its turns.
 
     `stop` returns within its limit whatever a callback does; the thread itself puts everything
     away when it ends, and `done` is called last. `tick` is called a few times a second, `cut_off`
     once if the context is shut down from outside; both in the thread.
     """
 
-    def __init__(
-        self, context: Any, name: str, namespace: str, executor: str, done: Callable[[], None]
-    ) -> None:
-        self._executor = new_executor(executor, context)
-        # The events executor crashes when entities come or go beside it in other threads, and when
-        # one goes whose event is still in its queue (it drops Python objects without the lock).
-        self._alone = self.without_events = executor != "standard"
+    def __init__(self, context: Any, name: str, namespace: str, done: Callable[[], None]) -> None:
         self.node = Node(
             name,
             context=context,
@@ -64,7 +70,8 @@ class Station:
         self.tick: Callable[[], None] = _nothing
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
-        self._executor.add_node(self.node)
+        self._loop = WaitLoop(context, lambda: self._stopping or not context.ok())
+        self._entities: dict[Any, list[Entity]] = {}
         self._stopping = False
         self._done = done
         self._ended = threading.Event()
@@ -75,20 +82,18 @@ class Station:
         """End the thread; whether it ended within `limit` seconds."""
         self._stopping = True
         with suppress(Exception):  # it may have put itself away already
-            self._executor.create_task(_nothing)  # work, which ends a spin at once; wake() does not
+            self._loop.wake()
         return threading.current_thread() is self._thread or self._ended.wait(limit)
 
     def _run(self) -> None:
-        due = time.monotonic() + _SPIN_SECONDS
+        due = time.monotonic() + _TICK_SECONDS
         try:
             while not self._stopping:
                 try:
-                    self._executor.spin_once(timeout_sec=_SPIN_SECONDS)
+                    self._loop.turn(max(0.0, due - time.monotonic()))
                     if time.monotonic() >= due:
-                        due = time.monotonic() + _SPIN_SECONDS
+                        due = time.monotonic() + _TICK_SECONDS
                         self.tick()
-                except InvalidHandle:
-                    pass  # an entity went between its event and our look at it
                 except Exception as error:  # noqa: BLE001 - one failure is nobody else's
                     self._failed(error)
                 if not self._context.ok():
@@ -100,59 +105,31 @@ class Station:
 
     def _failed(self, error: Exception) -> None:
         if not self._stopping and self._context.ok():
-            _log.error("a callback of ROS 2 failed", exc_info=error)
+            _log.error("looking after a ROS 2 node failed", exc_info=error)
 
     def _put_away(self) -> None:
         try:
-            self._executor.remove_node(self.node)
+            self._loop.close()
             self.node.destroy_node()
-            self._executor.shutdown(timeout_sec=0)
         except Exception:  # noqa: BLE001 - the context must go all the same
             _log.exception("putting away a ROS 2 node failed")
         finally:
             self._done()
             self._ended.set()
 
-    def discard(self, entity: Any) -> None:
+    def _wait_for(self, native: Any, *entities: Entity) -> Any:
+        """Hand on what comes to a native thing from now on."""
+        self._entities[native] = list(entities)
+        self._loop.add(*entities)
+        return native
+
+    def discard(self, native: Any) -> None:
         """Destroy a publisher or subscription; does not wait for a thread that is held up."""
-        if isinstance(entity, Publisher):
-            self._perform(lambda: self.node.destroy_publisher(entity), needed=False)
+        self._loop.remove(*self._entities.pop(native, ()))
+        if isinstance(native, Publisher):
+            self.node.destroy_publisher(native)
         else:
-            self._perform(lambda: self.node.destroy_subscription(entity), needed=False)
-
-    def _perform(self, action: Callable[[], T], *, needed: bool = True) -> T | None:
-        """Create or destroy an entity in the thread in which this executor can bear it."""
-        if not self._alone or threading.current_thread() is self._thread:
-            return action()
-        made: list[T] = []
-        failed: list[Exception] = []
-        done = threading.Event()
-
-        def perform() -> None:
-            try:
-                made.append(action())
-            except Exception as error:  # noqa: BLE001 - raised again in the caller's thread
-                failed.append(error)
-            done.set()
-
-        self._executor.create_task(perform)
-        if not done.wait(_PERFORM_SECONDS if needed else _DISCARD_SECONDS) and needed:
-            raise RuntimeError("the thread of the events executor is held up by a delivery")
-        if failed and needed:
-            raise failed[0]
-        return made[0] if made else None
-
-    def _with_events(
-        self,
-        create: Callable[..., Any],
-        kind: type,
-        events: dict[str, Callable[[Any], None]],
-    ) -> Any:
-        for callbacks in _fewer({} if self.without_events else events):
-            with suppress(UnsupportedEventTypeError):
-                known = kind(use_default_callbacks=False, **callbacks)
-                return self._perform(partial(create, event_callbacks=known))
-        raise AssertionError("an end without event callbacks is always supported")
+            self.node.destroy_subscription(native)
 
     def subscribe(
         self,
@@ -162,13 +139,20 @@ class Station:
         take: Callable[[Any], None],
         *,
         raw: bool,
-        events: dict[str, Callable[[Any], None]],
+        events: dict[str, Notify],
     ) -> Any:
-        """Create a subscription; events that rmw or executor cannot bear are left out."""
-        create = partial(
-            self.node.create_subscription, native, topic, take, new_profile(policies), raw=raw
+        """Create a subscription; events that the middleware does not have are left out."""
+        made = self.node.create_subscription(
+            native,
+            topic,
+            _nothing_with,
+            new_profile(policies),
+            raw=raw,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
-        return self._with_events(create, SubscriptionEventCallbacks, events)
+        known = _rclpy.rcl_subscription_event_type_t
+        heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events)
+        return self._wait_for(made, SubscriptionEntity(made.handle, native, take, raw=raw), *heard)
 
     def advertise(
         self,
@@ -176,23 +160,37 @@ class Station:
         topic: str,
         policies: Policies,
         *,
-        events: dict[str, Callable[[Any], None]],
+        events: dict[str, Notify],
     ) -> Any:
-        """Create a publisher; events that rmw or executor cannot bear are left out."""
-        create = partial(self.node.create_publisher, native, topic, new_profile(policies))
-        return self._with_events(create, PublisherEventCallbacks, events)
+        """Create a publisher; events that the middleware does not have are left out."""
+        made = self.node.create_publisher(
+            native,
+            topic,
+            new_profile(policies),
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        )
+        known = _rclpy.rcl_publisher_event_type_t
+        return self._wait_for(made, *_events(made.handle, known, _PUBLISHER_EVENTS, events))
 
     def action_client(self, native: type, name: str) -> Any:
         """Create an action client; its callbacks run in this station's thread."""
-        return self._perform(lambda: ActionClient(self.node, native, name))
+        client = ActionClient(self.node, native, name)
+        return self._wait_for(client, WaitableEntity(client))
 
     def client(self, native: type, name: str) -> Any:
         """Create a service client; its replies arrive in this station's thread."""
-        return self._perform(lambda: self.node.create_client(native, name))
+        client = self.node.create_client(native, name)
+        return self._wait_for(client, ReplyEntity(client))
 
-    def server(self, native: type, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Create a service whose requests are answered in this station's thread."""
-        self._perform(lambda: self.node.create_service(native, name, answer))
+    def server(
+        self, native: type, name: str, answer: Callable[[Any, Callable[[Any], None]], None]
+    ) -> Any:
+        """Create a service; `answer` takes each request in this station's thread.
+
+        It is given the request and a function that sends the reply, from any thread.
+        """
+        service = self.node.create_service(native, name, _nothing_with)
+        return self._wait_for(service, RequestEntity(service, answer))
 
     def publishers(self, topic: str) -> tuple[Peer, ...]:
         """Return the publishers of a topic that are on the graph now."""
@@ -231,14 +229,23 @@ class Station:
         return dict(get_action_names_and_types(self.node))
 
 
+def _events(
+    parent: Any, known: Any, names: dict[str, str], wanted: dict[str, Notify]
+) -> list[EventEntity]:
+    """Return an entity for each event that this rclpy and its middleware have."""
+    made = []
+    for name, notify in wanted.items():
+        kind = getattr(known, names[name], None)
+        if kind is None:
+            continue
+        with suppress(_rclpy.UnsupportedEventTypeError), parent:
+            made.append(EventEntity(_rclpy.EventHandle(parent, kind), notify))
+    return made
+
+
 def _nothing() -> None:
     pass
 
 
-def _fewer(
-    events: dict[str, Callable[[Any], None]],
-) -> Iterator[dict[str, Callable[[Any], None]]]:
-    """Yield the callbacks, then only those that every rmw has, then none."""
-    yield events
-    yield {name: each for name, each in events.items() if name == "incompatible_qos"}
-    yield {}
+def _nothing_with(*_: object) -> None:
+    """Stand where rclpy wants a callback, which only an executor would call."""

@@ -1,0 +1,220 @@
+"""What rclpy can wait for, and the wait sets that it stands in.
+
+A wait set of ROS 2 forgets what was not ready each time, so that everything is added again before
+each wait. That is all that is done for an entity of which there is no news.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+
+__all__ = [
+    "Entity",
+    "EventEntity",
+    "ReplyEntity",
+    "RequestEntity",
+    "SubscriptionEntity",
+    "WaitSet",
+    "WaitableEntity",
+]
+
+_KINDS = ("subscription", "client", "service")
+
+
+class Entity(ABC):
+    """Something that a wait set waits for.
+
+    Attributes:
+        kind: how wait sets call it; empty for what joins and looks by itself.
+        handle: rclpy's handle, which no other thread frees while a wait set holds it.
+        removed: set by whoever takes it out; nothing is taken from it any more.
+    """
+
+    kind = ""
+
+    def __init__(self, handle: Any) -> None:
+        self.handle = handle
+        self.removed = False
+
+    @abstractmethod
+    def take(self) -> bool:
+        """Take one message and hand it on; False: there was none."""
+
+
+class SubscriptionEntity(Entity):
+    """A subscription; messages go to `deliver`, serialised when `raw`."""
+
+    kind = "subscription"
+
+    def __init__(
+        self, handle: Any, native: type, deliver: Callable[[Any], None], *, raw: bool
+    ) -> None:
+        super().__init__(handle)
+        self._native = native
+        self._deliver = deliver
+        self._raw = raw
+
+    def take(self) -> bool:
+        """Deliver one message, if there is one."""
+        taken = self.handle.take_message(self._native, self._raw)
+        if taken is None:
+            return False
+        self._deliver(taken[0])
+        return True
+
+
+class ReplyEntity(Entity):
+    """A client of a service; replies end its pending requests."""
+
+    kind = "client"
+
+    def __init__(self, client: Any) -> None:
+        super().__init__(client.handle)
+        self._client = client
+
+    def take(self) -> bool:
+        """Give a pending request its reply; one that was given up is thrown away."""
+        header, reply = self.handle.take_response(self._client.srv_type.Response)
+        if header is None:
+            return False
+        try:
+            future = self._client.get_pending_request(header.request_id.sequence_number)
+        except KeyError:
+            return True
+        future.set_result(reply)
+        return True
+
+
+class RequestEntity(Entity):
+    """A server of a service; `answer` takes each request and a function for its reply."""
+
+    kind = "service"
+
+    def __init__(self, service: Any, answer: Callable[[Any, Callable[[Any], None]], None]) -> None:
+        super().__init__(service.handle)
+        self._service = service
+        self._answer = answer
+
+    def take(self) -> bool:
+        """Hand on one request, if there is one."""
+        request, header = self.handle.service_take_request(self._service.srv_type.Request)
+        if header is None:
+            return False
+        self._answer(request, lambda reply: self._service.send_response(reply, header))
+        return True
+
+
+class EventEntity(Entity):
+    """An event of a publisher or a subscription, such as a peer that was matched."""
+
+    kind = "event"
+
+    def __init__(self, handle: Any, notify: Callable[[Any], None]) -> None:
+        super().__init__(handle)
+        self._notify = notify
+
+    def take(self) -> bool:
+        """Hand on what happened since the last time, as one event."""
+        info = self.handle.take_event()
+        if info:
+            self._notify(info)
+        return False
+
+
+class WaitableEntity(Entity):
+    """An action's client, which is several entities under one name."""
+
+    def __init__(self, waitable: Any) -> None:
+        super().__init__(waitable)
+
+    def take(self) -> bool:
+        """Hand on what the last look found ready."""
+        with suppress(StopIteration):  # as coroutines end that wait for nothing
+            self.handle.execute(self.handle.take_data()).send(None)
+        return False
+
+
+class WaitSet:
+    """One wait set of ROS 2, for as long as the same entities stand in it.
+
+    It keeps their handles from being freed until `close`; an entity that is gone is left out.
+    """
+
+    def __init__(self, context: Any, guard: Any, entities: Iterable[Entity]) -> None:
+        self._held = ExitStack()
+        self._guard = guard
+        self._by_kind: dict[str, list[Entity]] = {"": [], "event": [], **{k: [] for k in _KINDS}}
+        for entity in entities:
+            try:
+                self._held.enter_context(entity.handle)
+            except InvalidHandle:
+                continue
+            self._by_kind[entity.kind].append(entity)
+        self._by_pointer = {
+            (kind, entity.handle.pointer): entity
+            for kind in _KINDS
+            for entity in self._by_kind[kind]
+        }
+        subscriptions, clients, services = (len(self._by_kind[kind]) for kind in _KINDS)
+        guards, timers, events = 1, 0, len(self._by_kind["event"])
+        for entity in self._by_kind[""]:
+            more = entity.handle.get_num_entities()
+            subscriptions += more.num_subscriptions
+            guards += more.num_guard_conditions
+            timers += more.num_timers
+            clients += more.num_clients
+            services += more.num_services
+            events += more.num_events
+        self._held.enter_context(context)
+        self._wait_set = _rclpy.WaitSet(
+            subscriptions, guards, timers, clients, services, events, context
+        )
+        add = self._wait_set
+        self._adders: list[tuple[Callable[[Any], Any], list[Any]]] = [
+            (join, [entity.handle for entity in self._by_kind[kind]])
+            for kind, join in (
+                ("subscription", add.add_subscription),
+                ("client", add.add_client),
+                ("service", add.add_service),
+                ("event", add.add_event),
+            )
+        ]
+
+    def wait(self, seconds: float) -> list[Entity]:
+        """Return what is ready, as soon as something is; empty when the time is over.
+
+        Events come first: a publisher is matched before its first message.
+        """
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for add, handles in self._adders:
+            for handle in handles:
+                add(handle)
+        for entity in self._by_kind[""]:
+            entity.handle.add_to_wait_set(wait_set)
+        wait_set.add_guard_condition(self._guard)
+        wait_set.wait(round(seconds * 1e9))
+        ready = [
+            entity
+            for place, entity in enumerate(self._by_kind["event"])
+            if wait_set.is_ready("event", place)
+        ]
+        ready += [entity for entity in self._by_kind[""] if entity.handle.is_ready(wait_set)]
+        for kind in _KINDS:
+            if self._by_kind[kind]:
+                found = (
+                    self._by_pointer.get((kind, each)) for each in wait_set.get_ready_entities(kind)
+                )
+                ready += [entity for entity in found if entity is not None]
+        return ready
+
+    def close(self) -> None:
+        """Let go of all entities; those that were destroyed meanwhile are freed here."""
+        self._wait_set.destroy_when_not_in_use()
+        self._held.close()
