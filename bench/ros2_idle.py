@@ -77,13 +77,18 @@ def talk(case: str) -> None:
     _kept = [node.create_publisher(native, f"/idle_{each}", 10) for each in range(idle)]
     publisher = node.create_publisher(native, "/busy", 100)
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    threading.Thread(target=_end_with_input, args=(ended,), daemon=True).start()
     message, due = native(), time.monotonic()
     while not ended.is_set():
         publisher.publish(stamped(message, time.monotonic_ns()))
         due += 1 / hertz
         time.sleep(max(0.0, due - time.monotonic()))
     rclpy.shutdown()
+
+
+def _end_with_input(ended: threading.Event) -> None:
+    sys.stdin.read()
+    ended.set()
 
 
 class Meter:

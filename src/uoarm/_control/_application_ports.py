@@ -82,11 +82,11 @@ class Sender:
         self, live: LiveComponent, name: str, user: str, validate: ValidationMode, clock: Clock
     ) -> None:
         port = next(one for one in live.component.inputs if one.name == name)
-        send, is_blocking = live.open_input(name, lambda: self._route.closed)
+        send, default_queue = live.open_input(name, lambda: self._route.closed)
         place = f"{live.component.name}.{name}"
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
-        queue = port.queue or (QueuePolicy() if is_blocking else None)
+        queue = port.queue or default_queue
         self._route = Route(user, place, send, clock=clock, queue=queue)
 
     def send(self, message: Message) -> None:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from uoarm._dataplane import Outlet
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
-from uoarm.model import ChannelStatus, Component, Message, Step
+from uoarm.model import ChannelStatus, Component, Message, QueuePolicy, Step
 
 __all__ = ["LiveComponent", "facts_of"]
 
@@ -87,8 +87,10 @@ class LiveComponent:
 
     def open_input(
         self, name: str, is_over: Callable[[], bool]
-    ) -> tuple[Callable[[Message], None], bool]:
-        """Return a send for an input that several connections share, and whether it may block.
+    ) -> tuple[Callable[[Message], None], QueuePolicy | None]:
+        """Return a send for an input that several connections share, and the queue it needs.
+
+        None is needed where sending does not block.
 
         One call at a time; one that waits for its turn ends with a ConnectionClosedError once
         `is_over`: where the component hangs, only one thread stays in it.
@@ -114,7 +116,7 @@ class LiveComponent:
             finally:
                 turn.release()
 
-        return send, sink.blocking
+        return send, sink.default_queue if sink.blocking else None
 
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first.

@@ -13,7 +13,7 @@ from uoarm._control._live_component import LiveComponent, facts_of
 from uoarm._dataplane import Clock, Route, make_check
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
-from uoarm.model import Edge, Input, Message, QueuePolicy, RouteStatus, ValidationMode
+from uoarm.model import Edge, Input, Message, RouteStatus, ValidationMode
 
 __all__ = ["LiveEdge"]
 
@@ -136,10 +136,8 @@ class LiveEdge:
             self._open_route(clock)
 
     def _open_route(self, clock: Clock) -> None:
-        send, is_blocking = self.consumer.open_input(self.edge.input, lambda: route.closed)
-        queue = self._input.queue
-        if queue is None and is_blocking:
-            queue = QueuePolicy()
+        send, default_queue = self.consumer.open_input(self.edge.input, lambda: route.closed)
+        queue = self._input.queue or default_queue
 
         def hand(message: Message) -> None:
             if self.held:

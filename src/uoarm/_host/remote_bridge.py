@@ -38,6 +38,7 @@ from uoarm.model import (
     Health,
     Message,
     MessageStructure,
+    QueuePolicy,
     from_json,
     to_json,
 )
@@ -155,7 +156,10 @@ class RemoteBridge(Bridge):
         channel.counter = self._counter()
         try:
             opening = _opening(number, channel.counter, endpoint, structure)
-            channel.blocking = self._ask("sink", **opening)
+            queue = self._ask("sink", **opening)
+            channel.blocking = queue is not None
+            if queue is not None:
+                channel.default_queue = from_json(queue, QueuePolicy)
         except BaseException:
             self._release(channel.counter)
             raise

@@ -10,7 +10,7 @@ from uoarm import _bounded
 from uoarm.bridge._border import translated
 from uoarm.bridge._gate import Gate
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Message
+from uoarm.model import Endpoint, Message, QueuePolicy
 
 __all__ = ["Channel", "Sink", "Source"]
 
@@ -168,9 +168,12 @@ class Sink(Channel):
         blocking: whether sending may wait or compute. The manager calls a sink that does not
             block in the thread in which the message arrived; before any other it puts a
             bounded queue with one worker. True unless the bridge says otherwise.
+        default_queue: that queue, where the configuration states none. A bridge whose framework
+            promises that nothing is lost sets one with the policy `block`.
     """
 
     blocking: bool = True
+    default_queue: QueuePolicy = QueuePolicy()
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ from typing import Any
 
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Message
+from uoarm.model import Message, OverflowPolicy, QueuePolicy
 from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
@@ -18,6 +18,7 @@ __all__ = ["TopicSink"]
 
 _BLOCK_SECONDS = 10.0
 _FULL = "cannot publish data"
+_LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=_BLOCK_SECONDS)
 
 
 class _Publisher(End):
@@ -74,6 +75,7 @@ class TopicSink(Sink):
         self.pulse = Pulse(lambda health, cause: place.report(self, health, cause))
         self._end = _Publisher(place, self.pulse)
         self.blocking = self._end.policies.history == "keep_all"
+        self.default_queue = _LOSSLESS
 
     def _send(self, message: Message) -> None:
         """Publish one message.

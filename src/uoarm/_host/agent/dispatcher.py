@@ -133,11 +133,12 @@ class RequestDispatcher:
             )
         return source.latched
 
-    def _sink(self, request: Request) -> bool:
+    def _sink(self, request: Request) -> Any:
+        """Open a sink; return the queue that belongs before it, None: it does not block."""
         endpoint, structure = _port(request)
         sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
         self._flows.inbound(request["flow"], request["slot"], sink)
-        return sink.blocking
+        return to_json(sink.default_queue) if sink.blocking else None
 
     def _call(self, request: Request) -> Message:
         endpoint = from_json(request["endpoint"], Endpoint)

@@ -20,7 +20,7 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"

@@ -1,0 +1,47 @@
+"""What applications meet when their functions are ROS 2 topics: the manager above the bridge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from peers import DOMAIN, Peer
+
+from uoarm import RobotManager
+from uoarm.config import loads
+from uoarm.testing import patience
+
+Start = Callable[..., Peer]
+
+
+def robot(functions: str) -> RobotManager:
+    text = f"""
+version: 1
+bridges:
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+functions:
+{functions}
+"""
+    return RobotManager(loads(text, origin=str(Path(__file__).with_name("robot.yaml"))))
+
+
+KEPT = """
+  numbers:
+    components:
+      - name: numbers
+        bridge: ros
+        input:
+          endpoint: [/kept, std_msgs/msg/Int64]
+          options: {qos: {history: keep_all}}
+"""
+
+
+def test_of_what_is_sent_at_once_keep_all_loses_nothing(peer: Start) -> None:
+    listener = peer("listener")
+    listener.do("subscribe", topic="/kept", history="keep_all")
+    with robot(KEPT) as manager, manager.request("numbers") as connection:
+        for number in range(2000):
+            connection.send({"data": number})
+        assert connection.flush(patience())
+        seen = listener.do("report", topic="/kept", expected=2000)["seen"]
+    assert seen == list(range(2000))
