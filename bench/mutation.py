@@ -1,8 +1,11 @@
-"""Mutation testing of the containment checker with mutmut: which changes do the tests notice?
+"""Mutation testing with mutmut of the containment checker or of the reconciler.
 
-Usage: ``python bench/mutation.py [--sample 300] [--seed 0] [--module NAME ...] [--children 2]``.
-Works on a copy below the cache folder, so nothing in the working tree changes. Prints a table of
-killed and surviving mutants by module, and the survivors; without ``--sample`` all are run.
+Which changes of the code do the tests notice?
+
+Usage: ``python bench/mutation.py [schema | control] [--sample 300] [--seed 0] [--module NAME ...]
+[--children 2]``. Works on a copy below the cache folder, so nothing in the working tree changes.
+Prints a table of killed and surviving mutants by module, and the survivors; without ``--sample``
+all are run.
 """
 
 from __future__ import annotations
@@ -17,19 +20,53 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+from attrs import frozen
+
 ROOT = Path(__file__).parents[1]
-TESTS = (
-    "tests/schema/test_hard_pairs.py",
-    "tests/schema/test_random_pairs.py",
-)
 _SETTINGS = """
 [tool.mutmut]
-source_paths = ["src/uoarm/schema"]
-also_copy = ["src", "README.md", "LICENSE"]
+source_paths = [{source}]
+only_mutate = {modules}
+also_copy = ["src", "README.md", "LICENSE", "conftest.py"]
 pytest_add_cli_args_test_selection = {tests}
 pytest_add_cli_args = ["-p", "no:cacheprovider", "-k", {selected}]
 """
-_SELECTED = "not sizes and not table_tells and not counterexample_is_one and not hostile"
+
+
+@frozen
+class Subject:
+    """What is changed, and the tests that should notice.
+
+    Attributes:
+        source: a folder.
+        tests: patterns of paths.
+        selected: pytest's `-k`.
+        modules: patterns of the files that are changed.
+    """
+
+    source: str
+    tests: tuple[str, ...]
+    selected: str
+    modules: tuple[str, ...] = ()
+
+
+SUBJECTS = {
+    "schema": Subject(
+        "src/uoarm/schema",
+        (
+            "tests/schema/test_hard_pairs.py",
+            "tests/schema/test_random_pairs.py",
+            "tests/schema/test_engine_*.py",
+        ),
+        "not sizes and not table_tells and not counterexample_is_one and not hostile",
+    ),
+    "control": Subject(
+        "src/uoarm/_control",
+        ("tests/control/test_transcripts.py", "tests/control/test_every_order.py"),
+        "not greater_depth and not TestWalk",
+        ("_step", "_draft", "_endings", "_failover", "_failback", "_state"),
+    ),
+}
 _OUTCOMES = {
     0: "survived",
     1: "killed",
@@ -42,12 +79,14 @@ _OUTCOMES = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("subject", choices=SUBJECTS, nargs="?", default="schema")
     parser.add_argument("--sample", type=int, help="run this many mutants, drawn at random")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--module", action="append", help="only modules whose name contains this")
     parser.add_argument("--children", type=int, default=2)
     options = parser.parse_args()
-    copy = _copy()
+    subject = SUBJECTS[options.subject]
+    copy = _copy(subject)
     _mutmut(copy, options.children, "none*")  # generates the mutants, then finds nothing to run
     names = [name for name in _outcomes(copy) if _wanted(name, options.module)]
     chosen = names
@@ -60,20 +99,23 @@ def main() -> None:
     _show(len(names), chosen, outcomes)
 
 
-def _copy() -> Path:
+def _copy(subject: Subject) -> Path:
     cache = Path(os.environ.get("UOARM_TEST_CACHE", ROOT / ".cache"))
     copy = cache / "mutation"
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir(parents=True)
     for folder in ("src", "tests"):
         shutil.copytree(ROOT / folder, copy / folder)
-    for name in ("README.md", "LICENSE"):
+    for name in ("README.md", "LICENSE", "conftest.py"):
         shutil.copy(ROOT / name, copy)
-    tests = [
-        *TESTS,
-        *(str(p.relative_to(ROOT)) for p in ROOT.glob("tests/schema/test_engine_*.py")),
-    ]
-    settings = _SETTINGS.format(tests=json.dumps(tests), selected=json.dumps(_SELECTED))
+    found = (path for pattern in subject.tests for path in sorted(ROOT.glob(pattern)))
+    tests = [str(path.relative_to(ROOT)) for path in found]
+    settings = _SETTINGS.format(
+        source=json.dumps(subject.source),
+        modules=json.dumps([f"{subject.source}/{name}.py" for name in subject.modules or ("*",)]),
+        tests=json.dumps(tests),
+        selected=json.dumps(subject.selected),
+    )
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     (copy / "pyproject.toml").write_text(project + settings, encoding="utf-8")
     return copy

@@ -46,7 +46,9 @@ def came() -> list[tuple[str, str | None]]:
 
 
 @pytest.fixture
-def desk(folder: Path, place: str, came: list[tuple[str, str | None]]) -> Iterator[MachineRegistry]:
+def registry(
+    folder: Path, place: str, came: list[tuple[str, str | None]]
+) -> Iterator[MachineRegistry]:
     made = MachineRegistry(
         Listening(place, str(folder)), ["arm", "leg"], lambda *news: came.append(news)
     )
@@ -58,28 +60,28 @@ def _join(place: str, identity: Identity, timeout: float = 10.0) -> Transport:
     return Transport(place, listen=False, timeout=timeout, more=identity.settings(listen=False))
 
 
-def _settle(desk: MachineRegistry, link: Transport, machine: str) -> None:
-    """Wait until what was declared before under a machine's own name has reached the desk."""
+def _settle(registry: MachineRegistry, link: Transport, machine: str) -> None:
+    """Wait until what was declared before under a machine's own name has reached the registry."""
     bridge = f"settled{next(_numbers)}"
     link.show_alive(f"{keys.MACHINES}/{keys.here(machine, bridge, 'x')}")
-    wait(lambda: desk.here(machine, bridge))
+    wait(lambda: registry.here(machine, bridge))
 
 
 def test_a_machine_with_its_certificate_is_seen(
-    desk: MachineRegistry, folder: Path, place: str, came: list[tuple[str, str | None]]
+    registry: MachineRegistry, folder: Path, place: str, came: list[tuple[str, str | None]]
 ) -> None:
     link = _join(place, Identity.find(folder, "arm"))
-    _settle(desk, link, "arm")
+    _settle(registry, link, "arm")
     ((machine, bridge),) = came
     assert machine == "arm"
     assert bridge is not None
     link.close()
-    wait(lambda: not desk.here("arm", bridge))
+    wait(lambda: not registry.here("arm", bridge))
     assert came == [("arm", bridge)] * 2
 
 
 def test_a_certificate_of_another_authority_is_refused(
-    desk: MachineRegistry, folder: Path, place: str, tmp_path: Path
+    registry: MachineRegistry, folder: Path, place: str, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
     Authority.of(other).certify_machine("arm", 1)
@@ -89,7 +91,7 @@ def test_a_certificate_of_another_authority_is_refused(
 
 
 def test_who_shows_no_certificate_is_refused(
-    desk: MachineRegistry, folder: Path, place: str
+    registry: MachineRegistry, folder: Path, place: str
 ) -> None:
     trusts = {"transport/link/tls": {"root_ca_certificate": str(folder / "ca.pem")}}
     with pytest.raises(BridgeError, match="opening the link"):
@@ -97,7 +99,7 @@ def test_who_shows_no_certificate_is_refused(
 
 
 def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
-    desk: MachineRegistry, folder: Path, place: str
+    registry: MachineRegistry, folder: Path, place: str
 ) -> None:
     arm = _join(place, Identity.find(folder, "arm"))
     leg = _join(place, Identity.find(folder, "leg"))
@@ -109,26 +111,26 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
     as_arm.answer("attach/thief", lambda _, reply: reply("stolen"))
     as_arm.show_alive("here/-/thief")
     got: list[bytes] = []
-    desk.part("arm").listen("talk/**", got.append)
+    registry.part("arm").listen("talk/**", got.append)
     arm.part(f"{keys.MACHINES}/arm").answer("attach/owner", lambda _, reply: reply(None))
-    _settle(desk, leg, "leg")
-    _settle(desk, arm, "arm")
+    _settle(registry, leg, "leg")
+    _settle(registry, arm, "arm")
 
-    assert not desk.here("arm", "any")
+    assert not registry.here("arm", "any")
     with pytest.raises(BridgeError, match="nobody answers"):
-        desk.attach("arm", "thief", None, 10.0)
+        registry.attach("arm", "thief", None, 10.0)
     with pytest.raises(BridgeError) as refused:
         as_arm.ask("attach/owner", None, timeout=patience())
     assert refused.value.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}
 
     as_arm.publish("talk/far/1", b"", b"from the thief", must_arrive=True)
-    desk.part("arm").publish("talk/far/2", b"", b"for the arm", must_arrive=True)
+    registry.part("arm").publish("talk/far/2", b"", b"for the arm", must_arrive=True)
     arm.part(f"{keys.MACHINES}/arm").publish("talk/far/3", b"", b"mine", must_arrive=True)
     wait(lambda: b"mine" in got)
     marked = threading.Event()
     leg.part(f"{keys.MACHINES}/leg").listen("talk/mark", lambda _: marked.set())
-    _settle(desk, leg, "leg")
-    desk.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
+    _settle(registry, leg, "leg")
+    registry.part("leg").publish("talk/mark", b"", b"mark", must_arrive=True)
     assert marked.wait(patience())  # whatever was on its way to the thief is there by now
     assert set(heard) == {b"mark", b"from the thief"}  # of what it sent, only its own echo
     assert b"from the thief" not in got
@@ -137,7 +139,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
 
 
 def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so(
-    desk: MachineRegistry,
+    registry: MachineRegistry,
     folder: Path,
     place: str,
     monkeypatch: pytest.MonkeyPatch,
@@ -148,7 +150,7 @@ def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so
     running = threading.Thread(target=host.run)
     running.start()
     wait(lambda: "does not ask" in caplog.text)
-    assert desk.find("arm", "far", 0.0) is None
+    assert registry.find("arm", "far", 0.0) is None
     host.close()
     running.join(patience())
     assert not running.is_alive()
@@ -163,20 +165,20 @@ def test_a_machine_cannot_stand_in_for_the_manager(folder: Path, place: str) -> 
 
 
 def test_a_manager_is_believed_at_its_own_addresses_only(
-    desk: MachineRegistry, folder: Path, place: str
+    registry: MachineRegistry, folder: Path, place: str
 ) -> None:
     with pytest.raises(BridgeError, match="opening the link"):
         _join(place.replace("127.0.0.1", "localhost"), Identity.find(folder, "arm"), 1.0)
 
 
 def test_a_host_with_a_strange_certificate_says_what_is_in_the_way(
-    desk: MachineRegistry, folder: Path, place: str, tmp_path: Path
+    registry: MachineRegistry, folder: Path, place: str, tmp_path: Path
 ) -> None:
     other = tmp_path / "other"
     Authority.of(other).certify_machine("arm", 1)
     with Joined(tmp_path, place, certificates=other) as host:
         wait(lambda: "waiting for the manager at" in host.log)
-        assert not desk.here("arm", "any")
+        assert not registry.here("arm", "any")
 
 
 def test_a_key_that_others_may_read_is_not_used(folder: Path) -> None:
@@ -206,17 +208,17 @@ def test_a_missing_certificate_is_named(folder: Path) -> None:
     ],
 )
 def test_a_machine_that_answers_rubbish_is_an_error_and_its_clock_is_not_believed(
-    desk: MachineRegistry, folder: Path, place: str, told: bytes
+    registry: MachineRegistry, folder: Path, place: str, told: bytes
 ) -> None:
     link = _join(place, Identity.find(folder, "arm"))
     raw = link._session.declare_queryable(
         f"{keys.MACHINES}/{keys.clock('arm', 'x')}",
         lambda query: query.reply(str(query.key_expr), told),
     )
-    _settle(desk, link, "arm")
+    _settle(registry, link, "arm")
     with suppress(UoarmError):
-        desk.measure_clock("arm", "x", 10.0)
-    assert not desk.offset("arm").known
-    assert desk._asking.is_alive()
+        registry.measure_clock("arm", "x", 10.0)
+    assert not registry.offset("arm").known
+    assert registry._asking.is_alive()
     raw.undeclare()  # type: ignore[no-untyped-call]
     link.close()

@@ -7,7 +7,7 @@ import threading
 from tests.host.joined import free_port
 
 from uoarm._host import HostAgent, HostSettings, MachineRegistry
-from uoarm._host.machines.connection import MachineConnection
+from uoarm._host.machines.machine_connection import MachineConnection
 from uoarm.bridge import BridgeType, Registry
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import MemoryBridge, patience

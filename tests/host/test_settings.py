@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from uoarm._host.process.connection import link_folder
+from uoarm._host.process.process_connection import link_folder
 from uoarm._host.process.settings import HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from os import PathLike
 from types import TracebackType
 from typing import TypeVar, final
+
+from typing_extensions import Self
 
 from uoarm._control._connection import Connection
 from uoarm._control._robot_manager import RobotManager
@@ -42,8 +45,26 @@ _AT_ONCE = 32
 _log = logging.getLogger("uoarm")
 
 
+class _Closing:
+    """Closed at the end of an `async with`."""
+
+    @abstractmethod
+    async def close(self) -> None: ...
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+
 @final
-class AsyncConnection:
+class AsyncConnection(_Closing):
     """A connection read from an event loop: `async for`, `await get()`, `async with`.
 
     However many messages arrive, the loop is woken once until it has read them. Use it from the
@@ -169,17 +190,6 @@ class AsyncConnection:
     def __repr__(self) -> str:
         return f"<Async{repr(self._connection)[1:]}"
 
-    async def __aenter__(self) -> AsyncConnection:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.kill()
-
     async def _read(self) -> None:
         try:
             async for message in self:
@@ -204,7 +214,7 @@ class AsyncConnection:
 
 
 @final
-class AsyncRobotManager:
+class AsyncRobotManager(_Closing):
     """A robot manager whose waiting calls are awaited; wraps one that lives on.
 
     Waiting calls run in threads of its own, 32 at once and 32 more of connections; further ones
@@ -364,17 +374,6 @@ class AsyncRobotManager:
 
     def __repr__(self) -> str:
         return f"<Async{repr(self.robot)[1:]}"
-
-    async def __aenter__(self) -> AsyncRobotManager:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await self.close()
 
     async def _outside(self, action: Callable[[], T]) -> T:
         return await asyncio.wrap_future(self._asking.submit(action))

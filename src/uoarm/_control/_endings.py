@@ -7,7 +7,7 @@ from uoarm._control._draft import Draft
 from uoarm._control._state import ConnectionRecord
 from uoarm.model import ConnectionState
 
-__all__ = ["drop_next", "end", "end_return", "finish_if_asked", "pause"]
+__all__ = ["drop_next", "end", "end_return", "finish_if_asked", "look_later"]
 
 _LEAST_LOOK_SECONDS = 0.05
 
@@ -77,10 +77,9 @@ def end_return(draft: Draft, number: int, *, is_vain: bool = False) -> None:
         if record is None or record.state is ConnectionState.CLOSING:
             continue
         record = drop_next(draft, record)
-        look_at = draft.now + pause(draft) if record.preferred is not None else None
-        draft.put(record, returning=0, available_since=None, look_at=look_at)
-        if look_at is not None:
-            draft.actions.append(WakeAt(look_at))
+        record = draft.put(record, returning=0, available_since=None, look_at=None)
+        if record.preferred is not None:
+            look_later(draft, record)
 
 
 def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
@@ -89,6 +88,8 @@ def finish_if_asked(draft: Draft, record: ConnectionRecord) -> None:
         draft.actions.append(Drain(f"{record.id}!drain", record.id, record.placement))
 
 
-def pause(draft: Draft) -> float:
-    """Return the seconds between two looks for a preferred plan."""
-    return max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
+def look_later(draft: Draft, record: ConnectionRecord) -> None:
+    """Look for the preferred plan of a connection after a while."""
+    wait = max(_LEAST_LOOK_SECONDS, (draft.policy.return_after or 0.0) / 4)
+    draft.put(record, look_at=draft.now + wait)
+    draft.actions.append(WakeAt(draft.now + wait))

@@ -6,7 +6,7 @@ from attrs import evolve
 
 from uoarm._control._actions import ChangeOver, CheckPreferred, FindReplacement, WakeAt, Warn
 from uoarm._control._draft import Draft
-from uoarm._control._endings import drop_next, end_return, pause
+from uoarm._control._endings import drop_next, end_return, look_later
 from uoarm._control._events import ChangedOver, PreferredChecked, ReplacementSought
 from uoarm._control._failover import hand_over, seek
 from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, names, recently
@@ -27,7 +27,7 @@ def look(draft: Draft, record: ConnectionRecord) -> None:
         draft.actions.append(WakeAt(record.look_at))
         return
     if not _may_return(record):
-        _look_later(draft, record)
+        look_later(draft, record)
         return
     draft.put(record, is_looking=True, look_at=None)
     lane = f"{record.id}?"
@@ -43,12 +43,12 @@ def checked(draft: Draft, event: PreferredChecked) -> None:
         return
     record = draft.put(record, is_looking=False)
     if not event.is_available or not _may_return(record):
-        _look_later(draft, draft.put(record, available_since=None))
+        look_later(draft, draft.put(record, available_since=None))
         return
     since = draft.now if record.available_since is None else record.available_since
     record = draft.put(record, available_since=since)
     if draft.now - since < (draft.policy.return_after or 0.0):
-        _look_later(draft, record)
+        look_later(draft, record)
         return
     number = draft.new_id()
     draft.returns[number] = Return(number, {record.id: None}, draft.now)
@@ -199,12 +199,6 @@ def _serves(draft: Draft, record: ConnectionRecord, plan: Plan) -> bool:
     return names(plan) == names(current.plan) and not any(
         draft.components[one].is_superseded for one in current.components.values()
     )
-
-
-def _look_later(draft: Draft, record: ConnectionRecord) -> None:
-    look_at = draft.now + pause(draft)
-    draft.put(record, look_at=look_at)
-    draft.actions.append(WakeAt(look_at))
 
 
 def _may_return(record: ConnectionRecord) -> bool:

@@ -19,7 +19,7 @@ from uoarm._control._actions import (
     Warn,
 )
 from uoarm._control._draft import Draft
-from uoarm._control._endings import drop_next, end, end_return, finish_if_asked, pause
+from uoarm._control._endings import drop_next, end, end_return, finish_if_asked, look_later
 from uoarm._control._events import HealthReported, ReplacementSought
 from uoarm._control._state import (
     ComponentFailure,
@@ -255,14 +255,11 @@ def hand_over(
     lost = record.failure.lost if record.failure is not None else ()
     dead = {name for name, one in before.components.items() if one in lost}
     waited = record.state is ConnectionState.WAITING
-    preferred, look_at = None, None
+    preferred = None
     if draft.policy.return_after is not None and not returns:
         preferred = record.preferred or before.plan
         if names(after.plan) == names(preferred):
             preferred = None
-        else:
-            look_at = draft.now + pause(draft)
-            draft.actions.append(WakeAt(look_at))
     record = draft.put(
         record,
         state=ConnectionState.RUNNING,
@@ -272,7 +269,7 @@ def hand_over(
         failure=None,
         preferred=preferred,
         available_since=None,
-        look_at=look_at,
+        look_at=None,
         returning=0,
         moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
     )
@@ -289,6 +286,8 @@ def hand_over(
     draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on}"))
     parts = draft.unplace(before, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
+    if preferred is not None:
+        look_later(draft, record)
 
 
 def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:

@@ -35,7 +35,7 @@ def start_hosted(
         text = f"bridge {spec.name!r} has a host, which needs: {command} ({error})"
         raise PluginError(text) from error
     if "machine" in host:
-        return RemoteBridge(spec, machines.desk())
+        return RemoteBridge(spec, machines.registry())
     restarts.check(spec.name, HostSettings.read(host).restarts)
     restarts.began(spec.name)
     try:

@@ -50,7 +50,7 @@ class Machines:
                 self._bridges.setdefault(str(machine), []).append(name)
         self._lock = threading.Lock()
         self._telling = threading.Lock()
-        self._desk: MachineRegistry | None = None
+        self._registry: MachineRegistry | None = None
         self._closed = False
         self._told: dict[str, bool] = {}
         self._problem = ""
@@ -60,13 +60,13 @@ class Machines:
         if not self._bridges:
             return
         try:
-            self.desk()
+            self.registry()
         except (BridgeError, PluginError) as error:
             _log.warning("no other machine can join: %s", error)
             for machine in self._bridges:
                 self._changed(machine, None)
 
-    def desk(self) -> MachineRegistry:
+    def registry(self) -> MachineRegistry:
         """Return where machines join.
 
         Raises:
@@ -82,17 +82,19 @@ class Machines:
             if self._closed or self._listening is None:
                 text = "the manager does not listen for other machines"
                 raise BridgeError(text, FailureReason.UNAVAILABLE)
-            if self._desk is not None:
-                return self._desk
+            if self._registry is not None:
+                return self._registry
             try:
-                desk = self._desk = MachineRegistry(self._listening, self._bridges, self._changed)
+                registry = self._registry = MachineRegistry(
+                    self._listening, self._bridges, self._changed
+                )
             except BridgeError as error:
                 self._problem = f", which cannot join: {error}"
                 raise
             self._problem = ""
-        for machine in self._bridges:  # who came while there was no desk yet
+        for machine in self._bridges:  # who came before anybody listened
             self._changed(machine, None)
-        return desk
+        return registry
 
     def statuses(self) -> tuple[MachineStatus, ...]:
         """Return what the status map shows of every machine of the configuration."""
@@ -102,15 +104,15 @@ class Machines:
         """Let every machine go. Once is enough."""
         with self._lock:
             self._closed = True
-            desk, self._desk = self._desk, None
-        if desk is not None:
-            desk.close()
+            registry, self._registry = self._registry, None
+        if registry is not None:
+            registry.close()
 
     def _status(self, machine: str) -> MachineStatus:
-        desk = self._desk
+        registry = self._registry
         bridges = tuple(self._bridges[machine])
-        missing = [one for one in bridges if desk is None or not desk.here(machine, one)]
-        offset = None if desk is None else desk.offset(machine)
+        missing = [one for one in bridges if registry is None or not registry.here(machine, one)]
+        offset = None if registry is None else registry.offset(machine)
         known = offset is not None and offset.known
         return MachineStatus(
             machine,
@@ -126,8 +128,8 @@ class Machines:
         mine = self._bridges[machine]
         with self._telling:
             for name in mine if bridge is None else {bridge}.intersection(mine):
-                desk = self._desk
-                present = desk is not None and desk.here(machine, name)
+                registry = self._registry
+                present = registry is not None and registry.here(machine, name)
                 if self._told.get(name) != present:
                     self._told[name] = present
                     self._tell(machine, name, present=present)

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, final
 
-from uoarm._host.machines.connection import MachineConnection
+from uoarm._host.machines.machine_connection import MachineConnection
 from uoarm._host.machines.registry import MachineRegistry
-from uoarm._host.process.connection import ProcessConnection
+from uoarm._host.process.process_connection import ProcessConnection
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.remote_channels import RemoteChannel, RemoteSink, RemoteSource
 from uoarm._host.transport import keys

@@ -67,8 +67,8 @@ class MachineRegistry:
     def find(self, machine: str, bridge: str, patience: float) -> str | None:
         """Return the name of the host that serves a bridge, None when none comes in time.
 
-        Waits for the first one until the desk has been open for `patience` seconds. Who has
-        not joined by then, or has left again, is not waited for.
+        Waits for the first one until hosts could join for `patience` seconds. Who has not joined by
+        then, or has left again, is not waited for.
         """
         deadline = self._since + patience
         with self._news:
