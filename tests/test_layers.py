@@ -26,6 +26,7 @@ LAYERS = [
     {"_wire"},
     {"_bounded", "_deadlines"},
     {"_adapt"},
+    {"_hints"},
     {"bridge"},
     {"local"},
     {"environments", "_certificates"},
@@ -71,7 +72,7 @@ ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
     "_yaml": {"_yaml"},
-    "local": {"local", "bridge", "model", "errors", "_mistakes", "_spelling"},
+    "local": {"local", "bridge", "_hints", "model", "errors", "_mistakes", "_spelling"},
 }
 
 # Within the hosts' package: what each part may import of it; what is not a folder may import all.

@@ -118,15 +118,17 @@ def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
 
 
 def test_a_component_works_as_written(tmp_path: Path) -> None:
-    components, robot, commands, printed = (
+    components, robot, commands, printed, program = (
         one.text for one in blocks(ROOT / "docs" / "writing-a-component.md")
     )
     (tmp_path / "parts.py").write_text(components)
+    (tmp_path / "program.py").write_text(program)
     (tmp_path / "robot.yaml").write_text(robot)
     outputs = [run(["-m", *shlex.split(line)], tmp_path) for line in commands.splitlines()]
     assert "no errors" in outputs[0]
     assert outputs[1] == printed
     assert "2 m ahead" in outputs[2]
+    assert run(["program.py"], tmp_path) == "2.0 2 m ahead\n1.0 1 m ahead\n"
     (tmp_path / "robot.yaml").write_text(robot.replace("near: 2.5", "neer: 2.5"))
     refused = run(["-m", "uoarm", "check", "robot.yaml"], tmp_path, code=3)
     assert "did you mean 'near'" in refused

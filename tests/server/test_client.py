@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from tests.server.conftest import Serve
 from tests.server.robot import END, script
+from typing_extensions import assert_type
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Subprotocol
@@ -22,7 +24,7 @@ from uoarm import (
     ResolutionError,
     UsageError,
 )
-from uoarm.client import Client, ServerError, connect
+from uoarm.client import Client, RemoteStream, ServerError, connect
 from uoarm.server import Limits, Server, hash_token
 from uoarm.testing import patience
 
@@ -65,6 +67,39 @@ def test_messages_are_sent_in_order(server: Server, binary: bool) -> None:
                 await echo.send({"value": 1}, "other")
         await echo.kill()
         assert not (await client.status())["own"]
+
+    run(server, work, binary=binary)
+
+
+@dataclass
+class Number:
+    value: int
+
+
+@dataclass
+class Picture:
+    width: int
+    data: bytes
+
+
+@FORMS
+def test_messages_come_and_go_as_types_of_the_client(server: Server, binary: bool) -> None:
+    async def work(client: Client) -> None:
+        async with await client.request("picture", as_type=Picture) as pictures:
+            assert_type(pictures, RemoteStream[Picture])
+            script.put({"width": 1, "data": b"\x00\xff"})
+            picture = await pictures.get(patience())
+            assert_type(picture, Picture)
+            assert picture == Picture(1, b"\x00\xff")
+        async with await client.request("echo", as_type=Number) as echo:
+            await echo.send(Number(7))
+            assert await echo.get(patience()) == Number(7)
+            with pytest.raises(MessageError, match="value: expected an integer"):
+                await echo.send(Number("seven"))  # type: ignore[arg-type] # which is the point
+        with pytest.raises(UsageError, match="function 'echo' may give messages that are no Pict"):
+            await client.request("echo", as_type=Picture)
+        with pytest.raises(UsageError, match="the reply of 'add' may give messages that are no"):
+            await client.call("add", {"a": 1, "b": 2}, as_type=Picture)
 
     run(server, work, binary=binary)
 

@@ -11,7 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from os import PathLike
 from types import TracebackType
-from typing import TypeVar, final
+from typing import Any, Generic, TypeVar, final, overload
 
 from typing_extensions import Self
 
@@ -19,6 +19,7 @@ from uoarm._control._connection import Connection
 from uoarm._control._robot_manager import RobotManager
 from uoarm._dataplane import Clock
 from uoarm._deadlines import event_by
+from uoarm._hints.applications import T
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
@@ -40,7 +41,7 @@ from uoarm.model import (
 
 __all__ = ["AsyncConnection", "AsyncRobotManager"]
 
-T = TypeVar("T")
+Result = TypeVar("Result")
 _AT_ONCE = 32
 _log = logging.getLogger("uoarm")
 
@@ -64,20 +65,20 @@ class _Closing:
 
 
 @final
-class AsyncConnection(_Closing):
+class AsyncConnection(_Closing, Generic[T]):
     """A connection read from an event loop: `async for`, `await get()`, `async with`.
 
     However many messages arrive, the loop is woken once until it has read them. Use it from the
     loop in which it was made. Everything else is as with `Connection`.
     """
 
-    def __init__(self, connection: Connection, executor: ThreadPoolExecutor) -> None:
+    def __init__(self, connection: Connection[T], executor: ThreadPoolExecutor) -> None:
         self._connection = connection
         self._executor = executor
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
         self._woken = False
-        self._callbacks: tuple[Deliver, ...] = ()
+        self._callbacks: tuple[Callable[[T], None], ...] = ()
         self._reading: asyncio.Task[None] | None = None
 
     @property
@@ -115,7 +116,7 @@ class AsyncConnection(_Closing):
         """Whether the connection is closed, for whatever reason."""
         return self._connection.ended
 
-    async def get(self, timeout: float | None = None) -> Message:
+    async def get(self, timeout: float | None = None) -> T:
         """Return the next message; raises as `Connection.get` does."""
         deadline = None if timeout is None else self._loop.time() + timeout
         self._connection._on_wake(self._wake)  # noqa: SLF001 - its twin
@@ -129,7 +130,7 @@ class AsyncConnection(_Closing):
                     raise TimeoutError(f"no message within {timeout:g} s") from None
                 await event_by(self._arrived, deadline)
 
-    async def __aiter__(self) -> AsyncIterator[Message]:
+    async def __aiter__(self) -> AsyncIterator[T]:
         """Yield messages until the connection is killed or its source finishes."""
         while True:
             try:
@@ -140,7 +141,7 @@ class AsyncConnection(_Closing):
                 return
             yield message
 
-    def subscribe(self, callback: Deliver) -> Callable[[], None]:
+    def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
         """Give messages to a callback from now on, in the loop; returns what ends it.
 
         As long as there is one, a task of the loop reads the connection, and nobody else should.
@@ -201,7 +202,7 @@ class AsyncConnection(_Closing):
         except ConnectionClosedError as error:
             _log.debug("%s", error)  # its state and cause say so to whoever asks
 
-    async def _outside(self, action: Callable[[], T]) -> T:
+    async def _outside(self, action: Callable[[], Result]) -> Result:
         return await asyncio.wrap_future(self._executor.submit(action))
 
     def _wake(self) -> None:
@@ -263,22 +264,47 @@ class AsyncRobotManager(_Closing):
         """Return the plan that `request` would open; raises as `RobotManager.resolve`."""
         return await self._outside(partial(self.robot.resolve, name, timeout=timeout))
 
+    @overload
     async def request(
         self,
         name: str,
         *,
-        validate: ValidationMode | str = ValidationMode.OFF,
+        as_type: type[T],
+        validate: ValidationMode | str = ...,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[T], None] | None = None,
+        timeout: float = 60.0,
+    ) -> AsyncConnection[T]: ...
+
+    @overload
+    async def request(
+        self,
+        name: str,
+        *,
+        as_type: object = None,
+        validate: ValidationMode | str = ...,
         queue: QueuePolicy | None = None,
         on_message: Deliver | None = None,
         timeout: float = 60.0,
-    ) -> AsyncConnection:
+    ) -> AsyncConnection: ...
+
+    async def request(
+        self,
+        name: str,
+        *,
+        as_type: Any = None,
+        validate: ValidationMode | str = ValidationMode.SAMPLED,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[Any], None] | None = None,
+        timeout: float = 60.0,
+    ) -> AsyncConnection[Any]:
         """Open a function and return its connection; raises as `RobotManager.request`.
 
         A callback is called in the loop. When the task is cancelled, what opens all the same is
         closed as soon as it has opened.
         """
         ask = partial(self.robot.request, name, validate=validate, queue=queue, timeout=timeout)
-        asked = self._asking.submit(ask)
+        asked = self._asking.submit(partial(ask, as_type=as_type))
         try:
             connection = AsyncConnection(await asyncio.wrap_future(asked), self._handling)
         except asyncio.CancelledError:
@@ -288,9 +314,22 @@ class AsyncRobotManager(_Closing):
             connection.subscribe(on_message)
         return connection
 
-    async def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
+    @overload
+    async def call(
+        self, name: str, message: Message, *, as_type: type[T], timeout: float = 10.0
+    ) -> T: ...
+
+    @overload
+    async def call(
+        self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
+    ) -> Message: ...
+
+    async def call(
+        self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
+    ) -> Message:
         """Call a service; raises as `RobotManager.call`."""
-        return await self._outside(partial(self.robot.call, name, message, timeout=timeout))
+        ask = partial(self.robot.call, name, message, as_type=as_type, timeout=timeout)
+        return await self._outside(ask)
 
     def connections(self) -> tuple[AsyncConnection, ...]:
         """Return the connections that have not ended, oldest first, whoever requested them.
@@ -375,7 +414,7 @@ class AsyncRobotManager(_Closing):
     def __repr__(self) -> str:
         return f"<Async{repr(self.robot)[1:]}"
 
-    async def _outside(self, action: Callable[[], T]) -> T:
+    async def _outside(self, action: Callable[[], Result]) -> Result:
         return await asyncio.wrap_future(self._asking.submit(action))
 
     def _put_away(self, asked: Future[Connection]) -> None:

@@ -74,6 +74,9 @@ class Sender:
         validate: OFF trusts the application; anything else checks every message it sends.
         clock: seconds.
 
+    Attributes:
+        place: the input, for errors.
+
     Raises:
         BridgeError: the bridge could not open the input.
     """
@@ -83,7 +86,7 @@ class Sender:
     ) -> None:
         port = next(one for one in live.component.inputs if one.name == name)
         send, default_queue = live.open_input(name, lambda: self._route.closed)
-        place = f"{live.component.name}.{name}"
+        self.place = place = f"{live.component.name}.{name}"
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or default_queue

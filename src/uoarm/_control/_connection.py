@@ -4,29 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import final
+from typing import Generic, cast, final
+
+from typing_extensions import Self
 
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._executor import Executor
 from uoarm._control._state import ConnectionRecord
 from uoarm._dataplane import QueueClosed
+from uoarm._hints.applications import MessageType, T, as_message
 from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.model import ConnectionState, ConnectionStatus, Deliver, Gap, Message, Plan, RouteStatus
+from uoarm.model import ConnectionState, ConnectionStatus, Gap, Message, Plan, RouteStatus
 
 __all__ = ["Connection"]
 
 
 @final
-class Connection:
+class Connection(Generic[T]):
     """A running plan. Iterate over it, `send` to it, and `kill` it; also a context manager.
 
-    Made by `RobotManager.request`. All methods may be called from any thread.
+    Made by `RobotManager.request`. All methods may be called from any thread. `Connection[Scan]`
+    gives its messages as `Scan`, which `request` was told as `as_type`.
     """
 
-    def __init__(self, runtime: ConnectionRuntime, executor: Executor) -> None:
+    def __init__(
+        self, runtime: ConnectionRuntime, executor: Executor, as_type: MessageType[T] | None = None
+    ) -> None:
         self.id = runtime.id
         self._runtime = runtime
         self._executor = executor
+        self._type = as_type
         runtime.handle = self
 
     @property
@@ -59,26 +66,30 @@ class Connection:
         """Whether the connection is closed, for whatever reason."""
         return self._record.is_over
 
-    def get(self, timeout: float | None = None) -> Message:
+    def get(self, timeout: float | None = None) -> T:
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
         Raises:
             TimeoutError: nothing came in time.
+            MessageError: a component gave something else than it had declared, so that no value
+                of `as_type` could be made. The next call goes on with the next message.
             ConnectionClosedError: the connection has ended and every message was read.
             UsageError: the function has no output, or callbacks receive its messages.
         """
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         try:
-            return self._runtime.receiver.inbox.get(timeout)
+            message = self._runtime.receiver.inbox.get(timeout)
         except QueueClosed:
             text = f"connection {self.id} to {self.plan.function!r} has ended"
             raise ConnectionClosedError(f"{text}: {self.cause}" if self.cause else text) from None
+        return cast("T", message) if self._type is None else self._type.read(message)
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[T]:
         """Yield messages until the connection is killed or its source finishes.
 
         Raises:
+            MessageError: as from `get`; iterate again to go on.
             ConnectionClosedError: a component died; the text says which and why.
         """
         while True:
@@ -97,8 +108,9 @@ class Connection:
         are counted in the status.
 
         Args:
-            message: checked against the input's structure unless the connection was requested
-                with validation off.
+            message: plain values, or objects of dataclasses, attrs classes, pydantic models and
+                the like, also within lists and dicts; checked against the input's structure
+                unless the connection was requested with validation off.
             port: name of the input; None where there is one only.
 
         Raises:
@@ -109,7 +121,8 @@ class Connection:
         ports = self._runtime.ports
         if not self._record.goes_on or ports is None:
             raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
-        ports.sender(port).send(message)
+        sender = ports.sender(port)
+        sender.send(as_message(message, sender.place))
 
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out.
@@ -119,14 +132,16 @@ class Connection:
         ports = self._runtime.ports
         return ports is None or ports.flush(timeout)
 
-    def subscribe(self, callback: Deliver) -> Callable[[], None]:
+    def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
         """Give messages to a callback from now on, first those that wait; returns what ends it.
 
-        The callback runs in the thread in which a message arrives. It may call `kill`.
+        The callback runs in the thread in which a message arrives. It may call `kill`. A message
+        of which no value of `as_type` can be made is logged and counted as failed.
         """
         if self.output is None:
             raise UsageError(f"function {self.plan.function!r} has no output to read")
-        return self._runtime.receiver.inbox.subscribe(callback)
+        take = callback if self._type is None else self._type.callback(callback)
+        return self._runtime.receiver.inbox.subscribe(take)
 
     def kill(self) -> None:
         """End the connection and close what only it used. Once is enough; bounded in time."""
@@ -167,7 +182,7 @@ class Connection:
         components = " -> ".join(step.component.name for step in self.plan.steps)
         return f"<Connection {self.id} to {self.plan.function!r}: {self.state.value}, {components}>"
 
-    def __enter__(self) -> Connection:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

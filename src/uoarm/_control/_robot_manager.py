@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from os import PathLike
 from types import TracebackType
-from typing import final
+from typing import Any, final, overload
 
 from uoarm import _bounded
 from uoarm._control._availability import check_availability
@@ -22,6 +22,7 @@ from uoarm._control._revisions import Revision, Revisions, StagedRevision
 from uoarm._control._staleness import StalenessWatch
 from uoarm._control._state import State, recently
 from uoarm._dataplane import Clock, make_check
+from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._mistakes import choose
 from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
@@ -39,6 +40,7 @@ from uoarm.model import (
     Effect,
     FunctionStatus,
     Message,
+    MessageStructure,
     Plan,
     PortRef,
     QueuePolicy,
@@ -158,20 +160,49 @@ class RobotManager:
             lambda: revision.resolve(function, avoided=avoided),
         )
 
+    @overload
     def request(
         self,
         name: str,
         *,
-        validate: ValidationMode | str = ValidationMode.OFF,
+        as_type: type[T],
+        validate: ValidationMode | str = ...,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[T], None] | None = None,
+        timeout: float = 60.0,
+    ) -> Connection[T]: ...
+
+    @overload
+    def request(
+        self,
+        name: str,
+        *,
+        as_type: object = None,
+        validate: ValidationMode | str = ...,
         queue: QueuePolicy | None = None,
         on_message: Deliver | None = None,
         timeout: float = 60.0,
-    ) -> Connection:
+    ) -> Connection: ...
+
+    def request(
+        self,
+        name: str,
+        *,
+        as_type: Any = None,
+        validate: ValidationMode | str = ValidationMode.SAMPLED,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[Any], None] | None = None,
+        timeout: float = 60.0,
+    ) -> Connection[Any]:
         """Resolve a function, open its whole plan and return the connection.
 
         Args:
             name: a function; `function.output` where it has several outputs.
-            validate: how many messages are checked against their structures.
+            as_type: the type in which messages are wanted, such as a dataclass: whatever a Python
+                component may have as a hint. It is proven that every message is one. None: plain
+                values.
+            validate: how many messages of outputs are checked against their structures; what is
+                sent is checked always, unless this is off.
             queue: what to do when the application reads slower than messages come; None:
                 the newest 64 are kept.
             on_message: a callback that receives the messages, from the first one on.
@@ -183,15 +214,17 @@ class RobotManager:
             BridgeTimeoutError: not open in time. Everything was closed again, or will be as
                 soon as the bridge lets go.
             UsageError: the function has several outputs and the name does not say which, or
-                there is no such way to validate.
+                there is no such way to validate, or a message may be no `as_type`.
         """
         self._require_open()
         mode = choose(ValidationMode, validate, "validate", UsageError)
         wanted = _reference(name)
+        wanted_type = self._typed(as_type, name, timeout)
         revision = self._revisions.current
         runtime = ConnectionRuntime(f"c{next(self._numbers)}", queue or _INBOX)
         if on_message is not None:
-            runtime.receiver.inbox.subscribe(on_message)
+            take = on_message if wanted_type is None else wanted_type.callback(on_message)
+            runtime.receiver.inbox.subscribe(take)
         event = Requested(
             runtime.id,
             wanted,
@@ -201,16 +234,36 @@ class RobotManager:
             is_heard=on_message is not None,
             revision=revision.number,
         )
-        connection = Connection(runtime, self._executor)
+        connection = Connection(runtime, self._executor, wanted_type)
         self._executor.request(runtime, event, f"request for {name!r}", timeout)
+        if wanted_type is not None:
+            try:  # of the plan that was opened, which may be another one than was found above
+                wanted_type.require(_given(connection.plan, connection.output, name).schema)
+            except UsageError:
+                connection.kill()
+                raise
         return connection
 
-    def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
+    @overload
+    def call(
+        self, name: str, message: Message, *, as_type: type[T], timeout: float = 10.0
+    ) -> T: ...
+
+    @overload
+    def call(
+        self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
+    ) -> Message: ...
+
+    def call(
+        self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
+    ) -> Message:
         """Call the service that provides a function and return its reply.
 
         Args:
             name: a function whose components are services.
-            message: the request, checked against the service's structure.
+            message: the request: plain values or objects, as `Connection.send` takes them; checked
+                against the service's structure.
+            as_type: the type in which the reply is wanted, as with `request`; None: plain values.
             timeout: seconds.
 
         Raises:
@@ -218,10 +271,11 @@ class RobotManager:
             MessageError: the request does not match the structure.
             BridgeError: the service failed or is gone, or its reply does not match the structure.
             BridgeTimeoutError: no reply in time.
-            UsageError: the function is a stream.
+            UsageError: the function is a stream, or a reply may be no `as_type`.
         """
+        wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
         return _bounded.run(
-            f"call of {name!r}", timeout, lambda: self._call(name, message, timeout)
+            f"call of {name!r}", timeout, lambda: self._call(name, message, wanted, timeout)
         )
 
     def connections(self) -> tuple[Connection, ...]:
@@ -345,12 +399,27 @@ class RobotManager:
             _log.warning("%s", failure)
         self._events.close()
 
-    def _call(self, name: str, message: Message, timeout: float) -> Message:
+    def _typed(self, hint: Any, name: str, timeout: float) -> MessageType[Any] | None:
+        """Return the type that an application wants, proven to be what the function gives."""
+        if hint is None:
+            return None
+        wanted: MessageType[Any] = MessageType(hint, f"function {name!r}")
+        reference = _reference(name)
+        plan = self.resolve(reference.function, timeout=timeout)
+        wanted.require(_given(plan, reference.port, name).schema)
+        return wanted
+
+    def _call(
+        self, name: str, message: Message, wanted: MessageType[Any] | None, timeout: float
+    ) -> Message:
         step = self.resolve(name, timeout=timeout).provider
         service = step.component.service
         if service is None:
             raise UsageError(f"function {name!r} is a stream: use request, not call")
         place = f"request to {step.component.name}"
+        if wanted is not None:
+            wanted.require(step.structures["reply"].schema)
+        message = as_message(message, place)
         check = make_check(step.structures["request"], ValidationMode.ALWAYS, place)
         if check is not None:
             check(message)
@@ -364,7 +433,7 @@ class RobotManager:
                 check(reply)
         except MessageError as error:
             raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
-        return reply
+        return reply if wanted is None else wanted.read(reply)
 
     def _known(self, function: str, revision: Revision) -> Plan | None:
         """Return the plan that was found before, unless it may use what was stale lately."""
@@ -401,6 +470,19 @@ class RobotManager:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:
+    """Return the structure of the messages that an application receives of a plan."""
+    component = plan.provider.component
+    given = component.output(output)
+    if given is None:
+        names = ", ".join(one.name for one in component.outputs)
+        has = (
+            f"has the outputs {names}" if names else "has no output, so that `as_type` says nothing"
+        )
+        raise UsageError(f"function {name!r} {has}")
+    return plan.provider.structures[f"output.{given.name}"]
 
 
 def _reference(name: str) -> PortRef:

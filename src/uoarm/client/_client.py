@@ -7,13 +7,14 @@ import itertools
 import ssl
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
-from typing import Any, TypeAlias, final
+from typing import Any, TypeAlias, final, overload
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.client import connect as open_socket
 from websockets.typing import Subprotocol
 
 from uoarm import errors
+from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._wire import BINARY_FORM, TEXT_FORM, Form
 from uoarm.client._link import LARGEST, Link, Open
 from uoarm.client._stream import RemoteStream
@@ -100,10 +101,11 @@ class Client:
 
     def __init__(self, opening: Open, form: Form) -> None:
         self.hello: Mapping[str, Any] = {}
+        self._form = form
         self._link = Link(opening, form, self._take)
         self._ids = itertools.count(1)
         self._asked: dict[str, tuple[str, asyncio.Future[Any]]] = {}
-        self._streams: dict[str, RemoteStream] = {}
+        self._streams: dict[str, RemoteStream[Any]] = {}
         self._watchers: set[_Changes] = set()
 
     @property
@@ -111,20 +113,47 @@ class Client:
         """How often the connection dropped and the session went on over another."""
         return self._link.resumed
 
+    @overload
     async def request(
         self,
         name: str,
         *,
-        validate: ValidationMode | str = ValidationMode.OFF,
+        as_type: type[T],
+        validate: ValidationMode | str = ...,
         queue: QueuePolicy | None = None,
         every: float = 0.0,
         receive: bool = True,
-    ) -> RemoteStream:
+    ) -> RemoteStream[T]: ...
+
+    @overload
+    async def request(
+        self,
+        name: str,
+        *,
+        as_type: object = None,
+        validate: ValidationMode | str = ...,
+        queue: QueuePolicy | None = None,
+        every: float = 0.0,
+        receive: bool = True,
+    ) -> RemoteStream: ...
+
+    async def request(
+        self,
+        name: str,
+        *,
+        as_type: Any = None,
+        validate: ValidationMode | str = ValidationMode.SAMPLED,
+        queue: QueuePolicy | None = None,
+        every: float = 0.0,
+        receive: bool = True,
+    ) -> RemoteStream[Any]:
         """Open a function.
 
         Args:
             name: function, or function.output.
-            validate: how many messages the server checks.
+            as_type: the type in which messages are wanted, as with `RobotManager.request`; the
+                server is asked for the plan first, to prove that every message is one.
+            validate: how many messages of outputs the server checks.
             queue: what the server does when this client reads too slowly.
             every: least seconds between two messages.
             receive: False to send only.
@@ -132,7 +161,7 @@ class Client:
         Raises:
             ResolutionError: nothing fits.
             BridgeError: a bridge failed while opening.
-            UsageError: this client has it open already.
+            UsageError: this client has it open already, or a message may be no `as_type`.
             ServerError: the role does not allow it, or a limit is reached.
         """
         options: dict[str, Any] = {"validate": ValidationMode(validate).value, "receive": receive}
@@ -140,12 +169,29 @@ class Client:
             options["queue"] = {"length": queue.length, "policy": queue.policy.value}
         if every:
             options["every"] = every
-        stream: RemoteStream = await self._ask("Request", name, jsonMessage=options)
+        wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
+        stream: RemoteStream[Any] = await self._ask("Request", name, jsonMessage=options)
+        stream.give_as(wanted)
         return stream
 
-    async def call(self, name: str, message: Message, *, timeout: float = 10.0) -> Message:
+    @overload
+    async def call(
+        self, name: str, message: Message, *, as_type: type[T], timeout: float = 10.0
+    ) -> T: ...
+
+    @overload
+    async def call(
+        self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
+    ) -> Message: ...
+
+    async def call(
+        self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
+    ) -> Message:
         """Call a service; raises as `RobotManager.call`, and ServerError."""
-        return await self._ask("Call", name, jsonMessage=message, **{"x-timeout": timeout})
+        wanted = await self._typed(as_type, name, f"the reply of {name!r}", "reply")
+        sent = as_message(message, f"request to {name!r}")
+        reply = await self._ask("Call", name, jsonMessage=sent, **{"x-timeout": timeout})
+        return reply if wanted is None else wanted.read(reply)
 
     async def functions(self) -> list[Mapping[str, Any]]:
         """Return the functions that one may see."""
@@ -195,6 +241,20 @@ class Client:
             for stream in self._streams.values():
                 stream.finish("failed", self._link.closed)
             self._tell_watchers(None)
+
+    async def _typed(self, hint: Any, name: str, place: str, port: str) -> MessageType[Any] | None:
+        """Return the type that is wanted, proven to be what the server's plan gives."""
+        if hint is None:
+            return None
+        wanted: MessageType[Any] = MessageType(hint, place, self._form)
+        structures = (await self.resolve(name))["plan"]["steps"][-1]["structures"]
+        output = name.partition(".")[2]
+        names = [one for one in structures if one.startswith(port)]
+        only = names[0] if len(names) == 1 and not output else f"{port}{output or 'default'}"
+        if only not in structures:
+            raise errors.UsageError(f"{place} gives no messages, so that `as_type` says nothing")
+        wanted.require(structures[only]["schema"])
+        return wanted
 
     async def _ask(self, op: str, kind: str = "", **more: Any) -> Any:
         if self._link.closed:

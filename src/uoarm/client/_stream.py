@@ -6,11 +6,12 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from types import TracebackType
-from typing import Any, final
+from typing import Any, Generic, cast, final
 
 from typing_extensions import Self
 
 from uoarm._deadlines import event_by
+from uoarm._hints.applications import MessageType, T, as_message
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
@@ -20,7 +21,7 @@ Ask = Callable[..., Awaitable[Any]]
 
 
 @final
-class RemoteStream:
+class RemoteStream(Generic[T]):
     """What `Client.request` returns: `async for`, `await get()`, `send`, `kill`, `async with`.
 
     Attributes:
@@ -39,13 +40,20 @@ class RemoteStream:
         self._changed = asyncio.Event()
         self._last: int | None = None
         self._end: tuple[str, str] | None = None
+        self._type: MessageType[T] | None = None
 
-    async def get(self, timeout: float | None = None) -> Message:
+    def give_as(self, wanted: MessageType[T] | None) -> None:
+        """Give messages as a type from now on; `Client.request` does it."""
+        self._type = wanted
+
+    async def get(self, timeout: float | None = None) -> T:
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
         Raises:
             TimeoutError: nothing came in time.
             ConnectionClosedError: the function has ended and every message was read.
+            MessageError: a component gave something else than it had declared, so that no value
+                of `as_type` could be made. The next call goes on with the next message.
         """
         loop = asyncio.get_running_loop()
         deadline = None if timeout is None else loop.time() + timeout
@@ -61,7 +69,7 @@ class RemoteStream:
         if self._last is not None:
             self.lost += number - self._last - 1
         self._last = number
-        return message
+        return cast("T", message) if self._type is None else self._type.read(message)
 
     async def send(self, message: Message, port: str | None = None) -> None:
         """Hand one message to an input; returns when the server has taken it.
@@ -72,7 +80,7 @@ class RemoteStream:
             ConnectionClosedError: the function has ended.
         """
         kind = self.connection if port is None else f"{self.connection}.{port}"
-        await self._ask("Data", kind, jsonMessage=message)
+        await self._ask("Data", kind, jsonMessage=as_message(message, kind))
 
     async def kill(self) -> None:
         """Give the function back. Once is enough."""
@@ -91,7 +99,7 @@ class RemoteStream:
             self._end = (state, cause)
         self._changed.set()
 
-    async def __aiter__(self) -> AsyncIterator[Message]:
+    async def __aiter__(self) -> AsyncIterator[T]:
         """Yield messages until the function is killed or its source finishes.
 
         Raises:

@@ -1,8 +1,8 @@
 """The built-in `python` bridge: plain Python callables, generators and classes as components."""
 
-from uoarm.local._annotations import HintError, Octets, Range, Shape, UInt8
+from uoarm._hints.annotations import HintError, Octets, Range, Shape, UInt8
+from uoarm._hints.schemas import schema_of
 from uoarm.local._bridge import PythonBridge, uoarm_bridge_types
-from uoarm.local._hints import schema_of
 from uoarm.local._target import Emit, structure
 
 __all__ = [

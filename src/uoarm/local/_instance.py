@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Iterato
 from functools import partial
 from typing import Any, TypeAlias
 
+from uoarm._hints.convert import plain
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local._convert import plain
 from uoarm.local._loop import Coroutines
 from uoarm.local._source import Source
 from uoarm.local._target import Emit, Target

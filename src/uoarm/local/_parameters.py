@@ -7,11 +7,11 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+from uoarm._hints.annotations import HintError
+from uoarm._hints.convert import reader
+from uoarm._hints.schemas import schema_of
 from uoarm._mistakes import mistakes
 from uoarm._spelling import Speller
-from uoarm.local._annotations import HintError
-from uoarm.local._convert import reader
-from uoarm.local._hints import schema_of
 from uoarm.model import Options
 
 __all__ = ["build_parameters", "parameter_mistakes"]

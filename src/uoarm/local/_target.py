@@ -11,11 +11,11 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import attrs
 from attrs import field, frozen
 
+from uoarm._hints.annotations import HintError
+from uoarm._hints.convert import reader, writer
+from uoarm._hints.schemas import schema_of
 from uoarm.bridge import Description
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.local._annotations import HintError
-from uoarm.local._convert import reader, writer
-from uoarm.local._hints import schema_of
 from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema

@@ -265,7 +265,7 @@ class ClientStreams:
 def feed_key(name: str, options: Mapping[str, Any]) -> FeedKey:
     """Return what a Request with these options asks for."""
     return FeedKey(
-        name, ValidationMode(options.get("validate", "off")), options.get("receive", True)
+        name, ValidationMode(options.get("validate", "sampled")), options.get("receive", True)
     )
 
 

@@ -49,7 +49,7 @@ class FeedKey:
     """
 
     name: str
-    validate: ValidationMode = ValidationMode.OFF
+    validate: ValidationMode = ValidationMode.SAMPLED
     receive: bool = True
 
     @property

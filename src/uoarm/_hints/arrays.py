@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from attrs import frozen
 
-from uoarm.local._annotations import HintError, Shape
+from uoarm._hints.annotations import HintError, Shape
 
 __all__ = ["NumpyArray", "NumpyScalar", "array_of", "scalar_of"]
 

@@ -21,8 +21,8 @@ from typing import (
 import attrs
 from typing_extensions import NotRequired, Required, is_typeddict
 
-from uoarm.local._annotations import HintError, OctetsMark, Range
-from uoarm.local._arrays import array_of, scalar_of
+from uoarm._hints.annotations import HintError, OctetsMark, Range
+from uoarm._hints.arrays import array_of, scalar_of
 
 __all__ = ["is_enum", "is_model", "is_named_tuple", "is_plain", "is_record", "schema_of"]
 

@@ -13,16 +13,18 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from typing_extensions import is_typeddict
 
+from uoarm._hints.annotations import HintError
+from uoarm._hints.arrays import array_of, scalar_of
+from uoarm._hints.schemas import is_enum, is_model, is_named_tuple, is_plain, is_record
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.local._annotations import HintError
-from uoarm.local._arrays import array_of, scalar_of
-from uoarm.local._hints import is_enum, is_model, is_named_tuple, is_plain, is_record
 from uoarm.model import Message
 
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["plain", "reader", "writer"]
+__all__ = ["fault_of", "plain", "plain_inside", "reader", "writer"]
+
+_FLAT = frozenset({bool, int, float, str, bytes, type(None)})
 
 
 def reader(hint: Any, place: str) -> Callable[[Message], Any] | None:
@@ -78,7 +80,7 @@ def writer(hint: Any, place: str) -> Callable[[Any], Message] | None:
         try:
             return write(value) if own is None or value.__class__ is own else plain(value)
         except Exception as error:
-            where = "".join(f"{one}." for one in _path_to_fault(hint, value)).removesuffix(".")
+            where = ".".join(_path_to_fault(hint, value))
             told = f"{where}: {error}" if where else str(error)
             text = f"{place} gave something else than {name}: {told}"
             raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
@@ -111,6 +113,31 @@ def plain(value: Any) -> Message:
     """Return an object of a record class, an enumeration or numpy as plain values."""
     write = _write_of(value.__class__)
     return value if write is None else write(value)
+
+
+def plain_inside(value: Any) -> Message:
+    """Return plain values also of what is within lists, tuples and dicts; `value` where it is."""
+    kind = value.__class__
+    if kind in _FLAT:
+        return value
+    if kind is dict:
+        made = {
+            name: plain_inside(one) for name, one in value.items() if one.__class__ not in _FLAT
+        }
+        changed = any(value[name] is not one for name, one in made.items())
+        return {**value, **made} if changed else value
+    if kind is list or kind is tuple:
+        if _FLAT.issuperset(map(type, value)):
+            return value
+        items = [plain_inside(one) for one in value]
+        changed = any(one is not item for one, item in zip(value, items, strict=True))
+        return items if changed else value
+    return plain(value)
+
+
+def fault_of(value: Any) -> str:
+    """Return the path to what makes no message in a value; nothing where it is the value."""
+    return ".".join(_path_to_fault(value.__class__, value))
 
 
 @lru_cache(maxsize=1024)

@@ -1,0 +1,1 @@
+"""Type hints as message structures, and messages as the values that hints say, both ways."""
