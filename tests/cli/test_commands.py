@@ -42,6 +42,21 @@ functions:
   dying:
     components:
       - {name: dying, bridge: python, output: {endpoint: ["cli_counting:die"]}}
+  ticks:
+    components:
+      - {name: ticker, bridge: python, output: {endpoint: ["cli_counting:ticks"]}}
+  failing:
+    components:
+      - name: thrower
+        bridge: python
+        input: {from: ticks, endpoint: ["cli_counting:refuse"]}
+        output: {endpoint: ["cli_counting:refuse"]}
+  failed:
+    components:
+      - name: short
+        bridge: python
+        input: {from: count, endpoint: ["cli_counting:refuse"]}
+        output: {endpoint: ["cli_counting:refuse"]}
   misfit:
     components:
       - name: misfit
@@ -49,6 +64,7 @@ functions:
         input: {from: count, endpoint: ["cli_counting:shout"]}
 """
 COMPONENTS = """
+import time
 from collections.abc import Iterator
 from typing import TypedDict
 class Number(TypedDict):
@@ -58,6 +74,12 @@ class Text(TypedDict):
 def count() -> Iterator[Number]:
     for n in range(4):
         yield {"n": n}
+def ticks() -> Iterator[Number]:
+    while True:
+        yield {"n": 1}
+        time.sleep(0.01)
+def refuse(m: Number) -> Number:
+    raise OSError("the sensor is gone")
 def double(m: Number) -> Number:
     return {"n": m["n"] * 2}
 def greet(m: Number) -> Text:
@@ -87,7 +109,7 @@ def run(*arguments: str) -> Result:
 def test_check_counts_what_is_there(robot: str) -> None:
     result = run("check", robot)
     assert result.exit_code == 0
-    assert "no errors (functions: 7, bridges: 1)" in result.output
+    assert "no errors (functions: 10, bridges: 1)" in result.output
 
 
 def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
@@ -123,6 +145,21 @@ def test_a_refusal_is_data_too(robot: str) -> None:
     assert told["function"] == "misfit"
     assert "misfit" in told["error"]
     assert [one["component"] for one in told["rejected"]] == ["misfit"]
+
+
+def test_request_ends_with_the_cause_when_what_it_waits_for_raises(robot: str) -> None:
+    result = run("request", "failing", "-n", "1", "-f", robot)
+    assert result.exit_code == 4
+    assert result.stdout == ""
+    assert "error: component 'thrower' was lost: its input 'default' raises" in result.stderr
+    assert "OSError: the sensor is gone" in result.stderr
+
+
+def test_request_ends_with_the_cause_when_too_few_came_since_a_component_raised(robot: str) -> None:
+    result = run("request", "failed", "-n", "1", "-f", robot)
+    assert result.exit_code == 4
+    told = "it ended after 0 of 1 messages: short.default raised OSError: the sensor is gone"
+    assert told in result.stderr
 
 
 def test_request_prints_a_message_a_line(robot: str) -> None:

@@ -14,7 +14,7 @@ from tests.host.hosted import lives
 from uoarm import BridgeError, ConnectionClosedError, RobotManager
 from uoarm._host import RemoteBridge
 from uoarm.model import ConnectionState, Health, StatusEvent
-from uoarm.testing import Census, patience, wait
+from uoarm.testing import Census, Collector, patience, wait
 
 ROBOT = """
 version: 1
@@ -28,6 +28,24 @@ functions:
       - name: doubler
         bridge: far
         input: {from: numbers, endpoint: ["hosted_parts:double"]}
+        output: {endpoint: ["hosted_parts:double"]}
+  refused:
+    components:
+      - name: refuser
+        bridge: far
+        priority: 1
+        input: {from: ticks, endpoint: ["hosted_parts:refuse"]}
+        output: {endpoint: ["hosted_parts:refuse"]}
+  accepted:
+    components:
+      - name: preferred
+        bridge: far
+        priority: 1
+        input: {from: ticks, endpoint: ["hosted_parts:refuse"]}
+        output: {endpoint: ["hosted_parts:refuse"]}
+      - name: modest
+        bridge: far
+        input: {from: ticks, endpoint: ["hosted_parts:double"]}
         output: {endpoint: ["hosted_parts:double"]}
   where:
     components:
@@ -128,3 +146,26 @@ def test_a_manager_leaves_nothing_behind(tmp_path: Path) -> None:
         process = bridge.process
     assert not lives(process)
     before.check()
+
+
+def test_one_in_a_host_that_raises_is_degraded_and_lost_with_its_exception(
+    robot: RobotManager, caplog: pytest.LogCaptureFixture
+) -> None:
+    events = Collector()
+    robot.listen(events.deliver)
+    connection = robot.request("refused")
+    with pytest.raises(ConnectionClosedError, match=r"'refuser' was lost: .* is not wanted"):
+        connection.get(patience())
+    told = [one for one in events.messages if one.subject == "component refuser"]
+    assert [one.change for one in told] == ["degraded", "lost"]
+    assert told[0].cause == "its input 'default' raised ValueError: 0 is not wanted"
+    assert not [one for one in events.messages if one.subject == "component ticker"]
+    [record] = [one for one in caplog.records if one.name.startswith("uoarm.component.")]
+    assert record.name == "uoarm.component.refuser"
+
+
+def test_one_in_a_host_that_raises_is_replaced_by_the_next_candidate(robot: RobotManager) -> None:
+    connection = robot.request("accepted")
+    assert isinstance(connection.get(patience()), int)
+    assert connection.gaps[0].after == ("ticker", "modest")
+    assert "'preferred' was lost: its input 'default' raises" in connection.gaps[0].cause

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from attrs import define, field
@@ -20,6 +20,7 @@ class OutputReceiver:
 
     Args:
         queue: what to do when the application is slower than the messages.
+        on_raised: told what a callback of the application raised first.
 
     Attributes:
         inbox: where the application reads.
@@ -27,8 +28,10 @@ class OutputReceiver:
         began: how many had come before the plan that is heard now.
     """
 
-    def __init__(self, queue: QueuePolicy) -> None:
-        self.inbox = Inbox(queue, self._count_drop)
+    def __init__(self, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
+        self.inbox = Inbox(queue, self._count_drop, self._raised)
+        self._on_raised = on_raised
+        self._has_raised = False
         self.arrived = 0
         self.began = 0
         self._heard: Route | None = None
@@ -58,6 +61,13 @@ class OutputReceiver:
         if route is not self._heard:
             self._heard = route
             self.began = self.arrived
+
+    def _raised(self, text: str) -> None:
+        if self._heard is not None:
+            self._heard.last_error = text
+        if not self._has_raised:
+            self._has_raised = True
+            self._on_raised(text)
 
     def _count_drop(self, reason: str) -> None:
         if self._heard is not None:
@@ -90,7 +100,8 @@ class Sender:
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
         queue = port.queue or default_queue
-        self._route = Route(user, place, send, clock=clock, queue=queue)
+        watch = live.watch(name)
+        self._route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
 
     def send(self, message: Message) -> None:
         """Hand one message over.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from uoarm._control._actions import HandOver
@@ -19,6 +20,11 @@ __all__ = ["ConnectionRuntime"]
 class ConnectionRuntime:
     """One connection, as the threads see it that move messages and those that read its handle.
 
+    Args:
+        identity: of the connection.
+        queue: what to do when the application is slower than the messages.
+        on_raised: told what a callback of the application raised first.
+
     Attributes:
         record: the connection as it was published last; None while its request is being resolved.
         receiver: what the application reads.
@@ -27,10 +33,10 @@ class ConnectionRuntime:
         handle: what the application holds.
     """
 
-    def __init__(self, identity: str, queue: QueuePolicy) -> None:
+    def __init__(self, identity: str, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
         self.id = identity
         self.record: ConnectionRecord | None = None
-        self.receiver = OutputReceiver(queue)
+        self.receiver = OutputReceiver(queue, on_raised)
         self.losses = LossAccount()
         self.ports: ApplicationPorts | None = None
         self.handle: Connection | None = None

@@ -122,9 +122,11 @@ class HealthReported:
 
     Attributes:
         component: its name; None: the whole bridge.
-        part: what of it: `bridge`, `component`, or role and port of a channel.
+        part: what of it: `bridge`, `component`, role and port of a channel, or `messages`: what
+            it raises, which the manager watches itself.
         spared: instances that were opened since then, at the bridge that followed.
-        is_stale: whether the rate of its messages says so, which no bridge would notice.
+        is_stale: whether it emits too little or raises too often, which no bridge would notice:
+            it is avoided for a while.
     """
 
     bridge: str

@@ -37,7 +37,7 @@ from uoarm._dataplane import Clock
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import ComponentStatus, Health
+from uoarm.model import Component, ComponentStatus, Health
 
 __all__ = ["Executor"]
 
@@ -67,7 +67,7 @@ class Executor:
         clock: Clock,
     ) -> None:
         self.state = state
-        self.live = LiveParts(bridges, lambda: self.state, clock)
+        self.live = LiveParts(bridges, lambda: self.state, clock, self._judged)
         self._bridges = bridges
         self._revisions = revisions
         self._clock = clock
@@ -195,6 +195,15 @@ class Executor:
             )
         )
 
+    def judge_service(self, component: Component, health: Health, cause: str) -> None:
+        """Take a new verdict on what a service raises."""
+        is_lost = health is Health.LOST
+        self.post(
+            ev.HealthReported(
+                component.bridge, health, cause, component.name, "messages", is_stale=is_lost
+            )
+        )
+
     def connections(self) -> tuple[ConnectionRuntime, ...]:
         """Return the connections that have a plan and have not ended, oldest first."""
         runtimes = self.live.runtimes.copy()
@@ -223,6 +232,8 @@ class Executor:
                 users=tuple(dict.fromkeys(map(connection_of, state.components[one].users))),
                 cause=state.components[one].health.cause,
                 channels=objects[one].channel_statuses() if one in objects else (),
+                failed=objects[one].failures.failed if one in objects else 0,
+                last_error=objects[one].failures.last_error if one in objects else "",
             )
             for name, one in state.serving.items()
         )
@@ -232,6 +243,18 @@ class Executor:
         self._ask(ev.Stopped(f"close {next(self._numbers)}"))
         self._timer.close()
         self._workers.close()
+
+    def _judged(self, number: int, health: Health, cause: str) -> None:
+        """Take a new verdict on what an instance of a component raises, and no other of it."""
+        state = self.state
+        record = state.components.get(number)
+        if record is None or state.serving.get(record.name) != number:
+            return
+        others = frozenset(self.live.components.copy()) - {number}
+        bridge, is_lost = record.step.component.bridge, health is Health.LOST
+        self.post(
+            ev.HealthReported(bridge, health, cause, record.name, "messages", others, is_lost)
+        )
 
     def _handle(self, event: ev.Event) -> None:
         now = self._clock()

@@ -62,6 +62,8 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
     lost: list[int] = []
     for name in concerned:
         one = draft.serving.get(name)
+        if one is None and event.part == "messages":
+            _judge_service(draft, name, event)
         if one is None or (is_lost and one in event.spared):
             continue
         record = _note(draft, draft.components[one], event)
@@ -73,6 +75,15 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
         _lose(draft, lost, frozenset(concerned), event)
     if is_lost and event.component is None:
         draft.actions.append(RetireBridge(event.bridge))
+
+
+def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
+    """Note that a service, of which nothing is open, raises or answers again."""
+    draft.actions.append(Announce(f"component {name}", event.health.value, event.cause))
+    if event.health is Health.LOST:
+        draft.stale[name] = draft.now
+    elif event.health is Health.OK:
+        draft.stale.pop(name, None)
 
 
 def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
+from uoarm._control._failure_watch import FailureWatch, InputWatch
 from uoarm._dataplane import Outlet
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
@@ -28,15 +29,22 @@ class LiveComponent:
     Channels are opened when they are first needed and closed together. `close` never waits
     for a thread that is opening: that thread closes everything when it comes out.
 
+    Args:
+        step: of the first plan that needs it.
+        bridge: opens its channels.
+        failures: watches what it raises.
+
     Attributes:
         lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
-    def __init__(self, step: Step, bridge: Bridge) -> None:
+    def __init__(self, step: Step, bridge: Bridge, failures: FailureWatch) -> None:
         self.component: Component = step.component
         self.bridge = bridge
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
         self.structures = step.structures
+        self.failures = failures
+        self._watches = {one.name: InputWatch(failures, one.name) for one in step.component.inputs}
         self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
         self._turns: dict[str, threading.Lock] = {}
@@ -101,9 +109,11 @@ class LiveComponent:
         with self._alone():
             if name not in self._sinks:
                 endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
-                self._sinks[name] = self.bridge.open_sink(
+                sink = self._sinks[name] = self.bridge.open_sink(
                     endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
                 )
+                watch = self._watches[name]
+                watch.is_later = sink.watch(watch.told_later)
             sink = self._sinks[name]
             turn = self._turns.setdefault(name, threading.Lock())
 
@@ -117,6 +127,10 @@ class LiveComponent:
                 turn.release()
 
         return send, sink.default_queue if sink.blocking else None
+
+    def watch(self, name: str) -> InputWatch:
+        """Return what the routes into an input tell what became of messages."""
+        return self._watches[name]
 
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first.

@@ -152,6 +152,7 @@ class LiveEdge:
             clock=clock,
             transfer=transfer(self.edge),
             queue=queue,
+            watch=self.consumer.watch(self.edge.input),
         )
         self.producer.outlets[self.edge.output].attach(route)
 

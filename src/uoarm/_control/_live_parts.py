@@ -7,6 +7,7 @@ turns what becomes of them into events.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import TypeVar
 
 from attrs import define
@@ -16,6 +17,7 @@ from uoarm._control._application_ports import ApplicationPorts
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._draft import strictest
+from uoarm._control._failure_watch import FailureWatch
 from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._control._losses import Counting
@@ -31,7 +33,7 @@ from uoarm._control._state import (
 from uoarm._dataplane import Clock
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import ValidationMode
+from uoarm.model import Health, ValidationMode
 
 __all__ = ["Ending", "LiveParts"]
 
@@ -80,10 +82,18 @@ class LiveParts:
         bridges: gives the bridge of a component, starting it where it must.
         state: gives the state of this moment.
         clock: seconds.
+        judged: told, with a component's id, when the verdict on what it raises changes.
     """
 
-    def __init__(self, bridges: BridgeSet, state: Callable[[], State], clock: Clock) -> None:
+    def __init__(
+        self,
+        bridges: BridgeSet,
+        state: Callable[[], State],
+        clock: Clock,
+        judged: Callable[[int, Health, str], None],
+    ) -> None:
         self._bridges = bridges
+        self._judged = judged
         self._state = state
         self._clock = clock
         self.runtimes: dict[str, ConnectionRuntime] = {}
@@ -228,7 +238,9 @@ class LiveParts:
         component = record.step.component
         self._refuse_hanging(component.name)
         bridge = self._bridges.get(component.bridge)
-        self.components[record.id] = LiveComponent(record.step, bridge)
+        limits, tell = self._state().policy.failing, partial(self._judged, record.id)
+        failures = FailureWatch(component.name, limits, self._clock, tell)
+        self.components[record.id] = LiveComponent(record.step, bridge, failures)
 
     def _open_output(self, part: Part) -> None:
         """Open an output that has a route; one that only feeds native links stays closed."""

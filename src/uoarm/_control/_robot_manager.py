@@ -6,6 +6,7 @@ import itertools
 import logging
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
 from types import TracebackType
 from typing import Any, final, overload
@@ -19,6 +20,7 @@ from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
 from uoarm._control._revisions import Revision, Revisions, StagedRevision
+from uoarm._control._services import ServiceFailures
 from uoarm._control._staleness import StalenessWatch
 from uoarm._control._state import State, recently
 from uoarm._dataplane import Clock, make_check
@@ -38,7 +40,9 @@ from uoarm.model import (
     ConfigurationChange,
     Deliver,
     Effect,
+    Endpoint,
     FunctionStatus,
+    Health,
     Message,
     MessageStructure,
     Plan,
@@ -47,6 +51,7 @@ from uoarm.model import (
     Robot,
     StatusEvent,
     StatusMap,
+    Step,
     ValidationMode,
 )
 
@@ -101,6 +106,12 @@ class RobotManager:
             events=self._events,
             revisions=self._revisions,
             clock=clock,
+        )
+        self._services = ServiceFailures(
+            lambda: self._executor.state.policy.failing,
+            clock,
+            self._executor.judge_service,
+            lambda name: name in recently(self._executor.state.stale, clock()),
         )
         self._staleness = StalenessWatch(
             self._executor.components,
@@ -221,7 +232,9 @@ class RobotManager:
         wanted = _reference(name)
         wanted_type = self._typed(as_type, name, timeout)
         revision = self._revisions.current
-        runtime = ConnectionRuntime(f"c{next(self._numbers)}", queue or _INBOX)
+        identity = f"c{next(self._numbers)}"
+        tell = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
+        runtime = ConnectionRuntime(identity, queue or _INBOX, tell)
         if on_message is not None:
             take = on_message if wanted_type is None else wanted_type.callback(on_message)
             runtime.receiver.inbox.subscribe(take)
@@ -290,7 +303,7 @@ class RobotManager:
         own = (route for connection in connections for route in connection.routes())
         return StatusMap(
             bridges=self._bridges.statuses(),
-            components=self._executor.component_statuses(),
+            components=(*self._executor.component_statuses(), *self._services.statuses()),
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
             machines=self._bridges.machines.statuses(),
@@ -424,15 +437,12 @@ class RobotManager:
         if check is not None:
             check(message)
         bridge = self._bridges.get(step.component.bridge)
-        structures = ServiceStructures(step.structures["request"], step.structures["reply"])
-        reply = bridge.call(service.endpoint, message, structures, timeout=timeout)
-        place = f"the reply of the service {step.component.name}"
-        check = make_check(step.structures["reply"], ValidationMode.ALWAYS, place)
         try:
-            if check is not None:
-                check(reply)
-        except MessageError as error:
-            raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
+            reply = _answer(bridge, step, service.endpoint, message, timeout)
+        except Exception as error:
+            self._services.failed(step.component, error)
+            raise
+        self._services.answered(step.component)
         return reply if wanted is None else wanted.read(reply)
 
     def _known(self, function: str, revision: Revision) -> Plan | None:
@@ -489,3 +499,19 @@ def _reference(name: str) -> PortRef:
     """Read `function` or `function.output`."""
     function, dot, port = name.partition(".")
     return PortRef(function, port if dot else None)
+
+
+def _answer(
+    bridge: Bridge, step: Step, endpoint: Endpoint, message: Message, timeout: float
+) -> Message:
+    """Call a service; what raises here is the service, or its bridge."""
+    structures = ServiceStructures(step.structures["request"], step.structures["reply"])
+    reply = bridge.call(endpoint, message, structures, timeout=timeout)
+    place = f"the reply of the service {step.component.name}"
+    check = make_check(step.structures["reply"], ValidationMode.ALWAYS, place)
+    try:
+        if check is not None:
+            check(reply)
+    except MessageError as error:
+        raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
+    return reply

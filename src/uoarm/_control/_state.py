@@ -320,7 +320,7 @@ class State:
         beside: the edge that will, after a change-over.
         batches: what is being opened, by number.
         failed: when a component died last, longest ago first.
-        stale: the same for those that emitted too little.
+        stale: the same for those that emitted too little or raised too often.
         number: the last id given.
         is_closing: whether no request is taken any more.
         closers: who waits until every connection has ended.

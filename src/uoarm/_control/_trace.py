@@ -16,7 +16,7 @@ import attrs
 from uoarm import errors
 from uoarm._control import _events
 from uoarm._control._state import Kind, Part
-from uoarm.model import FailoverPolicy, Health, Plan, PortRef, Role, ValidationMode
+from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
 
 __all__ = ["FindPlan", "read", "write"]
 
@@ -91,7 +91,7 @@ _READERS: Mapping[str, Callable[[Any], object]] = {
     "part": _part,
     "done": lambda told: tuple(Part(Kind(kind), *rest) for kind, *rest in told),
     "spared": frozenset,
-    "policy": lambda told: FailoverPolicy(**told),
+    "policy": lambda told: FailoverPolicy(**{**told, "failing": FailureLimits(**told["failing"])}),
     "superseded": frozenset,
     "functions": frozenset,
 }

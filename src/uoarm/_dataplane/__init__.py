@@ -3,7 +3,16 @@
 from uoarm._dataplane._inbox import Inbox
 from uoarm._dataplane._outlet import Outlet
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
-from uoarm._dataplane._route import Clock, Route
+from uoarm._dataplane._route import Clock, Consumer, Route
 from uoarm._dataplane._validation import make_check
 
-__all__ = ["BoundedQueue", "Clock", "Inbox", "Outlet", "QueueClosed", "Route", "make_check"]
+__all__ = [
+    "BoundedQueue",
+    "Clock",
+    "Consumer",
+    "Inbox",
+    "Outlet",
+    "QueueClosed",
+    "Route",
+    "make_check",
+]

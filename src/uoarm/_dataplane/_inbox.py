@@ -8,6 +8,7 @@ from collections.abc import Callable
 from queue import Empty
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
+from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import UsageError
 from uoarm.model import Deliver, Message, QueuePolicy
 
@@ -22,15 +23,22 @@ class Inbox:
     Args:
         policy: what to do when the application is slower than the messages.
         on_drop: counts each lost message by reason.
+        on_raised: told what a callback raised.
     """
 
-    def __init__(self, policy: QueuePolicy, on_drop: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        policy: QueuePolicy,
+        on_drop: Callable[[str], None],
+        on_raised: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self._queue: BoundedQueue[Message] = BoundedQueue(policy, on_drop)
         self._on_drop = on_drop
+        self._on_raised = on_raised
         self._callbacks: tuple[Deliver, ...] = ()
         self._wake: Callable[[], None] | None = None
         self._lock = threading.RLock()
-        self._complaints: set[str] = set()
+        self._records = LimitedLog(_log)
 
     def put(self, message: Message) -> None:
         """Take one message from the route, in the route's thread."""
@@ -102,7 +110,10 @@ class Inbox:
             self._on_drop("failed")
 
     def _complain(self, callback: Deliver, error: Exception) -> None:
-        text = f"{type(error).__name__}: {error}"
-        if text not in self._complaints:
-            self._complaints = {text}
-            _log.error("callback %r raised %s", callback, text, exc_info=error)
+        text = f"its callback {_name(callback)} raised {text_of(error)}"
+        self._records.write(logging.ERROR, text, error)
+        self._on_raised(text)
+
+
+def _name(callback: Deliver) -> str:
+    return getattr(callback, "__qualname__", None) or type(callback).__qualname__

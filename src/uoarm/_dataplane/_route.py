@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from typing import Protocol
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
+from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import MessageError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["Clock", "Route"]
+__all__ = ["Clock", "Consumer", "Route"]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
@@ -19,6 +21,20 @@ _WINDOW_SECONDS = 1.0
 _WORKER_SECONDS = 1.0
 
 _log = logging.getLogger("uoarm")
+
+
+class Consumer(Protocol):
+    """Told by a route what became of messages, so that who raises is blamed and nobody else."""
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a success should be told; read for each message."""
+
+    def took(self) -> None:
+        """Take in that a message was taken."""
+
+    def raised(self, error: Exception) -> bool:
+        """Take in what a message came to; say whether it is accounted for and logged there."""
 
 
 class Route:
@@ -34,6 +50,7 @@ class Route:
             be replaced at any time, as `check`.
         queue: None to call the consumer in the producer's thread; else a bounded queue with
             one worker stands between.
+        watch: told what became of messages, and of what the adapter raised; None: nobody is.
     """
 
     __slots__ = (
@@ -45,8 +62,10 @@ class Route:
         "_hand",
         "_handed",
         "_queue",
+        "_records",
         "_taken_back",
         "_transfer",
+        "_watch",
         "_window_count",
         "_window_rate",
         "_window_start",
@@ -70,6 +89,7 @@ class Route:
         transfer: Callable[[Message], Message] | None = None,
         check: Callable[[Message], None] | None = None,
         queue: QueuePolicy | None = None,
+        watch: Consumer | None = None,
     ) -> None:
         self.producer = producer
         self.consumer = consumer
@@ -84,6 +104,8 @@ class Route:
         self._hand = hand
         self._transfer = transfer
         self.check = check
+        self._watch = watch
+        self._records = LimitedLog(_log)
         self._clock = clock
         self._closed = False
         self._window_start = clock()
@@ -184,6 +206,9 @@ class Route:
             return
         self._hand(message)
         self._handed += 1
+        watch = self._watch
+        if watch is not None and watch.is_alert:
+            watch.took()
 
     def _work(self, queue: BoundedQueue[Message]) -> None:
         while True:
@@ -207,10 +232,10 @@ class Route:
             self.drop("invalid")
         else:
             self.drop("failed")
-        text = f"{type(error).__name__}: {error}"
-        if text != self.last_error:
-            _log.warning("%s -> %s: %s", self.producer, self.consumer, text, exc_info=error)
-        self.last_error = text
+        text = self.last_error = text_of(error)
+        if self._watch is None or not self._watch.raised(error):
+            place = f"{self.producer} -> {self.consumer}"
+            self._records.write(logging.WARNING, f"{place}: {text}", error)
 
     def _turn_window(self, now: float) -> None:
         self._window_rate = self._window_count / (now - self._window_start)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from uoarm._host.transport.flow import FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import SharedCounter
-from uoarm.bridge import Channel, Sink, Source
+from uoarm.bridge import Channel, Outcomes, Sink, Source
 from uoarm.errors import UoarmError
 from uoarm.model import Endpoint, Message
 
@@ -115,6 +115,11 @@ class RemoteSink(RemoteChannel, Sink):
             "last_error_in_host": outgoing.last_error,
         }
         return {**self.host_facts, **ours}
+
+    def watch(self, told: Outcomes) -> bool:
+        """Have told what the host says became of messages."""
+        self.outgoing.watch(told)
+        return True
 
     def drain(self, timeout: float) -> bool:
         """Wait until the component has taken every message that was sent by now."""

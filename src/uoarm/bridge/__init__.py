@@ -4,7 +4,7 @@ from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, hookimpl
 from uoarm.bridge._border import reading_endpoint
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge, Handler
-from uoarm.bridge._channel import Channel, Sink, Source
+from uoarm.bridge._channel import Channel, Outcomes, Sink, Source
 from uoarm.bridge._description import (
     Capabilities,
     Description,
@@ -25,6 +25,7 @@ __all__ = [
     "Discovered",
     "Handler",
     "HealthEvent",
+    "Outcomes",
     "PluginProblem",
     "Registry",
     "ServiceStructures",

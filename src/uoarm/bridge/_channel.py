@@ -12,7 +12,10 @@ from uoarm.bridge._gate import Gate
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Endpoint, Message, QueuePolicy
 
-__all__ = ["Channel", "Sink", "Source"]
+__all__ = ["Channel", "Outcomes", "Sink", "Source"]
+
+Outcomes = Callable[[int, int, str], None]
+"""Takes how many messages a component took, on how many it raised, and the text of the last."""
 
 _CLOSE_SECONDS = 5.0
 
@@ -205,6 +208,15 @@ class Sink(Channel):
             text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
             raise BridgeError(text, FailureReason.CLOSED)
         self._send(message)
+
+    def watch(self, told: Outcomes) -> bool:
+        """Have what becomes of messages told after `send` has returned; say whether it will be.
+
+        May be overridden, by a sink that hands messages to another thread or process. A component
+        that raises is blamed for it: without this, by what `send` raises.
+        """
+        del told
+        return False
 
     def _send(self, message: Message) -> None:
         """Hand one message to the component.

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 import click
 
-from uoarm import Connection, ConnectionClosedError, ValidationMode
+from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
 from uoarm.cli._shared import BRIDGE, configuration_option, json_option, open_robot, plain
-from uoarm.model import ConnectionState, Message
+from uoarm.model import ConnectionState, Health, Message
 
 __all__ = ["call", "request"]
 
@@ -45,19 +45,24 @@ def request(
     One message a line. On a terminal, a live table of the flows stands below them, lines are cut
     at its width, and of a fast flow forty messages a second are shown and the others counted;
     elsewhere, and with --json, every message is written in full. A function without an output has
-    no messages to show and runs until the same end.
+    no messages to show and runs until the same end. While no message comes, components that raise
+    are named on stderr; when the flow fails, the exit code is 4 and the last line says why.
     """
     with open_robot(file) as robot, robot.request(name, validate=validate) as connection:
+        reading = _Reading(robot, connection, count, duration)
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
         elif sys.stdout.isatty() and not as_json:
             from uoarm.cli._live_messages import show_live  # noqa: PLC0415 - slow import
 
-            show_live(robot, connection, _messages(connection, count, duration))
+            show_live(robot, connection, reading)
         else:
-            for message in _messages(connection, count, duration):
+            for message in reading:
                 click.echo(json.dumps(plain(message)))
-        _fail_if_it_failed(connection)
+        failure = reading.failure()
+    if failure:
+        click.echo(f"{click.style('error:', fg='red')} {failure}", err=True)
+        sys.exit(BRIDGE)
 
 
 @click.command()
@@ -75,24 +80,64 @@ def call(name: str, message: str, file: str, *, timeout: float) -> None:
         click.echo(json.dumps(plain(robot.call(name, asked, timeout=timeout))))
 
 
-def _messages(
-    connection: Connection, count: int | None, duration: float | None
-) -> Iterator[Message]:
-    """Yield messages until the count or the time is up or the connection ends."""
-    deadline = None if duration is None else time.monotonic() + duration
-    seen = 0
-    while count is None or seen < count:
-        left = 1.0 if deadline is None else deadline - time.monotonic()
-        if left <= 0:
-            return
-        try:
-            message = connection.get(min(left, 1.0))
-        except TimeoutError:
-            continue
-        except ConnectionClosedError:
-            return
-        seen += 1
-        yield message
+class _Reading:
+    """The messages of a connection, until the count or the time is up or it ends.
+
+    While none comes, what is wrong with its components is said on stderr, once each.
+    """
+
+    def __init__(
+        self,
+        robot: RobotManager,
+        connection: Connection,
+        count: int | None,
+        duration: float | None,
+    ) -> None:
+        self._robot = robot
+        self._connection = connection
+        self._count = count
+        self._deadline = None if duration is None else time.monotonic() + duration
+        self._seen = 0
+        self._said: set[str] = set()
+
+    def __iter__(self) -> Iterator[Message]:
+        while self._count is None or self._seen < self._count:
+            left = 1.0 if self._deadline is None else self._deadline - time.monotonic()
+            if left <= 0:
+                return
+            try:
+                message = self._connection.get(min(left, 1.0))
+            except TimeoutError:
+                self._say_what_is_wrong()
+                continue
+            except ConnectionClosedError:
+                return
+            self._seen += 1
+            yield message
+
+    def failure(self) -> str:
+        """Return why it ended where that is a failure: empty, it is none."""
+        connection = self._connection
+        if connection.state is ConnectionState.FAILED:
+            return connection.cause
+        if self._count is None or self._seen >= self._count or not connection.ended:
+            return ""
+        raised = [
+            f"{route.consumer} raised {route.last_error}"
+            for route in connection.status().ended
+            if dict(route.dropped).get("failed")
+        ]
+        if not raised:
+            return ""
+        return f"it ended after {self._seen} of {self._count} messages: {'; '.join(raised)}"
+
+    def _say_what_is_wrong(self) -> None:
+        used = self._connection.status().components
+        for one in self._robot.status().components:
+            said = f"component {one.name!r} is {one.health.value}: {one.cause}"
+            if one.name in used and one.health is not Health.OK and said not in self._said:
+                self._said.add(said)
+                click.echo(f"{click.style('warning:', fg='yellow')} {said}", err=True)
 
 
 def _stay(connection: Connection, duration: float | None) -> None:
@@ -101,9 +146,3 @@ def _stay(connection: Connection, duration: float | None) -> None:
     deadline = None if duration is None else time.monotonic() + duration
     while not connection.ended and (deadline is None or time.monotonic() < deadline):
         time.sleep(_GLANCE_SECONDS)
-
-
-def _fail_if_it_failed(connection: Connection) -> None:
-    if connection.state is ConnectionState.FAILED:
-        click.echo(f"{click.style('error:', fg='red')} {connection.cause}", err=True)
-        sys.exit(BRIDGE)

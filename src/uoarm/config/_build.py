@@ -12,6 +12,7 @@ from uoarm.model import (
     Endpoint,
     Expectation,
     FailoverPolicy,
+    FailureLimits,
     Function,
     Input,
     Listening,
@@ -34,9 +35,13 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     functions = {name: _function(name, one) for name, one in value["functions"].items()}
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
-    failover = FailoverPolicy(**value.get("failover", {}))
+    failover = _failover(value.get("failover", {}))
     hosts = _listening(value["hosts"], origin) if "hosts" in value else None
     return Robot(bridges, functions, warnings, origin, applications, failover, hosts)
+
+
+def _failover(value: Mapping[str, Any]) -> FailoverPolicy:
+    return FailoverPolicy(**{**value, "failing": FailureLimits(**value.get("failing", {}))})
 
 
 def _listening(value: Mapping[str, Any], origin: str) -> Listening:

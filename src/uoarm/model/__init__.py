@@ -22,7 +22,7 @@ from uoarm.model._listening import Listening, place_problem
 from uoarm.model._octets import message_octets
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.model._robot import BridgeSpec, FailoverPolicy, Robot
+from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, Robot
 from uoarm.model._show import show_value
 from uoarm.model._status import (
     BridgeStatus,
@@ -60,6 +60,7 @@ __all__ = [
     "Endpoint",
     "Expectation",
     "FailoverPolicy",
+    "FailureLimits",
     "Function",
     "FunctionStatus",
     "Gap",

@@ -10,7 +10,7 @@ from uoarm.model._component import Component, Function
 from uoarm.model._listening import Listening
 from uoarm.model._values import Options
 
-__all__ = ["BridgeSpec", "FailoverPolicy", "Robot"]
+__all__ = ["BridgeSpec", "FailoverPolicy", "FailureLimits", "Robot"]
 
 
 @frozen
@@ -33,6 +33,24 @@ class BridgeSpec:
 
 
 @frozen
+class FailureLimits:
+    """When a component that raises counts as lost.
+
+    That is when, from one failure on, so large a share of its messages has failed for so many
+    messages and so many seconds. By default: no success in the last ten messages and half a second.
+
+    Attributes:
+        share: of the messages, more than 0 and at most 1.
+        messages: at least one.
+        seconds: 0 or more.
+    """
+
+    share: float = 1.0
+    messages: int = 10
+    seconds: float = 0.5
+
+
+@frozen
 class FailoverPolicy:
     """What happens to connections when a component that they use dies.
 
@@ -42,12 +60,14 @@ class FailoverPolicy:
         limit: takeovers of one connection within a minute; at the next one it ends.
         return_after: seconds that a better candidate must have been available before the
             connection returns to it; None: it stays where it is.
+        failing: when a component that raises counts as lost.
     """
 
     enabled: bool = True
     wait: float = 0.0
     limit: int = 5
     return_after: float | None = None
+    failing: FailureLimits = FailureLimits()
 
 
 @frozen

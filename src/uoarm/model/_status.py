@@ -110,7 +110,14 @@ class ChannelStatus:
 
 @frozen
 class ComponentStatus:
-    """One open component, the connections that use it, and its open channels."""
+    """One open component, the connections that use it, and its open channels.
+
+    Services are there that have raised: nothing of them is open.
+
+    Attributes:
+        failed: how many messages or calls it raised on.
+        last_error: what it raised last.
+    """
 
     name: str
     function: str
@@ -119,6 +126,8 @@ class ComponentStatus:
     users: tuple[str, ...]
     cause: str = ""
     channels: tuple[ChannelStatus, ...] = ()
+    failed: int = 0
+    last_error: str = ""
 
 
 @frozen

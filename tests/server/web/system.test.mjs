@@ -37,6 +37,21 @@ test("what died is shown with its cause until it runs again", () => {
   assert.equal(join(FUNCTIONS, STATUS, events).functions[0].health, "ok");
 });
 
+test("who raises is marked with its exception, and no neighbour is", () => {
+  const thrower = { ...component("haar", "faces", ["c1"]), health: "degraded", cause: "its input raised", failed: 3,
+    last_error: "KeyError: 'ranges'" };
+  const feed = route("cam.default", "haar.default", { dropped: [["failed", 3]], last_error: "KeyError: 'ranges'" });
+  const heard = route("haar.default", "c1", { dropped: [["failed", 2]], last_error: "its callback f raised OSError" });
+  const system = join(FUNCTIONS, { ...STATUS, components: [STATUS.components[0], thrower], routes: [feed, heard] });
+  const [camera, faces] = system.functions;
+  assert.deepEqual([camera.health, camera.rows[0].error, camera.rows[0].lost], ["ok", "", 0]);
+  const [, row] = faces.rows;
+  assert.deepEqual([faces.health, row.failed, row.error, row.lost], ["degraded", 3, "KeyError: 'ranges'", 0]);
+  assert.equal(row.cause, "its input raised");
+  const [application] = makeCards(system, system.functions, all).filter((one) => one.kind === "connection");
+  assert.deepEqual([application.health, application.data.error], ["degraded", "its callback f raised OSError"]);
+});
+
 test("edges flow where messages flow, and are wished for elsewhere", () => {
   const running = join(FUNCTIONS, STATUS);
   const edges = makeEdges(running, makeCards(running, running.functions, all));

@@ -119,7 +119,7 @@ class OpenFlows:
         incoming = FlowReceiver(
             self._transport,
             keys.flow(number),
-            name=f"manager-{number}",
+            name=f"{sink.endpoint.component}.{sink.endpoint.port}",
             take=sink.send,
             ended=lambda _: None,
             counter=self._counter(slot),
@@ -155,7 +155,9 @@ class OpenFlows:
                     return one.outbound
             return next((one for one in self._opening if one.endpoint == channel.endpoint), None)
 
-    def heartbeat(self) -> list[tuple[int, tuple[int, int, str, int] | None, Mapping[str, object]]]:
+    def heartbeat(
+        self,
+    ) -> list[tuple[int, tuple[int, int, str, int, int] | None, Mapping[str, object]]]:
         """Return for every channel its number, how far a sink is, and the facts last looked at."""
         with self._lock:
             found = list(self._open.items())

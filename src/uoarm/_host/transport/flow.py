@@ -18,6 +18,7 @@ from attrs import astuple, frozen
 from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
 
@@ -49,12 +50,14 @@ class Handled:
         failed: how many its consumer raised on.
         last_error: what it raised last.
         lost: how many were lost on the way to it.
+        raised: how many of the failed are the component's own failure.
     """
 
     number: int
     failed: int
     last_error: str
     lost: int
+    raised: int
 
 
 class FlowSender:
@@ -76,6 +79,9 @@ class FlowSender:
         self._next_try: float | None = None
         self._cut = ""
         self._room = threading.Condition()
+        self._taken = 0
+        self._raised = 0
+        self._told: Callable[[int, int, str], object] | None = None
         self.failed = 0
         self.last_error = ""
         self.lost = 0
@@ -103,6 +109,10 @@ class FlowSender:
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
         self._put(frame, None)
+
+    def watch(self, told: Callable[[int, int, str], object]) -> None:
+        """Have told how many messages were taken, how many raised, and what the last one did."""
+        self._told = told
 
     def skip(self) -> None:
         """Give up one message; the other end counts it as lost when it hears the next one."""
@@ -158,16 +168,27 @@ class FlowSender:
     def confirm(self, handled: Handled) -> None:
         """Take what the other end says it has handled so far."""
         with self._room:
+            # A heartbeat may say less than a confirmation that overtook it, or be written between
+            # the count of a failure and that of its message: sums that only grow stand both.
             self._handled = max(self._handled, handled.number)
-            self.failed, self.last_error = handled.failed, handled.last_error
-            self.lost = handled.lost
+            self.lost = max(self.lost, handled.lost)
+            if handled.failed > self.failed:
+                self.failed, self.last_error = handled.failed, handled.last_error
+            raised = max(0, handled.raised - self._raised)
+            self._raised += raised
+            taken = max(0, handled.number - handled.failed - handled.lost - self._taken)
+            self._taken += taken
             self._next_try = None
             self._room.notify_all()
+        if self._told is not None and (taken or raised):
+            self._told(taken, raised, handled.last_error)
 
     def _read_confirmation(self, header: bytes) -> None:
         match _plain(header):
-            case [int(number), int(failed), str(error), int(lost)] if number <= self._number:
-                self.confirm(Handled(number, failed, error[:_ERROR_LENGTH], lost))
+            case [int(number), int(failed), str(error), int(lost), int(raised)] if (
+                number <= self._number
+            ):
+                self.confirm(Handled(number, failed, error[:_ERROR_LENGTH], lost, raised))
             case told:
                 _log.debug("%s: no confirmation: %.40s", self._key, told)
 
@@ -196,6 +217,7 @@ class FlowReceiver:
     ) -> None:
         self._transport = transport
         self._key = key
+        self._name = name
         self._take = take
         self._ended = ended
         self._counter = counter
@@ -207,7 +229,9 @@ class FlowReceiver:
         self.received = 0
         self.lost = 0
         self.failed = 0
+        self.raised = 0
         self.last_error = ""
+        self._records = LimitedLog(_log)
         self.latency = 0.0
         self._receive, self._end = transport.subscribe(key, 2 * _WINDOW)
         self._thread = threading.Thread(target=self._run, name=f"uoarm-from-{name}", daemon=True)
@@ -215,7 +239,7 @@ class FlowReceiver:
 
     def handled(self) -> Handled:
         """Return how far it is, for the sending end."""
-        return Handled(self._number, self.failed, self.last_error, self.lost)
+        return Handled(self._number, self.failed, self.last_error, self.lost, self.raised)
 
     def close(self) -> None:
         """Begin no other `take`; one under way finishes alone. Idempotent."""
@@ -251,6 +275,7 @@ class FlowReceiver:
             self.last_error = "a frame without a header of its own, or one that came before"
             return
         number, skipped, sent_at, ending = told
+        before = self.raised
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
         self.latency = max(0.0, (time.time_ns() + self._transport.ahead() - sent_at) / 1e9)
@@ -261,17 +286,24 @@ class FlowReceiver:
             try:
                 self._take(unpack(frame))
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
-                self.failed += 1
-                self.last_error = f"{type(error).__name__}: {error}"[:_ERROR_LENGTH]
+                self._fail(error)
             if self._counter is not None:
                 self._counter.set(self.received)
         self._number = number
-        self._confirm()
+        self._confirm(at_once=self.raised == 1 and not before)
 
-    def _confirm(self) -> None:
+    def _fail(self, error: Exception) -> None:
+        """Count a message; the manager has its own record, the traceback is only here."""
+        self.failed += 1
+        self.raised += is_raised(error)
+        self.last_error = text_of(error)
+        self._records.write(logging.INFO, f"{self._name} raised {self.last_error}", error)
+
+    def _confirm(self, *, at_once: bool) -> None:
+        """Tell how far it is: every few messages or moments, and the first failure at once."""
         now = time.monotonic()
         few = self._number - self._confirmed < _CONFIRM_EACH
-        if few and now - self._confirmed_at < _CONFIRM_SECONDS:
+        if few and not at_once and now - self._confirmed_at < _CONFIRM_SECONDS:
             return
         self._confirmed, self._confirmed_at = self._number, now
         header = msgpack.packb(astuple(self.handled()))

@@ -36,7 +36,8 @@ function functionCard(one, isFolded) {
 }
 
 function connectionCard(one) {
-  const health = { failed: "lost", closed: "finished", closing: "degraded" }[one.state] ?? "ok";
+  const well = one.failed ? "degraded" : "ok";
+  const health = { failed: "lost", closed: "finished", closing: "degraded" }[one.state] ?? well;
   return { id: `connection/${one.id}`, kind: "connection", title: `Application ${one.id}`, health,
     data: one, folded: false, rows: [], width: 190, height: 62 };
 }

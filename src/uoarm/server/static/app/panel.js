@@ -75,6 +75,7 @@ const Part = ({ row }) => html`
       ["received", row.open ? short(row.received) : ""],
       ["dropped", row.lost ? short(row.lost) : ""],
       ["invalid", row.invalid ? short(row.invalid) : ""],
+      ["raised on", row.failed ? short(row.failed) : ""],
       ["used by", row.users.join(", ")],
     ]} />
     ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
@@ -87,6 +88,7 @@ function ConnectionPanel({ store, address }) {
   return html`<div class="panel-body">
     <${Facts} of=${[["function", one.function], ["state", one.state],
       ["components", one.components.join(" → ")], ["cause", one.cause]]} />
+    ${one.error && html`<${Notice} kind="bad" title="The application">${one.error}</${Notice}>`}
     <p><${Kill} store=${store} connection=${one} /></p>
     <h3>Flows</h3>
     <ul class="parts">${routes.map((route) => html`<li key=${`${route.producer}>${route.consumer}`}>

@@ -12,6 +12,9 @@ const least = (numbers) => (known(numbers).length ? Math.min(...known(numbers)) 
 
 export const drops = (route) => sum(route.dropped.map(([, count]) => count));
 
+/** On how many messages of a route its consumer raised: the failure of that one, not of the producer. */
+const raised = (route) => sum(route.dropped.map(([why, count]) => (why === "failed" ? count : 0)));
+
 /** The component or connection at one end of a route: "camera.default" is of "camera". */
 export const endOf = (place, names) =>
   names.has(place) ? place : place.slice(0, Math.max(0, place.lastIndexOf(".")));
@@ -31,7 +34,7 @@ export function join(functions, status, events = []) {
   const to = groupBy(routes, (one) => one.to);
   return {
     functions: functions.map((one) => withRows(one, open, from, deaths)),
-    connections: status.connections.map((one) => ({ ...one, ...flow(to.get(one.id) ?? []) })),
+    connections: status.connections.map((one) => withFlow(one, to.get(one.id) ?? [])),
     bridges: status.bridges.map((one) => ({ ...one })),
     machines: status.machines.map((one) => ({ ...one, health: one.present ? "ok" : "lost" })),
     routes,
@@ -45,20 +48,27 @@ function withRows(described, open, from, deaths) {
     const health = live?.health ?? (died ? "lost" : "idle");
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
-    return { ...one, open: Boolean(live), health, cause, users, ...flow(from.get(one.name) ?? []) };
+    const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "" };
+    return { ...one, open: Boolean(live), health, cause, users, ...flow(from.get(one.name) ?? []), ...own };
   });
   return { ...described, rows, health: worst(rows.map((one) => one.health)) };
+}
+
+/** What an application's callback raises is told with the connection, whose own failure it is. */
+function withFlow(connection, routes) {
+  const failed = sum(routes.map(raised));
+  const error = routes.find(raised)?.last_error ?? "";
+  return { ...connection, ...flow(routes), failed, error };
 }
 
 function flow(routes) {
   return {
     rate: most(routes.map((one) => one.rate)),
     age: least(routes.map((one) => one.age)),
-    lost: sum(routes.map((one) => one.lost)),
+    lost: sum(routes.map((one) => one.lost - raised(one))),
     invalid: sum(routes.map((one) => one.invalid)),
     received: most(routes.map((one) => one.received)) ?? 0,
     native: routes.some((one) => one.native),
-    error: routes.find((one) => one.last_error)?.last_error ?? "",
   };
 }
 

@@ -1,0 +1,133 @@
+"""What components raise: counted, logged, judged by the rule, and told when the verdict changes."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from uoarm._control._failure_rule import FailureRule
+from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog, is_raised, text_of
+from uoarm.model import FailureLimits, Health
+
+__all__ = ["FailureWatch", "InputWatch", "Tell"]
+
+Tell = Callable[[Health, str], None]
+"""Takes a new verdict and its cause; must not block."""
+
+
+class FailureWatch:
+    """Watches one instance of a component, or one service. Thread safe.
+
+    Args:
+        name: of the component.
+        limits: when it is lost.
+        clock: seconds.
+        tell: told each time the verdict changes.
+
+    Attributes:
+        failed: how many messages or calls it raised on.
+        last_error: what it raised last, empty when nothing.
+        cause: of the verdict, empty when it is well.
+        is_alert: whether successes count, too: it has failed and is not well again.
+    """
+
+    def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
+        self._rule = FailureRule(limits)
+        self._clock = clock
+        self._tell = tell
+        self._lock = threading.Lock()
+        self._records = LimitedLog(logging.getLogger(f"uoarm.component.{name}"))
+        self.failed = 0
+        self.last_error = ""
+        self.cause = ""
+        self.is_alert = False
+
+    @property
+    def health(self) -> Health:
+        """The verdict."""
+        return self._rule.health
+
+    def raised(self, place: str, error: BaseException) -> None:
+        """Take in that the component raised."""
+        self.note(place, 0, 1, text_of(error), error)
+
+    def took(self) -> None:
+        """Take in a success; needed only while `is_alert`."""
+        self.note("", 1, 0, "")
+
+    def note(
+        self, place: str, taken: int, failed: int, text: str, error: BaseException | None = None
+    ) -> None:
+        """Take in what became of some messages.
+
+        Args:
+            place: where it raised, for people: `its input 'default'`.
+            taken: how many were taken.
+            failed: how many it raised on.
+            text: of what it raised last.
+            error: where it was raised in this process.
+        """
+        with self._lock:
+            if failed:
+                self.failed += failed
+                self.last_error = text
+            changed = self._rule.note(taken, failed, self._clock())
+            health, count = self._rule.health, self.failed
+            self.is_alert = health is not Health.OK
+            # Within the lock, so that verdicts are told in their order; nobody waits there for us.
+            if changed:
+                told = _cause(health, place, count, text)
+                self.cause = "" if health is Health.OK else told
+                self._tell(health, told)
+        if failed:
+            self._records.write(logging.WARNING, f"{place} raised {text}", error)
+
+
+class InputWatch:
+    """Watches one input: what a route that feeds it tells of its messages.
+
+    Args:
+        component: watches all of it.
+        port: name of the input.
+
+    Attributes:
+        is_later: whether the channel tells what became of messages, later than `send` returns.
+    """
+
+    __slots__ = ("_component", "_place", "is_later")
+
+    def __init__(self, component: FailureWatch, port: str) -> None:
+        self._component = component
+        self._place = f"its input {port!r}"
+        self.is_later = False
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a success should be told."""
+        return self._component.is_alert and not self.is_later
+
+    def took(self) -> None:
+        """Take in that a message was taken."""
+        self._component.took()
+
+    def raised(self, error: Exception) -> bool:
+        """Take in what a message came to; say whether it was the component's failure."""
+        if not is_raised(error):
+            return False
+        self._component.raised(self._place, error)
+        return True
+
+    def told_later(self, taken: int, failed: int, text: str) -> None:
+        """Take in what became of messages that were sent before."""
+        if failed or self._component.is_alert:
+            self._component.note(self._place, taken, failed, text)
+
+
+def _cause(health: Health, place: str, count: int, text: str) -> str:
+    if health is Health.OK:
+        return "it raises no more"
+    if health is Health.DEGRADED:
+        return f"{place} raised {text}"
+    return f"{place} raises again and again, {count} times so far: {text}"

@@ -1,0 +1,231 @@
+"""Who raises is failing: counted, degraded and replaced, and no neighbour of it is."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from functools import partial
+
+import pytest
+from tests.manager import throwing
+
+from uoarm import BridgeError, ConnectionClosedError, RobotManager
+from uoarm.config import loads
+from uoarm.model import ComponentStatus, ConnectionState, FailureLimits, Health, StatusEvent
+from uoarm.testing import Collector, Emitter, ManualClock, MemoryBridge, patience, wait
+
+ROBOT = """
+version: 1
+bridges: {memory: {}, python: {}}
+functions:
+  camera:
+    components: [{name: camera, bridge: memory, output: {endpoint: [camera]}}]
+  filter:
+    components:
+      - name: first
+        bridge: python
+        priority: 2
+        input: {from: camera, endpoint: ["tests.manager.throwing:first"]}
+        output: {endpoint: ["tests.manager.throwing:first"]}
+SPARE
+  answer:
+    components:
+      - name: best
+        bridge: python
+        priority: 2
+        service: {endpoint: ["tests.manager.throwing:first"]}
+      - {name: next, bridge: python, service: {endpoint: ["tests.manager.throwing:second"]}}
+  show:
+    components:
+      - {name: show, bridge: python, input: {endpoint: ["tests.manager.throwing:first"]}}
+"""
+SPARE = """
+      - name: second
+        bridge: python
+        input: {from: camera, endpoint: ["tests.manager.throwing:second"]}
+        output: {endpoint: ["tests.manager.throwing:second"]}
+"""
+NARROW = {
+    "type": "object",
+    "properties": {"value": {"type": "integer", "minimum": 0, "maximum": 255}},
+    "required": ["value"],
+    "additionalProperties": False,
+}
+
+
+class Scene:
+    """A camera before components that raise, and a clock that only the test moves."""
+
+    def __init__(self, text: str = ROBOT) -> None:
+        self.clock = ManualClock()
+        self.bridge = MemoryBridge("memory", {})
+        self.camera: Emitter = self.bridge.emitter("camera", NARROW)
+        self.robot = RobotManager(loads(text), bridges={"memory": self.bridge}, clock=self.clock)
+        self.events = Collector()
+        self.robot.listen(self.events.deliver)
+
+    def emit(self, messages: int, seconds: float) -> None:
+        """Emit messages, each after the one before was dealt with, evenly over a time."""
+        for number in range(messages):
+            self.clock.advance(seconds / messages)
+            before = self._dealt_with()
+            self.camera.emit({"value": number})
+            wait(partial(self._is_past, before))
+
+    def _is_past(self, before: object) -> bool:
+        return self._dealt_with() != before
+
+    def _dealt_with(self) -> object:
+        return [
+            (one.producer, one.delivered, one.dropped)
+            for one in self.robot.status().routes
+            if one.producer == "camera.default"
+        ]
+
+    def component(self, name: str) -> ComponentStatus:
+        [found] = [one for one in self.robot.status().components if one.name == name]
+        return found
+
+    def changes(self, subject: str) -> list[str]:
+        told: list[StatusEvent] = self.events.messages
+        return [one.change for one in told if one.subject == subject]
+
+
+@pytest.fixture(autouse=True)
+def _nobody_raises() -> Iterator[None]:
+    throwing.raises.clear()
+    yield
+    throwing.raises.clear()
+
+
+@pytest.fixture
+def scene(request: pytest.FixtureRequest) -> Iterator[Scene]:
+    made = Scene(ROBOT.replace("SPARE", getattr(request, "param", SPARE)))
+    with made.robot:
+        yield made
+
+
+alone = pytest.mark.parametrize("scene", [""], indirect=True)
+
+
+def test_who_raises_is_degraded_at_once_with_the_exception_and_its_neighbours_are_not(
+    scene: Scene,
+) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("filter") as connection:
+        scene.emit(1, 0.1)
+        first, camera = scene.component("first"), scene.component("camera")
+        assert (first.health, first.failed) == (Health.DEGRADED, 1)
+        assert first.last_error == "OddError: first does not like 0"
+        assert first.cause == "its input 'default' raised OddError: first does not like 0"
+        assert (camera.health, camera.failed, camera.last_error) == (Health.OK, 0, "")
+        scene.events.wait_for(lambda one: one.subject == "component first")
+        assert connection.state is ConnectionState.RUNNING
+
+
+def test_one_that_raises_on_everything_is_lost_and_the_next_candidate_takes_over(
+    scene: Scene,
+) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("filter") as connection:
+        scene.emit(10, 0.6)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+        scene.camera.emit({"value": 7})
+        assert connection.get(patience()) == {"value": 7}
+        assert "its input 'default' raises again and again" in connection.gaps[0].cause
+        assert "OddError: first does not like 9" in connection.gaps[0].cause
+        assert scene.changes("component first") == ["degraded", "lost"]
+        assert scene.changes("component camera") == []
+        again = scene.robot.request("filter")
+        assert again.plan.provider.component.name == "second", "it is still avoided"
+
+
+@alone
+def test_without_another_candidate_the_connection_ends_and_says_who_raised_what(
+    scene: Scene,
+) -> None:
+    throwing.raises.add("first")
+    connection = scene.robot.request("filter")
+    scene.emit(10, 0.6)
+    with pytest.raises(ConnectionClosedError, match=r"component 'first' was lost.*OddError"):
+        connection.get(patience())
+    assert connection.state is ConnectionState.FAILED
+
+
+def test_one_that_raises_now_and_then_is_kept_and_well_again_when_it_stops(scene: Scene) -> None:
+    with scene.robot.request("filter") as connection:
+        for _ in range(5):
+            throwing.raises.add("first")
+            scene.emit(9, 1.0)
+            throwing.raises.clear()
+            scene.emit(1, 0.1)
+        assert scene.component("first").health is Health.DEGRADED
+        scene.emit(12, 0.6)
+        assert scene.component("first").health is Health.OK
+        assert scene.component("first").failed == 45
+        assert connection.gaps == ()
+        assert scene.changes("component first") == ["degraded", "ok"]
+
+
+def test_the_rule_is_read_from_the_file() -> None:
+    text = ROBOT.replace("SPARE", SPARE)
+    text += "failover: {failing: {share: 0.5, messages: 2, seconds: 0}}\n"
+    assert loads(text).failover.failing == FailureLimits(0.5, 2, 0)
+    scene = Scene(text)
+    with scene.robot, scene.robot.request("filter"):
+        throwing.raises.add("first")
+        scene.emit(2, 0.1)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+
+
+def test_what_the_application_sends_to_one_that_raises_degrades_it_too(scene: Scene) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("show") as connection:
+        connection.send({"value": 3})
+        wait(lambda: scene.component("show").health is Health.DEGRADED)
+        assert scene.component("show").last_error == "OddError: first does not like 3"
+
+
+def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Scene) -> None:
+    throwing.raises.add("first")
+    for number in range(10):
+        with pytest.raises(BridgeError, match="OddError"):
+            scene.robot.call("answer", {"value": number}, timeout=patience())
+        assert scene.component("best").failed == number + 1
+        scene.clock.advance(0.06)
+    assert scene.robot.call("answer", {"value": 1}, timeout=patience()) == {"value": 1}
+    assert scene.component("best").health is Health.LOST
+    scene.events.wait_for(lambda one: one.change == "lost")
+    throwing.raises.clear()
+    scene.clock.advance(301)
+    assert scene.robot.resolve("answer").provider.component.name == "best"
+    scene.robot.call("answer", {"value": 1}, timeout=patience())
+    assert scene.component("best").health is Health.OK
+
+
+def test_a_callback_that_raises_is_told_to_who_has_it_and_ends_nothing(scene: Scene) -> None:
+    def fail(message: object) -> None:
+        raise OSError(f"no room for {message}")
+
+    with scene.robot.request("filter", on_message=fail) as connection:
+        scene.emit(20, 1.0)
+        [route] = connection.routes()
+        wait(lambda: dict(connection.routes()[0].dropped) == {"failed": 20})
+        assert "fail raised OSError: no room for {'value':" in route.last_error
+        scene.events.wait_for(lambda one: one.change == "degraded")
+        assert scene.changes("connection c1").count("degraded") == 1
+        assert connection.state is ConnectionState.RUNNING
+        assert scene.component("first").health is Health.OK
+
+
+@alone
+def test_hundreds_of_exceptions_are_one_record(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("filter"), caplog.at_level(logging.INFO, "uoarm"):
+        scene.emit(300, 0.4)
+    records = [one for one in caplog.records if "OddError" in one.getMessage()]
+    [first] = [one for one in records if one.name == "uoarm.component.first"]
+    assert "its input 'default' raised OddError: first does not like 0" in first.getMessage()
+    assert first.exc_info is not None

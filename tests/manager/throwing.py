@@ -1,0 +1,25 @@
+"""Components that raise when they are told to."""
+
+from __future__ import annotations
+
+from tests.manager.stage import Narrow
+
+raises: set[str] = set()
+
+
+class OddError(Exception):
+    """An error of a component's own."""
+
+
+def first(message: Narrow) -> Narrow:
+    return _step("first", message)
+
+
+def second(message: Narrow) -> Narrow:
+    return _step("second", message)
+
+
+def _step(name: str, message: Narrow) -> Narrow:
+    if name in raises:
+        raise OddError(f"{name} does not like {message['value']}")
+    return message
