@@ -63,6 +63,10 @@ NEEDS = {
         "pip install -e 'plugins/uoarm-rocos[dev]'",
         packages=("uoarm_rocos", "serial", "espeakng_loader"),
     ),
+    "mqtt": Need(
+        "pip install -e 'plugins/uoarm-mqtt[dev]'", packages=("uoarm_mqtt", "paho", "trustme")
+    ),
+    "mosquitto": Need("apt install mosquitto", programs=("mosquitto", "/usr/sbin/mosquitto")),
     "rosbridge": Need(
         "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),
@@ -85,6 +89,7 @@ MODULES = {
     "plugins/uoarm-ros2/tests/*": ("ros2",),
     "plugins/uoarm-rtm/tests/*": ("rtm",),
     "plugins/uoarm-rocos/tests/*": ("rocos",),
+    "plugins/uoarm-mqtt/tests/*": ("mqtt", "mosquitto"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
 }
 """What a whole module needs, also for being imported."""

@@ -16,6 +16,7 @@ from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 
 from uoarm._host.remote_bridge import RemoteBridge
+from uoarm._host.remote_channels import RemoteChannel
 from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Role
 from uoarm.testing import Census, patience, wait
@@ -52,6 +53,19 @@ def test_a_source_delivers_all_in_order_and_then_finishes(far: RemoteBridge) -> 
     assert events.all[0].health is Health.FINISHED
     assert events.all[0].channel is channel
     assert channel.facts()["lost_on_link"] == 0
+
+
+def test_what_the_bridge_in_the_host_lost_counts_too(far: RemoteBridge) -> None:
+    channels = (
+        far.open_source(at("count"), ANY, lambda _: None),
+        far.open_sink(at("double", Role.INPUT), ANY),
+    )
+    far.close()  # no more facts come from the host
+    for channel in channels:
+        assert isinstance(channel, RemoteChannel)
+        channel.host_facts = {"lost_on_link": 3, "of_its_own": 1}
+        facts = channel.facts()
+        assert (facts["lost_on_link"], facts["of_its_own"]) == (3, 1)
 
 
 def test_a_source_that_raises_is_lost_with_its_cause(far: RemoteBridge) -> None:

@@ -52,6 +52,11 @@ class RemoteChannel(Channel):
     def _sent(self) -> int:
         return 0
 
+    def _lost_in_host(self) -> int:
+        """Return what the bridge in the host says to have lost between it and its framework."""
+        lost = self.host_facts.get("lost_on_link", 0)
+        return lost if isinstance(lost, int) else 0
+
 
 class RemoteSource(RemoteChannel, Source):
     """An output in a host; its messages arrive in a thread of their own.
@@ -72,7 +77,7 @@ class RemoteSource(RemoteChannel, Source):
         taken = given + lost if self.counter is None else self.counter.read()
         ours = {
             "under_way": max(0, taken - given - lost),
-            "lost_on_link": lost,
+            "lost_on_link": lost + self._lost_in_host(),
             "link_latency": self.incoming.latency,
         }
         return {**self.host_facts, **ours}
@@ -110,7 +115,7 @@ class RemoteSink(RemoteChannel, Sink):
             under_way = max(0, outgoing.sent - outgoing.lost - self.counter.read())
         ours = {
             "under_way": under_way,
-            "lost_on_link": outgoing.lost,
+            "lost_on_link": outgoing.lost + self._lost_in_host(),
             "failed_in_host": outgoing.failed,
             "last_error_in_host": outgoing.last_error,
         }

@@ -21,7 +21,12 @@ __all__ = ["Registry"]
 
 _GROUP = "uoarm.bridges"
 # The extra is what most need: ROS 2 itself, where none is sourced.
-_KNOWN = {"ros2": ("uoarm-ros2", "jazzy"), "rtm": ("uoarm-rtm", ""), "rocos": ("uoarm-rocos", "")}
+_KNOWN = {
+    "ros2": ("uoarm-ros2", "jazzy"),
+    "rtm": ("uoarm-rtm", ""),
+    "rocos": ("uoarm-rocos", ""),
+    "mqtt": ("uoarm-mqtt", ""),
+}
 
 
 class Registry:

@@ -200,5 +200,7 @@ def _subject(event: HealthEvent) -> object:
 
 
 def _lost(through: Line) -> int:
-    counts = [end.facts().get("lost_on_link", 0) for end in (through.sink, through.source)]
+    facts = [end.facts() for end in (through.sink, through.source)]
+    # Of a hosted bridge, what its sink refused is counted on this side under a name of its own.
+    counts = [one.get(name, 0) for one in facts for name in ("lost_on_link", "failed_in_host")]
     return sum(count for count in counts if isinstance(count, int))

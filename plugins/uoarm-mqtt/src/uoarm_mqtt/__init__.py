@@ -1,0 +1,43 @@
+"""uoarm-mqtt: topics and services on an MQTT 5 broker as components of uoarm."""
+
+from __future__ import annotations
+
+from uoarm.bridge import Bridge, BridgeType, hookimpl
+from uoarm.model import Options
+from uoarm_mqtt._options import BRIDGE_OPTIONS, mistake
+
+__all__ = ["uoarm_bridge_types"]
+
+
+def _create(name: str, options: Options) -> Bridge:
+    from uoarm_mqtt._bridge import MqttBridge  # noqa: PLC0415 - imports paho
+
+    return MqttBridge(name, options)
+
+
+def _topic(address: tuple[str, ...], options: Options) -> str:
+    del options
+    return address[0] if len(address) == 1 else ""
+
+
+def _doctor() -> dict[str, str]:
+    from importlib.metadata import version  # noqa: PLC0415 - not needed to load the plugin
+
+    return {"paho-mqtt": f"{version('paho-mqtt')} (EPL-2.0 or EDL-1.0)"}
+
+
+@hookimpl
+def uoarm_bridge_types() -> list[BridgeType]:
+    """Return the one bridge type of this plugin."""
+    return [
+        BridgeType(
+            name="mqtt",
+            summary="topics and services on an MQTT 5 broker",
+            create=_create,
+            options_schema=BRIDGE_OPTIONS,
+            check_endpoint=mistake,
+            topic=_topic,
+            doctor=_doctor,
+            contract=2,
+        )
+    ]

@@ -1,0 +1,219 @@
+"""Messages to payloads and back, within a budget."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from attrs import frozen
+
+from uoarm.errors import ControlMessageError, MessageError
+from uoarm.model import Budget, Message, MessageStructure, Schema, Spending, scan_json
+
+__all__ = ["CONTENT_TYPES", "STRUCTURES", "Codec", "with_topic"]
+
+Convert = Callable[[Any], Any]
+
+_OCTET = {"type": "integer", "minimum": 0, "maximum": 255}
+STRUCTURES = {
+    "octets": MessageStructure({"type": "array", "items": _OCTET, "x-octets": True}),
+    "text": MessageStructure({"type": "string"}),
+}
+"""The structures of contents that have but one."""
+
+CONTENT_TYPES = {
+    "json": "application/json",
+    "octets": "application/octet-stream",
+    "text": "text/plain; charset=utf-8",
+}
+
+
+@frozen
+class Codec:
+    """How the messages of one port are written.
+
+    Attributes:
+        content: json, octets or text.
+        budget: what one message may cost, on either way.
+        convert: makes of JSON what the structure means: octets of base64, 7 of 7.0 where an
+            integer is wanted; None where nothing is to be done.
+    """
+
+    content: str
+    budget: Budget
+    convert: Convert | None = None
+
+    @classmethod
+    def of(cls, content: str, structure: MessageStructure, budget: Budget) -> Codec:
+        """Return the codec for what has a structure."""
+        convert = _Reading(structure.schema).of(structure.schema) if content == "json" else None
+        return cls(content, budget, convert)
+
+    def encode(self, message: Message) -> bytes:
+        """Return the payload of a message.
+
+        Raises:
+            MessageError: it has none of this content, or too large a one.
+        """
+        try:
+            payload = self._encode(message)
+        except (TypeError, ValueError, RecursionError) as error:
+            text = f"no content {self.content!r} of MQTT: {type(error).__name__}: {error}"
+            raise MessageError(text) from error
+        if len(payload) > self.budget.octets:
+            allowed = f"{self.budget.octets:,} are allowed (max_octets)"
+            raise MessageError(f"the payload has {len(payload):,} octets; {allowed}")
+        return payload
+
+    def decode(self, payload: bytes, content_type: str = "") -> Message:
+        """Return the message of a payload.
+
+        Raises:
+            MessageError: it cannot be read, or costs more than the budget.
+        """
+        try:
+            return self._decode(payload, content_type)
+        except (ControlMessageError, TypeError, ValueError, RecursionError) as error:
+            text = f"{type(error).__name__}: {error}"
+            raise MessageError(f"a payload of {len(payload):,} octets: {text}") from error
+
+    def _encode(self, message: Message) -> bytes:
+        if self.content == "octets":
+            if isinstance(message, bytes | bytearray | memoryview):
+                return bytes(message)
+            if isinstance(message, str) or not hasattr(message, "__iter__"):
+                raise TypeError(f"expected octets, got {type(message).__name__}")
+            return bytes(message)
+        if self.content == "text":
+            if not isinstance(message, str):
+                raise TypeError(f"expected a text, got {type(message).__name__}")
+            return message.encode()
+        text = json.dumps(
+            message, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=_plain
+        )
+        return text.encode()
+
+    def _decode(self, payload: bytes, content_type: str) -> Message:
+        spending = Spending(self.budget)
+        spending.octets(len(payload))
+        if self.content == "octets":
+            return payload
+        text = payload.decode()
+        if self.content == "text":
+            return text
+        if content_type and "json" not in content_type:
+            raise ValueError(f"its content type is {content_type[:80]!r}, expected JSON")
+        scan_json(text, spending)
+        value = json.loads(text, parse_constant=_refuse)
+        return value if self.convert is None else self.convert(value)
+
+
+class _Reading:
+    """Compiles what is to be done with JSON of a structure, once for each channel.
+
+    Follows properties, items and references within the schema; where alternatives are, values
+    stay as JSON has them.
+    """
+
+    def __init__(self, root: Schema) -> None:
+        self._root = root
+        self._references: dict[str, list[Convert | None]] = {}
+
+    def of(self, schema: Any) -> Convert | None:
+        """Return what is to be done with a value of a schema, None for nothing."""
+        if not isinstance(schema, Mapping):
+            return None
+        if isinstance(place := schema.get("$ref"), str):
+            return self._referred(place)
+        kind = schema.get("type")
+        if schema.get("x-octets"):
+            return _octets
+        if kind == "integer":
+            return _integer
+        if kind == "array":
+            return self._list(schema)
+        if kind == "object":
+            return self._object(schema)
+        return None
+
+    def _list(self, schema: Mapping[str, Any]) -> Convert | None:
+        first = [self.of(one) for one in schema.get("prefixItems", ())]
+        rest = self.of(schema.get("items"))
+        if rest is None and not any(first):
+            return None
+
+        def convert(value: Any) -> Any:
+            if not isinstance(value, list):
+                return value
+            each = [*first[: len(value)], *[rest] * (len(value) - len(first))]
+            return [one if do is None else do(one) for do, one in zip(each, value, strict=True)]
+
+        return convert
+
+    def _object(self, schema: Mapping[str, Any]) -> Convert | None:
+        named = {name: self.of(one) for name, one in schema.get("properties", {}).items()}
+        members = {name: do for name, do in named.items() if do is not None}
+        other = self.of(schema.get("additionalProperties"))
+        if not members and other is None:
+            return None
+
+        def convert(value: Any) -> Any:
+            if not isinstance(value, dict):
+                return value
+            for name, one in value.items():
+                do = members.get(name) if name in named else other
+                if do is not None:
+                    value[name] = do(one)
+            return value
+
+        return convert
+
+    def _referred(self, place: str) -> Convert | None:
+        if place not in self._references:
+            known = self._references[place] = []  # a schema may refer to itself
+            target: Any = self._root
+            for key in place.removeprefix("#").split("/")[1:]:
+                target = target.get(key) if isinstance(target, Mapping) else None
+            known.append(self.of(target))
+        known = self._references[place]
+        if known:
+            return known[0]
+        return lambda value: value if known[0] is None else known[0](value)
+
+
+def _octets(value: Any) -> Any:
+    """Octets are base64; of whoever writes them as a list of numbers, the list is taken."""
+    if isinstance(value, str):
+        return base64.b64decode(value, validate=True)
+    return bytes(value) if isinstance(value, list) else value
+
+
+def _integer(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def with_topic(inner: MessageStructure) -> MessageStructure:
+    """Return the structure of messages that say on which topic they came."""
+    schema, hoisted = inner.schema, {}
+    if isinstance(schema, Mapping):  # references in it are seen from the root
+        names = ("$defs", "definitions")
+        hoisted = {name: schema[name] for name in names if name in schema}
+        schema = {name: value for name, value in schema.items() if name not in names}
+    both = {"topic": {"type": "string"}, "message": schema}
+    closed = {"required": [*both], "additionalProperties": False}
+    return MessageStructure({"type": "object", "properties": both, **closed, **hoisted})
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no form for: octets are texts in base64, arrays are lists."""
+    if isinstance(value, bytes | bytearray | memoryview):
+        return base64.b64encode(value).decode("ascii")
+    if callable(listed := getattr(value, "tolist", None)):
+        return listed()
+    raise TypeError(f"a {type(value).__name__} has no form in JSON")
+
+
+def _refuse(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")

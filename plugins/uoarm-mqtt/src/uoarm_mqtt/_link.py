@@ -1,0 +1,452 @@
+"""The one connection to the broker: paho's client, and the only place where paho is called."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from attrs import define, field, frozen
+from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.model import Health
+from uoarm_mqtt._options import Settings
+from uoarm_mqtt._outage import Outage
+from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
+
+__all__ = ["Link", "Outcome", "properties"]
+
+_STEP_SECONDS = 4.0
+"""How long one step waits for the broker: less than the manager does, so that the cause is told."""
+
+_CONNECT_SECONDS = 3.0
+_GOODBYE_SECONDS = 1.0
+_RETRY_SECONDS = (0.1, 2.0)
+_ROOM_FOR_TOPIC = 65_536
+_HEADER = 9  # type, length, packet identifier, length of the topic: at most
+_IN_FLIGHT = 20
+_NO_SUBSCRIBERS = 0x10
+# What trying again does not change: the credentials, the rights, the identifier, the protocol.
+_FINAL = frozenset({0x82, 0x84, 0x85, 0x86, 0x87, 0x8A, 0x8C, 0x8E, 0x9C, 0x9D})
+
+
+@frozen
+class Outcome:
+    """How a packet ended.
+
+    Attributes:
+        failure: why the broker did not take it, "" when it did.
+        is_answer: whether the broker said so; else the connection ended before.
+        nobody: whether it was taken while nobody is subscribed to its topic.
+    """
+
+    failure: str = ""
+    is_answer: bool = True
+    nobody: bool = False
+
+
+Done = Callable[[Outcome], object]
+"""Is told once how a packet ended, from any thread; must return at once."""
+
+
+@define
+class _Pending:
+    done: Done
+    survives: bool  # a break: paho sends it again
+
+
+class _Client(Client):
+    """paho's client, whose thread does not end without a word."""
+
+    when_ended: Callable[[Exception | None], None]
+
+    def loop_forever(
+        self,
+        timeout: float = 1.0,
+        retry_first_connection: bool = False,  # noqa: FBT001, FBT002 - paho's signature
+    ) -> MQTTErrorCode:
+        cause = None
+        try:
+            return super().loop_forever(timeout, retry_first_connection)
+        except Exception as error:  # noqa: BLE001 - whatever ends the thread is told
+            cause = error
+            return MQTTErrorCode.MQTT_ERR_UNKNOWN
+        finally:
+            self.when_ended(cause)
+
+    def keep_within(self, most: int) -> None:
+        """Have no more messages under way at once than the broker takes, which paho forgets."""
+        self._max_inflight_messages = min(most, _IN_FLIGHT)
+
+    def release(self) -> None:
+        """Close the sockets that wake paho's thread, which it leaves to garbage collection."""
+        self._reset_sockets()
+
+
+@define(eq=False)
+class Link:
+    """Connects at the first use, again after each break, and to nothing once it is closed.
+
+    Callbacks of paho run in its thread; no lock of ours is held while paho is called, since paho
+    holds its own while it calls us.
+
+    Attributes:
+        told: is called with health, and cause, of the connection.
+        breaks: how often it broke.
+    """
+
+    name: str
+    settings: Settings
+    told: Callable[[Health, str], None]
+    breaks: int = 0
+    _up: bool = False
+    _cause: str = ""  # why it is not up; empty: not known yet
+    _running: bool = False
+    _closed: bool = False
+    _largest: int | None = None  # octets of a packet that the broker takes
+    _changed: threading.Condition = field(factory=threading.Condition, init=False)
+    _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
+    # Packets that wait for an answer, and answers that came before their packet was noted.
+    _pending: dict[tuple[str, int], _Pending] = field(factory=dict, init=False)
+    _early: dict[tuple[str, int], Outcome] = field(factory=dict, init=False)
+    _outage: Outage = field(init=False)
+    _client: _Client = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        """Make the client; nothing is connected."""
+        mine = self.settings
+        self._outage = Outage(mine.grace)
+        self._client = client = _Client(
+            CallbackAPIVersion.VERSION2,
+            mine.client_id,
+            protocol=MQTTProtocolVersion.MQTTv5,
+        )
+        client.connect_timeout = _CONNECT_SECONDS
+        client.reconnect_delay_set(*_RETRY_SECONDS)  # type: ignore[arg-type]  # any number
+        client.when_ended = self._on_ended
+        client.on_socket_open = _send_at_once
+        client.on_connect = self._on_connect
+        client.on_connect_fail = self._on_connect_fail
+        client.on_disconnect = self._on_disconnect
+        client.on_message = self._on_message
+        client.on_publish = lambda _c, _u, mid, reason, _p: self._answer(("p", mid), [reason])
+        client.on_subscribe = lambda _c, _u, mid, reasons, _p: self._answer(("s", mid), reasons)
+        client.on_unsubscribe = lambda _c, _u, mid, reasons, _p: self._answer(("u", mid), reasons)
+        if mine.login is not None:
+            client.username_pw_set(*mine.login())
+        if mine.context is not None:
+            client.tls_set_context(mine.context)
+        if mine.presence is not None:
+            client.will_set(mine.presence.topic, mine.offline, qos=1, retain=True)
+
+    def require_up(self) -> None:
+        """Return when the link is up; the first call connects.
+
+        Raises:
+            BridgeError: it is not; the text says why.
+        """
+        with self._changed:
+            start = not self._running and not self._closed
+            if start:
+                self._running, self._cause = True, ""
+        if start:
+            self._start()
+        with self._changed:
+            self._changed.wait_for(lambda: self._up or self._cause, _STEP_SECONDS)
+            if not self._up:
+                where = f"{self.settings.host}:{self.settings.port}"
+                cause = self._cause or "no answer yet"
+                text = f"bridge {self.name!r}: no connection to the broker at {where}: {cause}"
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """Subscribe for a receiver; returns when the broker has said yes.
+
+        Raises:
+            BridgeError: the broker refuses, or the link is not up.
+        """
+        self.require_up()
+        with self._changed:
+            qos = self._subscriptions.add(receiver)
+        try:
+            what = f"subscribing to {receiver.topic}"
+            self._wait("s", what, lambda: self._subscribe(receiver, qos))
+        except BridgeError:
+            self.unsubscribe(receiver)
+            raise
+
+    def unsubscribe(self, receiver: Receiver) -> None:
+        """Give a receiver nothing more; returns at once."""
+        with self._changed:
+            is_last = self._subscriptions.remove(receiver)
+        if is_last:
+            _, mid = self._client.unsubscribe(receiver.topic)
+            if mid is not None:
+                self._note(("u", mid), _Pending(_ignore, survives=False))
+
+    def barrier(self) -> None:
+        """Return when the broker has worked through all that was sent before.
+
+        Brokers take the packets of one client in order, and this is one that changes nothing.
+        """
+        topic = f"uoarm/barrier/{self.settings.client_id}"
+        self.require_up()
+        self._wait("u", "waiting for what was sent", lambda: self._client.unsubscribe(topic))
+
+    def publish(
+        self,
+        topic: str,
+        payload: bytes,
+        done: Done,
+        *,
+        qos: int = 1,
+        retain: bool = False,
+        more: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Publish a message; returns at once. `done` is called once, from any thread.
+
+        Raises:
+            BridgeError: the link is down; `done` is not called.
+            MessageError: it is larger than the broker takes.
+        """
+        self.require_up()
+        said = properties("PUBLISH", **(more or {}))
+        written: bytes = said.pack()  # type: ignore[no-untyped-call]
+        size = len(topic.encode()) + len(payload) + len(written) + _HEADER
+        if self._largest is not None and size > self._largest:
+            # The broker would end the connection for it, and again when paho repeats it.
+            text = f"{topic}: {size:,} octets, while the broker takes {self._largest:,} at most"
+            raise MessageError(text)
+        info = self._client.publish(topic, payload, qos, retain, said)
+        # Not connected any more: paho keeps what has a QoS, and sends it when it is.
+        if info.rc and not (qos and info.rc == MQTTErrorCode.MQTT_ERR_NO_CONN):
+            text = f"bridge {self.name!r}: {topic}: not sent: {info.rc.name}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        self._note(("p", info.mid), _Pending(done, survives=qos > 0))
+
+    def close(self) -> None:
+        """Say goodbye, where there is somebody to say it to, and end paho's thread."""
+        with self._changed:
+            self._closed = True
+            was_up = self._up
+        if was_up and self.settings.presence is not None:
+            self._announce(self.settings.offline)
+        self._client.disconnect(properties=properties("DISCONNECT", SessionExpiryInterval=0))
+        with self._changed:
+            self._changed.wait_for(lambda: not self._up, _GOODBYE_SECONDS)
+        if (stuck := self._client.socket()) is not None:
+            assert isinstance(stuck, socket.socket)  # of no WebSocket
+            with suppress(OSError):  # the broker takes nothing: paho's thread would wait for it
+                stuck.shutdown(socket.SHUT_RDWR)
+        self._client.loop_stop()
+        self._client.release()
+        self._fail("the bridge was closed", everything=True)
+
+    def _start(self) -> None:
+        mine = self.settings
+        wanted: dict[str, Any] = {
+            "SessionExpiryInterval": max(1, int(mine.grace)),
+            "ReceiveMaximum": _IN_FLIGHT,
+            "MaximumPacketSize": mine.budget.octets + _ROOM_FOR_TOPIC,
+        }
+        self._client.connect_async(
+            mine.host, mine.port, mine.keepalive, properties=properties("CONNECT", **wanted)
+        )
+        if self._client.loop_start():  # a thread that has just given up is still ending
+            with self._changed:
+                self._running = False
+                self._cause = "the attempt before is still ending"
+
+    def _announce(self, payload: str) -> None:
+        assert self.settings.presence is not None
+        topic = self.settings.presence.topic
+        info = self._client.publish(topic, payload, 1, retain=True)
+        self._note(("p", info.mid), _Pending(_ignore, survives=True))
+
+    def _subscribe(self, receiver: Receiver, qos: int, *, again: bool = False) -> Any:
+        # Once a session has outlived a break, what is retained is sent for new subscriptions only.
+        wanted = SubscribeOptions.RETAIN_SEND_ON_SUBSCRIBE if not again else 1
+        handling = wanted if receiver.retained else SubscribeOptions.RETAIN_DO_NOT_SEND
+        options = SubscribeOptions(qos=qos, retainHandling=handling)
+        return self._client.subscribe(
+            [(receiver.topic, options)],
+            properties=properties("SUBSCRIBE", SubscriptionIdentifier=receiver.id),
+        )
+
+    def _wait(self, kind: str, what: str, send: Callable[[], Any]) -> None:
+        """Send a packet and wait for its answer."""
+        outcomes: list[Outcome] = []
+        answered = threading.Event()
+
+        def done(outcome: Outcome) -> None:
+            outcomes.append(outcome)
+            answered.set()
+
+        rc, mid = send()
+        if rc or mid is None:
+            text = f"bridge {self.name!r}: {what}: the connection to the broker is broken"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        self._note((kind, mid), _Pending(done, survives=False))
+        if not answered.wait(_STEP_SECONDS):
+            raise BridgeTimeoutError(f"bridge {self.name!r}: {what}: the broker does not answer")
+        (outcome,) = outcomes
+        if outcome.failure:
+            text = f"bridge {self.name!r}: {what}: {outcome.failure}"
+            is_refused = outcome.is_answer
+            reason = FailureReason.REFUSED if is_refused else FailureReason.UNAVAILABLE
+            raise BridgeError(text, reason)
+
+    def _note(self, key: tuple[str, int], pending: _Pending) -> None:
+        with self._changed:
+            early = self._early.pop(key, None)
+            if early is None:
+                self._pending[key] = pending
+        if early is not None:
+            pending.done(early)
+
+    def _answer(self, key: tuple[str, int], reasons: Any) -> None:
+        # UNSUBACK: that there was no such subscription is what a barrier expects.
+        failed = key[0] != "u" and any(one.is_failure for one in reasons)
+        failure = f"the broker refuses: {_say(reasons[0])}" if failed else ""
+        nobody = key[0] == "p" and reasons[0].value == _NO_SUBSCRIBERS
+        outcome = Outcome(failure, nobody=nobody)
+        with self._changed:
+            pending = self._pending.pop(key, None)
+            if pending is None:
+                self._early[key] = outcome
+        if pending is not None:
+            pending.done(outcome)
+
+    def _fail(self, cause: str, *, everything: bool = False) -> None:
+        """Answer what nobody will answer any more."""
+        with self._changed:
+            self._early.clear()
+            gone = [k for k, one in self._pending.items() if everything or not one.survives]
+            failed = [self._pending.pop(key) for key in gone]
+        for one in failed:
+            one.done(Outcome(cause, is_answer=False))
+
+    def _on_connect(
+        self, client: Client, user: Any, flags: ConnectFlags, reason: ReasonCode, more: object
+    ) -> None:
+        del client, user
+        if reason.is_failure:
+            self._down(f"the broker refuses: {_say(reason)}", final=reason.value in _FINAL)
+            return
+        self._largest = getattr(more, "MaximumPacketSize", None)
+        self._client.keep_within(getattr(more, "ReceiveMaximum", _IN_FLIGHT))
+        with self._changed:
+            receivers = [(one, self._subscriptions.add(one)) for one in self._subscriptions]
+        if self.settings.presence is not None:
+            self._announce(self.settings.presence.online)
+        left = len(receivers)
+
+        def ready() -> None:
+            with self._changed:
+                self._up, self._cause = True, ""
+                self._changed.notify_all()
+                health = self._outage.up()
+            if health is not None:
+                self.told(health, "connected to the broker")
+
+        def resumed(receiver: Receiver, outcome: Outcome) -> None:
+            nonlocal left
+            if not outcome.is_answer:
+                return  # it broke again
+            left -= 1
+            if outcome.failure:
+                receiver.refused(outcome.failure)
+            if not left:
+                ready()
+
+        for one, qos in receivers:
+            _, mid = self._subscribe(one, qos, again=flags.session_present)
+            if mid is not None:
+                pending = _Pending(partial(resumed, one), survives=False)
+                self._note(("s", mid), pending)
+        if not receivers:
+            ready()
+
+    def _on_connect_fail(self, client: Client, user: Any) -> None:
+        del client, user
+        error = sys.exc_info()[1]  # paho calls this while it handles it
+        self._down(f"{type(error).__name__}: {error}" if error else "it could not be reached")
+
+    def _on_disconnect(
+        self,
+        client: Client,
+        user: Any,
+        flags: DisconnectFlags,
+        reason: ReasonCode,
+        more: Properties | None,
+    ) -> None:
+        del client, user, more
+        by_broker = flags.is_disconnect_packet_from_server
+        who = "the broker ended the connection" if by_broker else "the connection broke"
+        self._down(f"{who}: {_say(reason)}", final=by_broker and reason.value in _FINAL)
+
+    def _on_ended(self, error: Exception | None) -> None:
+        if error is not None:
+            self._down(f"the MQTT client failed: {type(error).__name__}: {error}", final=True)
+        with self._changed:
+            self._running = False
+
+    def _on_message(self, client: Client, user: Any, message: MQTTMessage) -> None:
+        del client, user
+        payload = bytes(message.payload)
+        try:
+            came = Incoming(message.topic, payload, message.retain, message.properties)
+        except UnicodeDecodeError:  # no broker lets such a topic through
+            return
+        with self._changed:
+            receivers = self._subscriptions.route(came)
+        for receiver in receivers:
+            receiver.give(came)
+
+    def _down(self, cause: str, *, final: bool = False) -> None:
+        with self._changed:
+            was_up, self._up = self._up, False
+            if was_up or not self._cause:  # paho tells a refusal a second time, in other words
+                self._cause = cause
+            self.breaks += was_up
+            health = None if self._closed else self._outage.down(time.monotonic(), final=final)
+            is_over = final or self._outage.is_over
+            self._changed.notify_all()
+        self._fail(cause)
+        if health is not None:
+            self.told(health, cause)
+        if is_over:
+            self._client.disconnect()  # ends the thread, and the attempts
+
+
+def properties(packet: str, **values: Any) -> Properties:
+    """Return properties of MQTT 5 for a packet."""
+    made = Properties(getattr(PacketTypes, packet))  # type: ignore[no-untyped-call]
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def _say(reason: ReasonCode) -> str:
+    return f"{reason} (reason code 0x{reason.value:02X})"
+
+
+def _send_at_once(client: Client, user: Any, opened: Any) -> None:
+    """Have the system send small packets at once, instead of up to 40 ms later."""
+    del client, user
+    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def _ignore(_: Outcome) -> None:
+    """For packets on whose end nothing depends."""

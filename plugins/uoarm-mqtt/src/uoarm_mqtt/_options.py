@@ -1,0 +1,253 @@
+"""What a configuration may say of a bridge and of a port, checked before anything runs."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import ssl
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from attrs import frozen
+from jsonschema import Draft202012Validator
+
+from uoarm.errors import ConfigurationError
+from uoarm.model import Budget, Options, Schema
+
+__all__ = ["BRIDGE_OPTIONS", "Port", "Presence", "Settings", "mistake", "settings_of"]
+
+_TEXT: Schema = {"type": "string", "minLength": 1}
+_SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
+_COUNT: Schema = {"type": "integer", "minimum": 1}
+_STRUCTURE: Schema = {"type": ["object", "boolean"]}
+
+
+def _closed(properties: Mapping[str, Any], *required: str) -> Schema:
+    return {
+        "type": "object",
+        "properties": dict(properties),
+        "required": list(required),
+        "additionalProperties": False,
+    }
+
+
+BRIDGE_OPTIONS: Schema = _closed(
+    {
+        "url": {"type": "string", "pattern": r"^mqtts?://[^/@?#\s]+$"},
+        "client_id": _TEXT,
+        "user": _TEXT,
+        "password_env": _TEXT,
+        "password_file": _TEXT,
+        "plain_password": {"const": True},
+        "tls": _closed({"ca": _TEXT, "certificate": _TEXT, "key": _TEXT}),
+        "keepalive": {"type": "integer", "minimum": 1, "maximum": 65535},
+        "grace": _SECONDS,
+        "presence": _closed({"topic": _TEXT, "online": _TEXT, "offline": _TEXT}, "topic"),
+        "structures": {"type": "object", "additionalProperties": _STRUCTURE},
+        "services": {
+            "type": "object",
+            "additionalProperties": _closed({"request": _STRUCTURE, "reply": _STRUCTURE}),
+        },
+        "schemas": {"type": "string", "pattern": r"^[^+#{}]*\{topic\}[^+#{}]*$"},
+        "retained_wait": {"type": "number", "minimum": 0, "maximum": 4},
+        "replies": _TEXT,
+        "discover": _closed(
+            {"topics": {"type": "array", "items": _TEXT}, "seconds": _SECONDS, "most": _COUNT}
+        ),
+        "backlog": _COUNT,
+        "max_octets": _COUNT,
+        "max_values": _COUNT,
+        "max_depth": {"type": "integer", "minimum": 1, "maximum": 200},
+    },
+    "url",
+)
+
+_PORT_OPTIONS: Schema = _closed(
+    {
+        "content": {"enum": ["json", "octets", "text"]},
+        "qos": {"enum": [0, 1, 2]},
+        "retain": {"type": "boolean"},
+        "share": {"type": "string", "pattern": "^[^/+#]+$"},
+        "with_topic": {"type": "boolean"},
+        "expiry": {"type": "integer", "minimum": 1, "maximum": 2**32 - 1},
+        "presence": _closed(
+            {"topic": _TEXT, "member": _TEXT, "online": _TEXT, "finished": _TEXT}, "topic"
+        ),
+    }
+)
+_PORT = Draft202012Validator(_PORT_OPTIONS)
+_LONGEST_TOPIC = 65535
+
+
+@frozen
+class Presence:
+    """Where a component says whether it is there: a retained topic, written by its last will.
+
+    Attributes:
+        topic: that it says it on.
+        member: of the JSON object on it; empty: the payload as a text.
+        online: what stands there while the component is there; anything else says that it is not.
+        finished: what stands there after an orderly end; empty: every end is a loss.
+    """
+
+    topic: str
+    member: str = ""
+    online: str = "online"
+    finished: str = ""
+
+
+@frozen
+class Port:
+    """The options of one endpoint."""
+
+    content: str = "json"
+    qos: int = 1
+    retain: bool = False
+    share: str = ""
+    with_topic: bool = False
+    expiry: int = 0
+    presence: Presence | None = None
+
+    @staticmethod
+    def of(options: Options) -> Port:
+        """Read the options of an endpoint.
+
+        Raises:
+            ValueError: they cannot be used; the text names the option.
+        """
+        for error in _PORT.iter_errors(dict(options)):
+            raise ValueError("; ".join(["option", *map(str, error.path), error.message]))
+        given: dict[str, Any] = dict(options)
+        if "presence" in given:
+            given["presence"] = Presence(**given["presence"])
+        port = Port(**given)
+        if port.retain and port.share:
+            text = "a shared subscription is given no retained messages: `share` or `retain`"
+            raise ValueError(text)
+        return port
+
+
+def mistake(address: tuple[str, ...], options: Options) -> str:
+    """Say what is wrong with an address and its options, "" where nothing is."""
+    try:
+        Port.of(options)
+    except ValueError as error:
+        return str(error)
+    if len(address) != 1:
+        return f"expected one topic, got {list(address)}"
+    return wrong_filter(address[0])
+
+
+def wrong_filter(topic: str) -> str:
+    """Say what is wrong with a topic or topic filter, "" where nothing is."""
+    if not topic or "\0" in topic or len(topic.encode(errors="replace")) > _LONGEST_TOPIC:
+        return f"expected a topic of 1 to {_LONGEST_TOPIC} octets without NUL, got {topic[:80]!r}"
+    if topic.startswith("$share/"):
+        return f"{topic!r}: write the topic alone, and the group as the option `share`"
+    *inner, last = topic.split("/")
+    if any("#" in level for level in inner) or ("#" in last and last != "#"):
+        return f"{topic!r}: # stands for all further levels, so it must be the last one"
+    if any("+" in level and level != "+" for level in (*inner, last)):
+        return f"{topic!r}: + stands for one whole level"
+    return ""
+
+
+@frozen
+class Settings:
+    """The options of a bridge, with what they name read. The password is in no text of it."""
+
+    host: str
+    port: int
+    client_id: str
+    login: Any  # of paho: user and password, or None; behind a closure, so that no repr shows it
+    context: ssl.SSLContext | None
+    keepalive: int
+    grace: float
+    presence: Presence | None
+    offline: str
+    budget: Budget
+    backlog: int
+
+
+def settings_of(name: str, options: Options) -> Settings:
+    """Read the options of a bridge, already checked against the schema.
+
+    Raises:
+        ConfigurationError: a file or variable that they name cannot be read, or they contradict
+            one another.
+    """
+    given: dict[str, Any] = dict(options)
+    url = urlsplit(given["url"])
+    encrypted = url.scheme == "mqtts"
+    try:
+        host, port = url.hostname or "", url.port or (8883 if encrypted else 1883)
+        host.encode("idna")
+    except ValueError as error:
+        raise _wrong(name, f"url {given['url']!r}: {error}") from None
+    if "tls" in given and not encrypted:
+        raise _wrong(name, "`tls` goes with a url that begins with mqtts://")
+    password = _password(name, given)
+    if password and not (encrypted or _is_loopback(host) or given.get("plain_password")):
+        text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
+        raise _wrong(name, f"{text}: true where the network is your own")
+    says = given.get("presence", {})
+    return Settings(
+        host=host,
+        port=port,
+        client_id=given.get("client_id", f"uoarm-{name}-{os.urandom(4).hex()}"),
+        login=(lambda: (given["user"], password)) if "user" in given else None,
+        context=_context(name, given.get("tls", {})) if encrypted else None,
+        keepalive=given.get("keepalive", 15),
+        grace=given.get("grace", 30.0),
+        presence=Presence(says["topic"], online=says.get("online", "online")) if says else None,
+        offline=says.get("offline", "offline"),
+        budget=Budget(
+            octets=given.get("max_octets", 1_048_576),
+            elements=given.get("max_values", 100_000),
+            depth=given.get("max_depth", 64),
+        ),
+        backlog=given.get("backlog", 1000),
+    )
+
+
+def _password(name: str, given: Mapping[str, Any]) -> str | None:
+    if "password_env" in given and "password_file" in given:
+        raise _wrong(name, "`password_env` or `password_file`, not both")
+    if "user" not in given and ({"password_env", "password_file"} & given.keys()):
+        raise _wrong(name, "a password goes with a `user`")
+    if (variable := given.get("password_env")) is not None:
+        if variable not in os.environ:
+            raise _wrong(name, f"the environment has no variable {variable!r} (password_env)")
+        return os.environ[variable]
+    if (file := given.get("password_file")) is not None:
+        try:
+            return Path(file).read_text(encoding="utf-8").rstrip("\r\n")
+        except (OSError, ValueError) as error:
+            raise _wrong(name, f"password_file {file!r}: {error}") from None
+    return None
+
+
+def _context(name: str, tls: Mapping[str, str]) -> ssl.SSLContext:
+    if "key" in tls and "certificate" not in tls:
+        raise _wrong(name, "tls: a `key` goes with a `certificate`")
+    try:
+        context = ssl.create_default_context(cafile=tls.get("ca"))
+        if "certificate" in tls:
+            # Asked for no passphrase on a terminal: a key that has one is refused.
+            context.load_cert_chain(tls["certificate"], tls.get("key"), password=lambda: b"")
+    except (OSError, ValueError) as error:
+        raise _wrong(name, f"tls: {dict(tls)}: {error}") from None
+    return context
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _wrong(name: str, what: str) -> ConfigurationError:
+    return ConfigurationError(f"bridge {name!r}: {what}")

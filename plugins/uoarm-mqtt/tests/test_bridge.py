@@ -1,0 +1,543 @@
+"""Options and faults, each against a real Mosquitto and peers that know nothing of uoarm."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trustme
+from brokers import Broker, Peer, running
+
+from uoarm.bridge import Bridge, HealthEvent, Registry, Sink, Source
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    ConfigurationError,
+    FailureReason,
+    MessageError,
+)
+from uoarm.model import BridgeSpec, Endpoint, Health, MessageStructure, Role
+from uoarm.testing import Collector, patience, wait
+
+ANYTHING = MessageStructure(True)
+
+
+def endpoint(topic: str, role: Role = Role.OUTPUT, **options: Any) -> Endpoint:
+    return Endpoint("mqtt", f"component of {topic}", role, (topic,), options=options)
+
+
+@contextmanager
+def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
+    spec = BridgeSpec("mqtt", "mqtt", {"url": broker.url, "retained_wait": 0, **options})
+    made = Registry().create(spec)
+    try:
+        yield made
+    finally:
+        made.close(timeout=patience())
+
+
+@pytest.fixture
+def bridge(broker: Broker) -> Iterator[Bridge]:
+    with bridge_to(broker) as made:
+        yield made
+
+
+@pytest.fixture
+def peer(broker: Broker) -> Iterator[Peer]:
+    made = Peer(broker)
+    yield made
+    made.close()
+
+
+def listen(
+    bridge: Bridge, topic: str, structure: MessageStructure = ANYTHING, **options: Any
+) -> tuple[Collector, Source]:
+    collector = Collector()
+    return collector, bridge.open_source(endpoint(topic, **options), structure, collector.deliver)
+
+
+def speak(bridge: Bridge, topic: str, **options: Any) -> Sink:
+    return bridge.open_sink(endpoint(topic, Role.INPUT, **options), ANYTHING)
+
+
+def heard(bridge: Bridge) -> list[HealthEvent]:
+    events: list[HealthEvent] = []
+    bridge.watch(events.append)
+    return events
+
+
+def until(events: list[HealthEvent], health: Health) -> HealthEvent:
+    wait(lambda: any(one.health is health for one in events), f"{health}: {events}", patience())
+    return next(one for one in events if one.health is health)
+
+
+class TestTopics:
+    """Wildcards, retained messages, shared subscriptions, contents."""
+
+    def test_a_wildcard_hears_all_and_says_where(self, bridge: Bridge, peer: Peer) -> None:
+        collector, source = listen(bridge, "wild/+/temperature", with_topic=True)
+        assert not source.latched
+        peer.publish("wild/a/temperature", "1")
+        peer.publish("wild/a/humidity", "2")
+        peer.publish("wild/b/temperature", "3")
+        assert collector.wait(2, patience()) == [
+            {"topic": "wild/a/temperature", "message": 1},
+            {"topic": "wild/b/temperature", "message": 3},
+        ]
+
+    def test_overlapping_filters_get_each_message_once(self, bridge: Bridge, peer: Peer) -> None:
+        listeners = [listen(bridge, one)[0] for one in ("over/#", "over/+", "over/x", "over/x")]
+        for number in range(5):
+            peer.publish("over/x", str(number))
+        for one in listeners:
+            assert one.wait(5, patience()) == [0, 1, 2, 3, 4]
+
+    def test_each_new_consumer_gets_what_is_retained_and_nobody_twice(
+        self, bridge: Bridge, peer: Peer
+    ) -> None:
+        peer.publish("kept/map", "1", retain=True)
+        first, _ = listen(bridge, "kept/map", retain=True)
+        assert first.wait(1, patience()) == [1]
+        second, leaving = listen(bridge, "kept/map", retain=True)
+        fresh, _ = listen(bridge, "kept/map")
+        assert second.wait(1, patience()) == [1]
+        peer.publish("kept/map", "2", retain=True)
+        assert first.wait(2, patience()) == [1, 2]
+        assert second.wait(2, patience()) == [1, 2]
+        assert fresh.wait(1, patience()) == [2], "a port without `retain` hears what is new"
+        leaving.close()
+        peer.publish("kept/map", "3", retain=True)
+        assert first.wait(3, patience()) == [1, 2, 3]
+        assert fresh.wait(2, patience()) == [2, 3]
+
+    def test_what_is_sent_with_retain_stands(self, bridge: Bridge, peer: Peer) -> None:
+        sink = speak(bridge, "kept/by/us", retain=True)
+        sink.send({"a": 1})
+        with pytest.raises(MessageError, match="delete"):
+            speak(bridge, "kept/octets", retain=True, content="octets").send(b"")
+        assert sink.drain(patience())
+        came = peer.collect("kept/by/us")
+        wait(lambda: came, "it was not retained", patience())
+        assert (came[0].payload, came[0].retain) == (b'{"a":1}', True)
+        assert came[0].properties.ContentType == "application/json"
+
+    def test_shared_subscriptions_divide_the_messages(self, bridge: Bridge, peer: Peer) -> None:
+        with bridge_to_same(bridge) as other:
+            first, _ = listen(bridge, "work/items", share="workers")
+            second, _ = listen(other, "work/items", share="workers")
+            for number in range(10):
+                peer.publish("work/items", str(number))
+            both = (first, second)
+            wait(lambda: sum(len(one.messages) for one in both) == 10, "lost", patience())
+            assert sorted([*first.messages, *second.messages]) == list(range(10))
+            assert first.messages, "the other got everything"
+            assert second.messages, "the other got everything"
+
+    def test_a_message_expires_with_its_option(self, bridge: Bridge, peer: Peer) -> None:
+        came = peer.collect("expiring")
+        speak(bridge, "expiring", expiry=60, qos=2).send(1)
+        wait(lambda: came, "it did not come", patience())
+        assert came[0].properties.MessageExpiryInterval == 60
+
+    @pytest.mark.parametrize("qos", [0, 1, 2])
+    def test_every_qos_arrives_and_drains(self, bridge: Bridge, qos: int) -> None:
+        collector, _ = listen(bridge, f"qos/{qos}", qos=qos)
+        sink = speak(bridge, f"qos/{qos}", qos=qos)
+        for number in range(100):
+            sink.send(number)
+        assert sink.drain(patience())
+        assert sink.facts()["under_way"] == 0
+        assert collector.wait(100, patience()) == list(range(100))
+
+    def test_the_broker_says_when_nobody_listens(self, bridge: Bridge) -> None:
+        sink = speak(bridge, "nobody/listens")
+        sink.send(1)
+        assert sink.drain(patience())
+        assert sink.facts()["unheard"] == 1
+
+
+def paho_of(bridge: Bridge) -> Any:
+    return vars(bridge)["_broker"]._client
+
+
+@contextmanager
+def bridge_to_same(bridge: Bridge) -> Iterator[Bridge]:
+    made = Registry().create(BridgeSpec("other", "mqtt", dict(bridge.options)))
+    try:
+        yield made
+    finally:
+        made.close(timeout=patience())
+
+
+class TestBudget:
+    """What enters is measured before it is decoded."""
+
+    @pytest.mark.parametrize(
+        ("payload", "why"),
+        [
+            (b"[" * 40 + b"]" * 40, "deep"),
+            (b"[" + b"1," * 500 + b"1]", "values"),
+            (b'"' + b"x" * 2000 + b'"', "bytes"),
+            (b"NaN", "NaN"),
+            (b"\xff", "utf-8"),
+        ],
+    )
+    def test_what_is_too_much_is_counted_and_the_next_arrives(
+        self, broker: Broker, peer: Peer, payload: bytes, why: str
+    ) -> None:
+        with bridge_to(broker, max_octets=1500, max_values=400, max_depth=20) as bridge:
+            events = heard(bridge)
+            collector, source = listen(bridge, "budget")
+            peer.publish("budget", payload)
+            assert why in until(events, Health.DEGRADED).cause
+            peer.publish("budget", b"7")
+            assert collector.wait(1, patience()) == [7]
+            assert source.facts()["unreadable"] == 1
+            assert until(events, Health.OK).channel is source
+
+    def test_what_is_sent_is_measured_too(self, broker: Broker) -> None:
+        with bridge_to(broker, max_octets=100) as bridge:
+            sink = speak(bridge, "budget")
+            with pytest.raises(MessageError, match="max_octets"):
+                sink.send("x" * 200)
+
+    def test_another_content_type_is_not_read_as_json(self, bridge: Bridge, peer: Peer) -> None:
+        collector, source = listen(bridge, "typed")
+        peer.publish("typed", b"1", ContentType="image/png")
+        peer.publish("typed", b"2", ContentType="application/vnd.mine+json")
+        assert collector.wait(1, patience()) == [2]
+        assert source.facts()["unreadable"] == 1
+
+    def test_a_receiver_that_is_stuck_costs_a_bounded_backlog(
+        self, broker: Broker, peer: Peer
+    ) -> None:
+        with bridge_to(broker, backlog=3) as bridge:
+            collector, source = listen(bridge, "stuck")
+            with collector.held():
+                peer.publish("stuck", "0")
+                collector.wait_begun(1, patience())
+                for number in range(1, 9):
+                    peer.publish("stuck", str(number))
+                wait(lambda: source.facts()["lost_on_link"] == 5, str(source.facts()), patience())
+            assert collector.wait(4, patience()) == [0, 6, 7, 8]
+
+
+class TestStructures:
+    """From the options, from a retained schema, from the configuration."""
+
+    def test_a_retained_schema_describes_and_reads(self, broker: Broker, peer: Peer) -> None:
+        schema = {"type": "object", "properties": {"n": {"type": "integer"}}}
+        peer.publish("schemas/lab/counter", json.dumps(schema), retain=True)
+        with bridge_to(broker, schemas="schemas/{topic}") as bridge:
+            found = bridge.describe(endpoint("lab/counter")).message
+            assert found == MessageStructure(schema)
+            wide = bridge.describe(endpoint("lab/counter", with_topic=True)).message
+            assert wide is not None
+            collector, _ = listen(bridge, "lab/counter", wide, with_topic=True)
+            peer.publish("lab/counter", '{"n": 7.0}')
+            (came,) = collector.wait(1, patience())
+            assert came == {"topic": "lab/counter", "message": {"n": 7}}
+            assert type(came["message"]["n"]) is int
+            (only,) = [one for one in bridge.discover() if one.name == "lab/counter"]
+            assert only.endpoints[0][1].message == MessageStructure(schema)
+
+    def test_a_schema_that_is_none_is_named(self, broker: Broker, peer: Peer) -> None:
+        peer.publish("schemas/lab/odd", '{"type": "byte"}', retain=True)
+        peer.publish("schemas/lab/no", "{", retain=True)
+        with bridge_to(broker, schemas="schemas/{topic}", max_octets=500) as bridge:
+            for topic in ("lab/odd", "lab/no"):
+                with pytest.raises(BridgeError, match=f"schemas/{topic} is no JSON Schema"):
+                    bridge.describe(endpoint(topic))
+            with pytest.raises(BridgeError) as caught:
+                bridge.describe(endpoint("lab/nothing"))
+            assert caught.value.reason is FailureReason.NOT_FOUND
+
+    def test_without_any_the_configuration_has_to_say(self, bridge: Bridge) -> None:
+        assert bridge.describe(endpoint("some/topic")).message is None
+
+    def test_discovery_is_bounded(self, broker: Broker, peer: Peer) -> None:
+        for number in range(20):
+            peer.publish(f"many/{number}", "1", retain=True)
+        wanted = {"topics": ["many/#"], "seconds": 600, "most": 5}
+        with bridge_to(broker, discover=wanted) as bridge:
+            assert len(bridge.discover(timeout=patience())) == 5
+
+
+class TestPresence:
+    """A component's word that it is there, kept by its last will."""
+
+    def test_a_vehicle_that_ends_in_order_is_finished_and_comes_back(
+        self, broker: Broker, peer: Peer
+    ) -> None:
+        says = {"topic": "v/1/connection", "member": "state", "online": "ON", "finished": "OFF"}
+        with bridge_to(broker) as bridge:
+            events, place = heard(bridge), endpoint("v/1/state", presence=says)
+            with pytest.raises(BridgeError, match="v/1/connection says nothing") as caught:
+                bridge.describe(place)
+            assert caught.value.reason is FailureReason.UNAVAILABLE
+            for said, health in (("ON", Health.OK), ("OFF", Health.FINISHED)):
+                peer.publish("v/1/connection", json.dumps({"state": said}), retain=True)
+                assert until(events, health).component == place.component
+            with pytest.raises(BridgeError, match='says "OFF"'):
+                bridge.open_source(place, ANYTHING, lambda _: None)
+            peer.publish("v/1/connection", json.dumps({"state": "ON"}), retain=True)
+            wait(lambda: len(events) == 3, f"{events}", patience())
+            bridge.describe(place)
+
+    def test_two_with_one_name_on_two_topics_are_two(self, broker: Broker) -> None:
+        peers = [Peer(broker, will=(f"two/{name}", "gone")) for name in "ab"]
+        with bridge_to(broker) as bridge:
+            events = heard(bridge)
+            for name, one in zip("ab", peers, strict=True):
+                one.publish(f"two/{name}", "online", retain=True)
+                bridge.describe(endpoint(f"two/{name}/x", presence={"topic": f"two/{name}"}))
+            peers[0].die()
+            event = until(events, Health.LOST)
+            assert event.component == "component of two/a/x"
+            assert "gone" in event.cause
+        for one in peers:
+            one.close()
+
+    def test_ours_is_announced_and_withdrawn(self, broker: Broker, peer: Peer) -> None:
+        came = peer.collect("robots/ours")
+        with bridge_to(broker, presence={"topic": "robots/ours"}) as bridge:
+            bridge.describe(endpoint("anything"))
+            wait(lambda: came, "no birth", patience())
+        wait(lambda: len(came) == 2, "no goodbye", patience())
+        assert [one.payload for one in came] == [b"online", b"offline"]
+
+
+class TestServices:
+    """Response topic and correlation data, with peers on the other side."""
+
+    def test_nobody_there_is_told_at_once(self, bridge: Bridge) -> None:
+        place = endpoint("no/service", Role.SERVICE)
+        with pytest.raises(BridgeError, match="nobody is subscribed") as caught:
+            bridge.call(place, {}, timeout=patience())
+        assert not isinstance(caught.value, BridgeTimeoutError)
+
+    def test_a_function_serves_peers_and_failures_are_told(
+        self, bridge: Bridge, peer: Peer
+    ) -> None:
+        def answer(request: Any) -> Any:
+            if request < 0:
+                raise ArithmeticError("of no negative number")
+            return request * 2
+
+        channel = bridge.serve(endpoint("served/double", Role.SERVICE, share="pool"), answer)
+        came = peer.collect("answers/mine")
+        for payload in (b"21", b"-1", b"{"):
+            peer.publish(
+                "served/double", payload, ResponseTopic="answers/mine", CorrelationData=payload
+            )
+        peer.publish("served/double", b"1")
+        wait(lambda: len(came) == 3, "not answered", patience())
+        assert [one.properties.CorrelationData for one in came] == [b"21", b"-1", b"{"]
+        assert came[0].payload == b"42"
+        assert "of no negative number" in dict(came[1].properties.UserProperty)["error"]
+        assert "MessageError" in dict(came[2].properties.UserProperty)["error"]
+        wait(lambda: channel.facts()["unanswerable"] == 1, f"{channel.facts()}", patience())
+
+
+class TestBroker:
+    """The broker killed, silent, hostile, and what a bridge may not do."""
+
+    def test_killed_and_back_counts_and_resumes(self, tmp_path: Path) -> None:
+        lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\n"
+        with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
+            events = heard(bridge)
+            collector, source = listen(bridge, "resumed", retain=True)
+            sink = speak(bridge, "resumed")
+            sink.send(0)
+            collector.wait(1, patience())
+            broker.kill()
+            assert "connection broke" in until(events, Health.DEGRADED).cause
+            with pytest.raises(BridgeError, match="no connection to the broker"):
+                sink.send("lost")
+            with pytest.raises(BridgeError, match="no connection to the broker"):
+                bridge.describe(endpoint("resumed"))
+            broker.start()
+            until(events, Health.OK)
+            sink.send(1)
+            assert collector.wait(2, patience()) == [0, 1]
+            assert source.facts()["interruptions"] == 1
+            assert [one.health for one in events] == [Health.DEGRADED, Health.OK]
+
+    def test_away_for_longer_than_its_grace_it_is_lost_once(self, tmp_path: Path) -> None:
+        with running(tmp_path / "broker") as broker, bridge_to(broker, grace=0.5) as bridge:
+            events = heard(bridge)
+            listen(bridge, "lost")
+            broker.kill()
+            event = until(events, Health.LOST)
+            assert (event.channel, event.component) == (None, None)
+            assert [one.health for one in events] == [Health.DEGRADED, Health.LOST]
+
+    def test_one_that_appears_late_is_told(self, tmp_path: Path) -> None:
+        broker = Broker(tmp_path / "broker")
+        with bridge_to(broker) as bridge:
+            events = heard(bridge)
+            with pytest.raises(BridgeError, match="no connection to the broker at") as caught:
+                bridge.describe(endpoint("late"))
+            assert caught.value.reason is FailureReason.UNAVAILABLE
+            broker.start()
+            try:
+                until(events, Health.OK)
+                bridge.describe(endpoint("late"))
+            finally:
+                broker.stop()
+
+    def test_one_that_says_nothing_is_noticed_and_closing_ends(self, tmp_path: Path) -> None:
+        with running(tmp_path / "broker") as broker, bridge_to(broker, keepalive=1) as bridge:
+            events = heard(bridge)
+            listen(bridge, "silent")
+            broker.send_signal(signal.SIGSTOP)
+            try:
+                assert "Keep alive" in until(events, Health.DEGRADED).cause
+                bridge.close(timeout=patience())
+            finally:
+                broker.send_signal(signal.SIGCONT)
+
+    def test_its_limits_hold_and_its_reason_codes_are_told(self, tmp_path: Path) -> None:
+        lines = "allow_anonymous true\nmax_packet_size 3000\nmax_inflight_messages 3\n"
+        with running(tmp_path / "broker", lines) as broker, bridge_to(broker) as bridge:
+            events = heard(bridge)
+            collector, _ = listen(bridge, "limited", qos=2)
+            sink = speak(bridge, "limited", qos=2)
+            with pytest.raises(MessageError, match="3,000 at most"):
+                sink.send("x" * 3000)
+            for number in range(50):
+                sink.send(number)
+            assert collector.wait(50, patience()) == list(range(50))
+            assert not events
+            paho_of(bridge).publish("limited", "x" * 3000)  # past what holds the limit
+            assert "Packet too large (reason code 0x95)" in until(events, Health.DEGRADED).cause
+            until(events, Health.OK)
+
+    def test_rights_and_passwords(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        secret = tmp_path / "secret"
+        secret.write_text("open sesame\n")
+        (tmp_path / "acl").write_text("user ours\ntopic readwrite ours/#\n")
+        # What mosquitto_passwd makes of "open sesame", with 101 rounds of PBKDF2.
+        (tmp_path / "passwords").write_text(f"ours:{hashed('open sesame')}\n")
+        for name in ("acl", "passwords"):
+            (tmp_path / name).chmod(0o644)
+        lines = f"password_file {tmp_path}/passwords\nacl_file {tmp_path}/acl\n"
+        monkeypatch.setenv("MQTT_SECRET", "wrong secret")
+        caplog.set_level("DEBUG")
+        with running(tmp_path / "broker", lines) as broker:
+            with bridge_to(broker, user="ours", password_env="MQTT_SECRET") as refused:
+                with pytest.raises(BridgeError, match=r"Not authorized.*0x87") as caught:
+                    refused.describe(endpoint("ours/a"))
+                assert "secret" not in f"{caught.value}{caplog.text}{vars(refused)}"
+            with bridge_to(broker, user="ours", password_file=str(secret)) as bridge:
+                events = heard(bridge)
+                collector, _ = listen(bridge, "ours/a")
+                speak(bridge, "ours/a").send(1)
+                assert collector.wait(1, patience()) == [1]
+                sink = speak(bridge, "theirs/a")
+                sink.send(1)
+                assert "0x87" in until(events, Health.DEGRADED).cause
+                assert sink.facts()["refused"] == 1
+                assert "sesame" not in f"{caplog.text}{vars(bridge)}"
+
+    # paho leaves the socket of a failed handshake to the garbage collector.
+    @pytest.mark.filterwarnings("ignore::ResourceWarning")
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+    def test_tls_with_a_certificate_of_ours_and_without(self, tmp_path: Path) -> None:
+        ca, stranger = trustme.CA(), trustme.CA()
+        broker = Broker(tmp_path / "broker")
+        ca.cert_pem.write_to_path(tmp_path / "ca.pem")
+        stranger.cert_pem.write_to_path(tmp_path / "stranger.pem")
+        ca.issue_cert(broker.host).private_key_and_cert_chain_pem.write_to_path(
+            tmp_path / "broker.pem"
+        )
+        ca.issue_cert("client").private_key_and_cert_chain_pem.write_to_path(tmp_path / "us.pem")
+        for file in tmp_path.glob("*.pem"):
+            file.chmod(0o644)
+        broker.lines = (
+            f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/broker.pem\n"
+            f"keyfile {tmp_path}/broker.pem\nrequire_certificate true\n"
+        )
+        broker.start()
+        url = f"mqtts://{broker.host}:{broker.port}"
+        ours = {"ca": f"{tmp_path}/ca.pem", "certificate": f"{tmp_path}/us.pem"}
+        try:
+            with bridge_to(broker, url=url, tls=ours) as bridge:
+                collector, _ = listen(bridge, "encrypted")
+                speak(bridge, "encrypted").send({"a": "x" * 100_000})
+                collector.wait(1, patience())
+            for tls, why in (
+                ({**ours, "ca": f"{tmp_path}/stranger.pem"}, "CERTIFICATE_VERIFY_FAILED"),
+                ({"ca": ours["ca"]}, "no connection to the broker"),
+            ):
+                refused = bridge_to(broker, url=url, tls=tls)
+                with refused as bad, pytest.raises(BridgeError, match=why):
+                    bad.describe(endpoint("x"))
+        finally:
+            broker.stop()
+
+
+def hashed(password: str) -> str:
+    import base64
+    import hashlib
+    import os
+
+    salt = os.urandom(12)
+    key = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, 101)
+    return f"$7$101${base64.b64encode(salt).decode()}${base64.b64encode(key).decode()}"
+
+
+class TestRefusals:
+    """Mistakes of a configuration, before anything is opened."""
+
+    @pytest.mark.parametrize(
+        ("options", "why"),
+        [
+            ({"url": "http://broker"}, "url"),
+            ({"url": "mqtt://user:secret@broker"}, "url"),
+            ({"url": "mqtt://broker:99999"}, "ort"),
+            ({"tls": {}}, "mqtts://"),
+            ({"url": "mqtts://broker", "tls": {"ca": "/no/such/file"}}, "tls"),
+            ({"url": "mqtts://broker", "tls": {"key": "k"}}, "certificate"),
+            ({"user": "u", "password_env": "NO_SUCH_VARIABLE"}, "NO_SUCH_VARIABLE"),
+            ({"user": "u", "password_file": "/no/such/file"}, "password_file"),
+            ({"password_env": "PATH"}, "user"),
+            ({"user": "u", "password_env": "PATH", "password_file": "x"}, "not both"),
+            ({"url": "mqtt://broker", "user": "u", "password_env": "PATH"}, "unencrypted"),
+            ({"password": "secret"}, "password"),
+            ({"schemas": "no place"}, "schemas"),
+        ],
+    )
+    def test_options_of_the_bridge(self, options: dict[str, object], why: str) -> None:
+        spec = BridgeSpec("mqtt", "mqtt", {"url": "mqtt://127.0.0.1", **options})
+        with pytest.raises(ConfigurationError, match=why):
+            Registry().create(spec)
+
+    @pytest.mark.parametrize(
+        ("topic", "role", "options", "why"),
+        [
+            ("a/#/b", "output", {}, "last"),
+            ("a/b+", "output", {}, "whole level"),
+            ("$share/g/a", "output", {}, "`share`"),
+            ("a/+", "input", {}, "wildcards"),
+            ("a", "input", {"with_topic": True}, "with_topic"),
+            ("a", "input", {"share": "g"}, "share"),
+            ("a", "output", {"share": "g", "retain": True}, "retained"),
+            ("a", "output", {"qos": 3}, "qos"),
+            ("a", "output", {"Qos": 1}, "Qos"),
+            ("a", "output", {"presence": {}}, "presence"),
+        ],
+    )
+    def test_options_of_a_port(
+        self, bridge: Bridge, topic: str, role: str, options: dict[str, object], why: str
+    ) -> None:
+        with pytest.raises(BridgeError, match=why) as caught:
+            bridge.describe(endpoint(topic, Role(role), **options))
+        assert caught.value.reason is FailureReason.BAD_ENDPOINT
