@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
@@ -133,6 +134,36 @@ def test_a_suggestion_mends_the_edge_that_it_is_for() -> None:
     assert check_edge(
         structure(pixel=INT, header=NUMBER), consumer, mapping, ("header",)
     ).compatible
+
+
+@pytest.mark.parametrize(
+    ("made", "taken", "suggestion"),
+    [
+        ("celsius", "fahrenheit", "{fahrenheit: {from: celsius, scale: 1.8, offset: 32}}"),
+        ("fahrenheit", "kelvin", "{kelvin: {from: fahrenheit, scale: 0.555555555556, offset: 255."),
+        ("angle_deg", "angleRad", "{angleRad: {from: angle_deg, scale: 0.0174532925199}}"),
+        ("range_mm", "range_m", "{range_m: {from: range_mm, scale: 0.001}}"),
+        ("metres", "meters", "{meters: metres}"),
+        ("metres", "seconds", ""),
+        ("degrees", "celsius", ""),
+        ("celsius", "speed", ""),  # nothing says in which unit
+        ("temperature", "temperatur", "{temperatur: temperature}"),
+    ],
+)
+def test_a_suggestion_never_equates_other_units(made: str, taken: str, suggestion: str) -> None:
+    producer, consumer = structure(**{made: NUMBER}), structure(**{taken: NUMBER})
+    found = check_edge(producer, consumer).reasons[0].suggestion
+    assert found.startswith(f"map: {suggestion}" if suggestion else "")
+    assert bool(found) is bool(suggestion)
+    if found:
+        assert check_edge(producer, consumer, yaml.safe_load(found)["map"]).compatible
+
+
+def test_what_a_structure_says_of_its_unit_comes_before_the_name() -> None:
+    degrees, radians = NUMBER | {"x-unit": "deg"}, NUMBER | {"x-unit": "rad"}
+    producer = structure(pitch=radians, yaw=degrees, more=INT)
+    found = check_edge(producer, structure(yaw=radians, pitch=radians)).reasons[0].suggestion
+    assert "yaw: {from: yaw, scale: 0.0174532925199}" in found
 
 
 def test_nothing_is_suggested_where_nothing_fits() -> None:

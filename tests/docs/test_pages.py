@@ -114,7 +114,7 @@ def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
         )
     )
     refused = run(["-m", "uoarm", "request", "fireAlarm"], tmp_path, code=1)
-    assert "fahrenheit" in refused
+    assert "map: {fahrenheit: {from: celsius, scale: 1.8, offset: 32}}" in refused
 
 
 def test_a_component_works_as_written(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from attrs import frozen
 
 from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, parse, write_path
+from uoarm._adapt._units import Conversion, conversion, unit_of
 from uoarm._adapt._walk import Structure, UnfitError, leaves
 from uoarm.model import MessageStructure
 from uoarm.schema import Budget, check
@@ -19,6 +20,7 @@ __all__ = ["suggest"]
 
 _MAX_FIELDS = 60
 _ALIKE = 0.6
+_AS_IT_IS = Conversion(1.0, 0.0)
 
 
 def suggest(
@@ -78,11 +80,16 @@ def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[st
     required = target.plain(target.schema, ".").get("required", ())
     mapping: dict[str, Any] = {}
     for name, schema in wanted.items():
-        if name in source.fields() and likeness.accepts(source.fields()[name], schema):
+        same = source.fields().get(name)
+        if (
+            same is not None
+            and _is_same_unit(name, same, schema)
+            and likeness.accepts(same, schema)
+        ):
             continue
-        path = _best(name, schema, have, likeness)
-        if path is not None:
-            mapping[name] = write_path(path)
+        found = _best(name, schema, have, likeness)
+        if found is not None:
+            mapping[name] = _entry(*found)
         elif (value := _only_value(schema)) is not None:
             mapping[name] = {"const": value}
         elif name in required:
@@ -90,16 +97,63 @@ def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[st
     return mapping
 
 
-def _best(name: str, schema: Any, have: list[tuple[Path, Any]], likeness: _Likeness) -> Path | None:
-    """Return the producer's field that fits best: by name, by likeness, or as the only one."""
-    fitting = [path for path, one in have if likeness.accepts(one, schema)]
+def _best(
+    name: str, schema: Any, have: list[tuple[Path, Any]], likeness: _Likeness
+) -> tuple[Path, Conversion] | None:
+    """Return the producer's field that fits best: by name, by likeness, or as the only one.
+
+    One in another unit is taken only where it can be converted, and is.
+    """
+    unit = unit_of(name, schema)
+    fitting: dict[Path, Conversion] = {}
+    for path, one in have:
+        told = unit_of(path[-1], one) if path else None
+        by = conversion(told, unit)
+        if by is None and None in {told, unit} and _are_alike(name, path):
+            by = _AS_IT_IS
+        if by is None:
+            continue
+        # What fits only after it was converted is judged with the whole map.
+        if _is_numeric(one) if by.changes else likeness.accepts(one, schema):
+            fitting[path] = by
     same = [path for path in fitting if path[-1] == name]
     if same:
-        return min(same, key=len)
+        return (best := min(same, key=len)), fitting[best]
     alike = difflib.get_close_matches(name, [path[-1] for path in fitting], n=1, cutoff=_ALIKE)
     if alike:
-        return next(path for path in fitting if path[-1] == alike[0])
-    return fitting[0] if len(fitting) == 1 else None
+        best = next(path for path in fitting if path[-1] == alike[0])
+        return best, fitting[best]
+    return next(iter(fitting.items())) if len(fitting) == 1 else None
+
+
+def _are_alike(name: str, path: Path) -> bool:
+    return bool(path) and bool(difflib.get_close_matches(name, path[-1:], n=1, cutoff=_ALIKE))
+
+
+def _is_numeric(schema: Any) -> bool:
+    return isinstance(schema, Mapping) and schema.get("type") in {"number", "integer", "array"}
+
+
+def _is_same_unit(name: str, one: Any, other: Any) -> bool:
+    units = unit_of(name, one), unit_of(name, other)
+    by = conversion(*units)
+    return None in units or (by is not None and not by.changes)
+
+
+def _entry(path: Path, by: Conversion) -> Any:
+    """Return what a map says of a field that comes from a path."""
+    if not by.changes:
+        return write_path(path)
+    change = {"scale": by.scale, "offset": by.offset}
+    idle = {"scale": 1.0, "offset": 0.0}
+    return {
+        "from": write_path(path),
+        **{name: _short(one) for name, one in change.items() if one != idle[name]},
+    }
+
+
+def _short(number: float) -> float:
+    return int(number) if number.is_integer() else number
 
 
 def _with_definitions(schema: Any, structure: Structure) -> Any:
