@@ -7,6 +7,7 @@ be read in the difference.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 
 import attrs
 import pytest
-from tests.control.world import FACE, NAME, PORTS, Plans, World
+from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World
 
 from uoarm._control import _actions as act
 from uoarm._control import _events as ev
@@ -24,6 +25,10 @@ from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 FOLDER = Path(__file__).with_name("transcripts")
 FILES = {path.stem: path for path in sorted(FOLDER.glob("*.txt"))}
 PLANS = {"face": Plans(FACE), "name": Plans(NAME), "ports": Plans(PORTS)}
+CHANGED = {
+    (name, change): Plans(OTHERS[change](PLANS[name].text))
+    for name, change in itertools.product(("face", "name"), OTHERS)
+}
 POLICIES: dict[str, Callable[[str], object]] = {
     "enabled": lambda told: told == "true",
     "wait": float,
@@ -31,19 +36,22 @@ POLICIES: dict[str, Callable[[str], object]] = {
     "limit": int,
 }
 
+WHOLE = {"do", "fail", "late", "configure"}  # moves of which the rest of the line is one word
+
 
 class Player(World):
     """A world that keeps the actions of each move as text."""
 
-    def __init__(self, plans: Plans, policy: FailoverPolicy) -> None:
-        super().__init__(plans, policy)
+    def __init__(self, robot: str, policy: FailoverPolicy) -> None:
+        super().__init__(PLANS[robot], policy)
+        self.robot = robot
         self.told: list[str] = []
 
     def play(self, move: str) -> list[str]:
         """Make one move and return what the control plane did."""
         self.told = []
         kind, _, rest = move.partition(" ")
-        getattr(self, f"play_{kind}")(*(rest.split() if kind not in {"do", "fail"} else (rest,)))
+        getattr(self, f"play_{kind}")(*(rest.split() if kind not in WHOLE else (rest,)))
         return self.told
 
     def _keep(self, action: act.Action) -> None:
@@ -63,6 +71,7 @@ class Player(World):
                 f"request {identity}",
                 self.plans(function, self.dead) if "known" in options else None,
                 "heard" in options,
+                self.state.revision,
             )
         )
 
@@ -114,6 +123,14 @@ class Player(World):
         lane, _, at = told.partition(" at ")
         self.do(self._lane(lane), fails_at=int(at or 0))
 
+    def play_late(self, lane: str) -> None:
+        """Let a search end that was made with the configuration before."""
+        self.do(self._lane(lane), is_late=True)
+
+    def play_configure(self, change: str) -> None:
+        """To one of the others of this robot, or back."""
+        self.configure(self.first if change == "back" else CHANGED[self.robot, change])
+
     def play_misplace(self, lane: str, *components: str) -> None:
         """Let a search find a plan that avoids these, whatever is excluded."""
         action, *rest = self.lanes.pop(lane)
@@ -121,6 +138,11 @@ class Player(World):
         self.lanes |= {lane: tuple(rest)} if rest else {}
         plan = self.plans(action.plan.function, frozenset(components))
         self.post(ev.ReplacementSought(action.connection, action.attempt, plan))
+
+    def play_rest(self) -> None:
+        """Do all that waits, well."""
+        while self.lanes:
+            self.do(next(iter(self.lanes)))
 
     def play_time(self, seconds: str) -> None:
         self.pass_time(float(seconds))
@@ -176,7 +198,7 @@ def replay(text: str) -> Iterator[str]:
     robot, *policy = lines[0].removeprefix("robot: ").split()
     options = dict(one.split("=") for one in policy)
     given: Any = {name: POLICIES[name](value) for name, value in options.items()}
-    player = Player(PLANS[robot], FailoverPolicy(**given))
+    player = Player(robot, FailoverPolicy(**given))
     yield lines[0]
     for line in lines[1:]:
         if line.startswith("> "):

@@ -130,7 +130,8 @@ def changed_over(draft: Draft, event: ChangedOver) -> None:
             continue
         failure = record.failure
         if event.error:
-            cause = f"its return failed: {event.error}"
+            what = "its move" if group.is_reconfiguration else "its return"
+            cause = f"{what} failed: {event.error}"
             record = draft.put(drop_next(draft, record), returning=0, available_since=None)
             failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
             seek(draft, draft.put(record, failure=failure))

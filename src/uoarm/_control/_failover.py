@@ -264,7 +264,6 @@ def hand_over(
     before, after = record.placement, record.next
     assert after is not None, "there is a plan to go on with"
     lost = record.failure.lost if record.failure is not None else ()
-    dead = {name for name, one in before.components.items() if one in lost}
     waited = record.state is ConnectionState.WAITING
     preferred = None
     if draft.policy.return_after is not None and not returns:
@@ -292,7 +291,7 @@ def hand_over(
     ]
     if waited:
         draft.actions.append(Announce(subject, record.state.value))
-    new = [n for n in names(after.plan) if n not in before.components or n in dead]
+    new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
     goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
     draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on}"))
     parts = draft.unplace(before, ports=before.ports != after.ports)
