@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -21,7 +22,7 @@ from uoarm._wire import TEXT_FORM
 from uoarm.model import MessageStructure
 from uoarm.server import Limits, Server
 from uoarm.server._failures import BusyError, LimitError
-from uoarm.server.streams._input_sender import InputSender
+from uoarm.server.streams._input_sender import InputSender, read_message
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.server.streams._memory import Account, Charge, Held, Memory
 from uoarm.server.streams._workers import Workers
@@ -121,7 +122,13 @@ def sending(connection: Any, workers: Workers, account: Account) -> InputSender:
     connection.plan = SimpleNamespace(
         provider=SimpleNamespace(component=component, structures={"input.in": structure})
     )
-    return InputSender(cast("Connection", connection), TEXT_FORM, workers, account, limit=100)
+    return InputSender(
+        cast("Connection", connection),
+        partial(read_message, TEXT_FORM),
+        workers,
+        account,
+        limit=100,
+    )
 
 
 async def until(condition: Callable[[], bool]) -> None:

@@ -49,3 +49,57 @@ def test_roslibpy_sends_goals_to_an_action(peer: Callable[..., Peer]) -> None:
             check=False,
         )
     assert done.stdout == "done\n", done.stdout + done.stderr
+
+
+PARTLY = """
+import sys
+import roslibpy
+
+from uoarm.testing import patience
+
+ros = roslibpy.Ros(sys.argv[1])
+ros.run(timeout=patience())
+picture = roslibpy.Topic(ros, "/uoarm/picture", "sensor_msgs/Image")
+picture.publish(roslibpy.Message({"height": 7, "header": {"frame_id": "eye"}}))
+service = roslibpy.Service(ros, "/uoarm/increment", "test_msgs/BasicTypes")
+reply = service.call(roslibpy.ServiceRequest({"int64_value": 5}), timeout=patience())
+print(reply["int64_value"])
+ros.close()
+"""
+FIELDS = f"""
+version: 1
+bridges:
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+functions:
+  picture:
+    components:
+      - name: picture
+        bridge: ros
+        input: {{endpoint: [/picture, sensor_msgs/msg/Image]}}
+  increment:
+    components:
+      - name: increment
+        bridge: ros
+        service: {{endpoint: [/increment, test_msgs/srv/BasicTypes]}}
+"""
+
+
+def test_fields_that_a_client_leaves_out_are_filled_as_by_rosbridge(
+    peer: Callable[..., Peer], tmp_path: Path
+) -> None:
+    server, listener = peer("server", "threads"), peer("listener")
+    server.do("serve", name="/increment")
+    listener.do("subscribe", topic="/picture", kind="Image")
+    program = tmp_path / "partly.py"
+    program.write_text(PARTLY)
+    robot = loads(FIELDS, origin=str(Path(__file__).with_name("robot.yaml")))
+    with (
+        RobotManager(robot) as manager,
+        serve_in_thread(manager, Settings(port=0)) as serving,
+    ):
+        url = f"ws://127.0.0.1:{serving.ports[0]}/rosbridge"
+        done = subprocess.run(
+            [sys.executable, str(program), url], capture_output=True, text=True, check=False
+        )
+        assert done.stdout == "6\n", done.stdout + done.stderr
+        assert listener.do("report", topic="/picture", expected=1)["seen"] == [7]

@@ -24,6 +24,7 @@ from uoarm.server.front_end import (
     FeedKey,
     InputSender,
     Listener,
+    Read,
 )
 from uoarm.testing import patience
 
@@ -88,7 +89,7 @@ class Feeds:
     def open_account(self) -> Account:
         return cast("Account", SimpleNamespace(close=lambda: None))
 
-    def sender(self, connection: Connection, account: Account) -> InputSender:
+    def sender(self, connection: Connection, account: Account, read: Read) -> InputSender:
         return cast("InputSender", Taking())
 
 

@@ -75,6 +75,7 @@ __all__ = [
     "MakeSession",
     "Operation",
     "Outbox",
+    "Read",
     "Role",
     "Session",
     "UnknownError",
@@ -193,12 +194,13 @@ class Backend(Protocol):
     def leave(self, feed: Feed) -> None:
         """Give a feed back; the last one closes its connection, without waiting."""
 
-    def sender(self, connection: Connection, account: Account) -> InputSender:
-        """Return what hands a client's messages, in the form of JSON text, to a connection.
+    def sender(self, connection: Connection, account: Account, read: Read) -> InputSender:
+        """Return what hands a client's messages to a connection.
 
         Args:
             connection: of a feed that is open.
             account: charged for what is on its way.
+            read: makes a message's logical value by the input's structure, in a worker.
         """
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:

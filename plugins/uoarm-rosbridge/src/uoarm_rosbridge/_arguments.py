@@ -1,28 +1,34 @@
-"""Arguments of calls and goals: by name, or, as rosbridge allows, as a list in order."""
+"""What clients send: by name or, as rosbridge allows, as a list in order, and not always whole."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from uoarm.errors import UsageError
 from uoarm.model import Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, read_message
 
-__all__ = ["name_arguments", "read_arguments"]
+__all__ = ["read_arguments"]
+
+_ZEROS: Mapping[object, Message] = {"boolean": False, "integer": 0, "number": 0.0, "string": ""}
 
 
 def read_arguments(structure: MessageStructure, arguments: Message) -> Message:
-    """Return the logical value of arguments; raises as `read_message` and `name_arguments`."""
-    return read_message(TEXT_FORM, structure, name_arguments(structure, arguments))
+    """Return the logical value of a message, a request or a goal.
 
-
-def name_arguments(structure: MessageStructure, arguments: Message) -> Message:
-    """Return arguments by name; a list stands for the fields in their order.
+    A list stands for the fields in their order. A field of a ROS type that is missing has the value
+    that ROS gives it, as with rosbridge; what other frameworks require stays required.
 
     Raises:
-        UsageError: the list has more arguments than there are fields.
+        UsageError: the list has more values than there are fields.
+        MessageError: a text is not what its place may carry.
     """
-    schema = structure.schema
+    named = _named(structure.schema, arguments)
+    return read_message(TEXT_FORM, structure, _filled(structure.schema, named))
+
+
+def _named(schema: Any, arguments: Message) -> Message:
     if arguments is None:
         return {}
     if isinstance(arguments, list) and isinstance(schema, Mapping):
@@ -32,3 +38,36 @@ def name_arguments(structure: MessageStructure, arguments: Message) -> Message:
                 raise UsageError(f"expected at most {len(names)} arguments, got {len(arguments)}")
             return dict(zip(names, arguments, strict=False))
     return arguments
+
+
+def _filled(schema: Any, value: Message) -> Message:
+    """Return a value with the fields that are missing in its objects of ROS types."""
+    if not isinstance(schema, Mapping):
+        return value
+    if isinstance(value, dict) and _is_ros_record(schema):
+        known = {
+            name: _filled(member, value[name]) if name in value else _initial(member)
+            for name, member in schema["properties"].items()
+        }
+        return {**known, **{name: each for name, each in value.items() if name not in known}}
+    items = schema.get("items")
+    if isinstance(value, list) and isinstance(items, Mapping) and _is_ros_record(items):
+        return [_filled(items, each) for each in value]
+    return value
+
+
+def _is_ros_record(schema: Mapping[str, Any]) -> bool:
+    return schema.get("type") == "object" and "x-native-type" in schema
+
+
+def _initial(schema: Any) -> Message:
+    """Return the value with which ROS begins a field."""
+    if not isinstance(schema, Mapping):
+        return None
+    if "default" in schema:
+        return schema["default"]
+    if schema.get("type") == "object":
+        return {name: _initial(member) for name, member in schema.get("properties", {}).items()}
+    if schema.get("type") == "array":
+        return [_initial(schema["items"]) for _ in range(schema.get("minItems", 0))]
+    return _ZEROS.get(schema.get("type"))

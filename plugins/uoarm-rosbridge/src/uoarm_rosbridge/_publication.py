@@ -19,6 +19,7 @@ from uoarm.server.front_end import (
     Held,
     InputSender,
 )
+from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._names import Place
 
 __all__ = ["Publication"]
@@ -91,7 +92,7 @@ class Publication:
             return
         assert feed.connection is not None, "join returns feeds that are open"
         self._feed = feed
-        self._sending = self._backend.sender(feed.connection, self._account)
+        self._sending = self._backend.sender(feed.connection, self._account, read_arguments)
         feed.add(self)
         while self._waiting:
             message, done, charge = self._waiting.popleft()

@@ -24,7 +24,7 @@ from uoarm.server.front_end import (
     FeedKey,
     InputSender,
 )
-from uoarm_rosbridge._arguments import name_arguments
+from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._goal import Goal, GoalStatus
 
 __all__ = ["StreamRunner", "is_action"]
@@ -128,7 +128,7 @@ class StreamRunner:
         finally:
             self._opening = None
         self._account = self._backend.open_account()
-        self._sending = self._backend.sender(connection, self._account)
+        self._sending = self._backend.sender(connection, self._account, read_arguments)
         for listener, feed in tuple(self._parts.items()):
             if listener in self._parts:  # until one of them tells that it has ended
                 feed.add(listener)
@@ -152,14 +152,11 @@ class StreamRunner:
                 self._refused(goal, error)
 
     def _hand_over(self, goal: Goal, sending: InputSender) -> None:
-        structure = sending.structure("goal")
-        arguments = name_arguments(structure, goal.arguments)
-
         def done(error: BaseException | None) -> None:
             if error is not None:
                 self._refused(goal, error)
 
-        sending.send(arguments, "goal", done, goal.octets)
+        sending.send(goal.arguments, "goal", done, goal.octets)
 
     def _refused(self, goal: Goal, error: BaseException) -> None:
         goal.fail(error)

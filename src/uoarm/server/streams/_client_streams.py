@@ -19,7 +19,7 @@ from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Envelope, Feed
 from uoarm.server.streams._feed_registry import FeedKey, FeedRegistry
-from uoarm.server.streams._input_sender import Done, InputSender
+from uoarm.server.streams._input_sender import Done, InputSender, read_message
 from uoarm.server.streams._memory import Account
 from uoarm.server.streams._outbox import Lane, Outbox
 
@@ -172,7 +172,7 @@ class ClientStreams:
         sending = self._sendings.get(identity)
         if sending is None:
             sending = self._sendings[identity] = self._registry.sender(
-                stream.connection, self._account, self._form
+                stream.connection, self._account, functools.partial(read_message, self._form)
             )
         sending.send(message, port, done, octets)
 

@@ -13,14 +13,14 @@ from typing import TypeAlias, TypeVar
 from attrs import frozen
 
 from uoarm._control import Connection, RobotManager
-from uoarm._wire import TEXT_FORM, Form
+from uoarm._wire import TEXT_FORM
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
 from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed
-from uoarm.server.streams._input_sender import InputSender
+from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.server.streams._memory import Account, Memory
 from uoarm.server.streams._workers import Workers
@@ -29,10 +29,10 @@ __all__ = ["FeedKey", "FeedRegistry", "Read", "Watcher"]
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
-Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 """Callback: a change, and the function concerned, empty where it is not known."""
 
+_READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
 _ENDS = frozenset({"closed", "failed"})
@@ -139,11 +139,11 @@ class FeedRegistry:
                 self.kill(feed.connection)
 
     def sender(
-        self, connection: Connection, account: Account, form: Form = TEXT_FORM
+        self, connection: Connection, account: Account, read: Read = _READ_TEXT
     ) -> InputSender:
-        """Return what hands a client's messages, which come in a form, to a connection."""
+        """Return what hands a client's messages, which `read` understands, to a connection."""
         limit = self.limits.queue_messages
-        return InputSender(connection, form, self.workers, account, limit=limit)
+        return InputSender(connection, read, self.workers, account, limit=limit)
 
     def open_account(self) -> Account:
         """Return an account for what no single client caused. Close it."""

@@ -18,12 +18,13 @@ from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["Done", "InputSender", "read_message"]
+__all__ = ["Done", "InputSender", "Read", "read_message"]
 
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
 _FLUSH_SECONDS = 2.0
 Done: TypeAlias = Callable[[BaseException | None], None]
+Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 
 
 @define
@@ -42,17 +43,17 @@ class InputSender:
 
     Args:
         connection: open.
-        form: in which the messages come.
+        read: makes the logical value of a message by the input's structure, in a worker.
         workers: where they are handed over, many in one go.
         account: of the client, charged until a message is handed over.
         limit: messages that may wait.
     """
 
     def __init__(
-        self, connection: Connection, form: Form, workers: Workers, account: Account, *, limit: int
+        self, connection: Connection, read: Read, workers: Workers, account: Account, *, limit: int
     ) -> None:
         self._connection = connection
-        self._form = form
+        self._read = read
         self._workers = workers
         self._account = account
         self._limit = limit
@@ -174,7 +175,7 @@ class InputSender:
                 return self._has_ended()
             structure = self.structure(queued.port)
             place = f"{self._connection.plan.provider.component.name}.{queued.port or 'input'}"
-            message = read_message(self._form, structure, queued.message)
+            message = self._read(structure, queued.message)
             check = make_check(structure, ValidationMode.ALWAYS, place)
             if check is not None:
                 check(message)
