@@ -23,6 +23,7 @@ from uoarm._hints.applications import T
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
+    BridgeFindings,
     ConfigurationChange,
     ConnectionState,
     ConnectionStatus,
@@ -341,6 +342,10 @@ class AsyncRobotManager(_Closing):
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
         return self.robot.status()
+
+    async def discover(self, *, timeout: float = 10.0) -> tuple[BridgeFindings, ...]:
+        """Return what every bridge sees now, configured or not; opens nothing."""
+        return await self._outside(partial(self.robot.discover, timeout=timeout))
 
     async def apply(
         self,

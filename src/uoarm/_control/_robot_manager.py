@@ -16,6 +16,7 @@ from uoarm._control._availability import check_availability
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection import Connection
 from uoarm._control._connection_runtime import ConnectionRuntime
+from uoarm._control._discovery import discover
 from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
@@ -37,6 +38,7 @@ from uoarm.errors import (
     UsageError,
 )
 from uoarm.model import (
+    BridgeFindings,
     ConfigurationChange,
     Deliver,
     Effect,
@@ -319,6 +321,15 @@ class RobotManager:
         for component in revision.robot.components():
             revision.forget(component.name)
         return check_availability(revision.robot, revision.structures, self.resolve)
+
+    def discover(self, *, timeout: float = 10.0) -> tuple[BridgeFindings, ...]:
+        """Return what every bridge sees now, configured or not; opens nothing.
+
+        Args:
+            timeout: seconds for each bridge, its start included; several are asked at once.
+        """
+        self._require_open()
+        return discover(self.config, self._bridges.get, timeout)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.

@@ -15,6 +15,7 @@ from uoarm.bridge import Registry
 from uoarm.cli._certificates import certificates
 from uoarm.cli._checks import plugin_facts
 from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
+from uoarm.cli._discover import discover, suggest
 from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._new_bridge import new_bridge
@@ -167,12 +168,14 @@ def doctor(*, file: str | None, as_json: bool) -> None:
 
 
 main.add_command(certificates)
+main.add_command(discover)
 main.add_command(env)
 main.add_command(host)
 main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)
 main.add_command(schema)
+main.add_command(suggest)
 main.add_command(serve)
 main.add_command(token)
 main.add_command(status)

@@ -5,6 +5,7 @@ from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._difference import Difference, compare
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._shape import published_schema
+from uoarm.config._suggestion import suggest
 
 __all__ = [
     "ASSIGN",
@@ -19,4 +20,5 @@ __all__ = [
     "load",
     "loads",
     "published_schema",
+    "suggest",
 ]

@@ -16,6 +16,7 @@ from uoarm.model._component import (
 )
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
+from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
 from uoarm.model._explain import tell_rejections, tell_status
 from uoarm.model._json_scan import scan_json
 from uoarm.model._listening import Listening, place_problem
@@ -43,6 +44,7 @@ from uoarm.model._wire import from_json, to_json
 
 __all__ = [
     "Availability",
+    "BridgeFindings",
     "BridgeSpec",
     "BridgeStatus",
     "Budget",
@@ -61,6 +63,8 @@ __all__ = [
     "Expectation",
     "FailoverPolicy",
     "FailureLimits",
+    "FoundComponent",
+    "FoundPort",
     "Function",
     "FunctionStatus",
     "Gap",

@@ -18,7 +18,7 @@ from uoarm_ros2._types import import_type
 __all__ = ["Attendance", "discovered"]
 
 _HIDDEN = "/_action/"
-_PARAMETERS = "rcl_interfaces/srv/"
+_OF_EVERY_NODE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 _FEEDBACK = "/_action/feedback"
 _EVERYWHERE = {"/parameter_events", "/rosout"}
 
@@ -68,7 +68,7 @@ def _pairs(listing: Iterable[tuple[str, list[str]]]) -> tuple[tuple[str, str], .
         (name, kind)
         for name, kinds in listing
         for kind in kinds
-        if _HIDDEN not in name and name not in _EVERYWHERE and not kind.startswith(_PARAMETERS)
+        if _HIDDEN not in name and name not in _EVERYWHERE and not kind.startswith(_OF_EVERY_NODE)
     )
 
 

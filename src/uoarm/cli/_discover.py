@@ -1,0 +1,126 @@
+"""`uoarm discover` shows what bridges see; `uoarm suggest` writes the configuration for it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterable
+
+import click
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
+from uoarm.config import load
+from uoarm.config import suggest as suggestion_for
+from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
+
+__all__ = ["discover", "suggest"]
+
+_file_option = click.option(
+    "-f",
+    "--file",
+    "file",
+    envvar="UOARM_CONFIG",
+    type=click.Path(dir_okay=False),
+    help="Configuration file; also UOARM_CONFIG. Without one: every plugin, with its defaults.",
+)
+_timeout_option = click.option(
+    "--timeout",
+    type=click.FloatRange(min=0.1, max=600),
+    default=10.0,
+    show_default=True,
+    help="Seconds for each bridge, its start included.",
+)
+
+
+@click.command()
+@_file_option
+@click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and tell what is different.")
+@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
+@_timeout_option
+@json_option
+def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_json: bool) -> None:
+    """Show every component and port that bridges see now, and who in the configuration has it.
+
+    Plugins that the file does not mention are asked too, with their default options. Exit code 4
+    when no bridge could answer.
+    """
+    registry = Registry()
+    with reporting(), RobotManager(_robot(file, registry), registry=registry) as robot:
+        findings = robot.discover(timeout=timeout)
+        if as_json:
+            _print_json(findings, in_one_line=watch)
+        else:
+            click.echo("\n".join(map(str, findings)) or "no bridge plugin is installed")
+        while watch:
+            time.sleep(every)
+            before, findings = findings, robot.discover(timeout=timeout)
+            if findings == before:
+                continue
+            if as_json:
+                _print_json(findings, in_one_line=True)
+            else:
+                _print_differences(before, findings)
+        sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+
+
+@click.command()
+@_file_option
+@_timeout_option
+def suggest(file: str | None, *, timeout: float) -> None:
+    """Write the configuration of what bridges see and FILE does not name yet.
+
+    Inputs are fed by what was proven to fit; where several would do, they are listed.
+    """
+    registry = Registry()
+    with reporting(), RobotManager(_robot(file, registry), registry=registry) as robot:
+        findings = robot.discover(timeout=timeout)
+        for one in findings:
+            if one.cause:
+                click.echo(f"{one.bridge}: {one.cause}", err=True)
+        configured = () if file is None else load(file, registry.types).bridges
+        click.echo(suggestion_for(robot.config, findings, configured=configured), nl=False)
+        sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+
+
+def _robot(file: str | None, registry: Registry) -> Robot:
+    """Return the configuration, with a bridge for each plugin that it does not mention."""
+    robot = Robot({}, {}) if file is None else load(file, registry.types)
+    plugins = {one.plugin for one in robot.bridges.values()}
+    more = {
+        name: BridgeSpec(name, name)
+        for name in registry.types
+        if name not in plugins and name not in robot.bridges
+    }
+    return Robot({**robot.bridges, **more}, robot.functions, origin=robot.origin, hosts=robot.hosts)
+
+
+def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> None:
+    if in_one_line:
+        click.echo(json.dumps(to_json(findings)))
+    else:
+        print_json(findings)
+
+
+def _print_differences(
+    before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
+) -> None:
+    old, new = dict.fromkeys(_rows(before)), dict.fromkeys(_rows(after))
+    for row in old:
+        if row not in new:
+            click.secho(f"- {row}", fg="red")
+    for row in new:
+        if row not in old:
+            click.secho(f"+ {row}", fg="green")
+
+
+def _rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
+    for each in findings:
+        if each.cause:
+            yield f"{each.bridge}  {each.cause}"
+        for one in each.components:
+            yield f"{each.bridge}  {one.name}"
+            for port in one.ports:
+                yield f"{each.bridge}  {one.name}  {port}"

@@ -1,0 +1,225 @@
+"""Configuration for what bridges see: the lines that would name it, each feed with its proof."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Container, Iterable, Iterator
+
+from attrs import define, field, frozen
+
+from uoarm.model import (
+    BridgeFindings,
+    FoundComponent,
+    FoundPort,
+    MessageStructure,
+    Robot,
+    Role,
+)
+from uoarm.schema import Budget, SchemaError, check
+
+__all__ = ["suggest"]
+
+_MOST_COMPONENTS = 500
+_SHOWN = 5
+_PAIR_SECONDS = 0.5
+_HEAD = """\
+# What bridges see and the configuration does not name yet. Read it before you use it: each `from`
+# was proven to fit by the structures of the messages, which say nothing of what they mean.
+"""
+
+
+@frozen
+class _Output:
+    """What can feed an input.
+
+    Attributes:
+        reference: what `from` says.
+        owner: the bridge and the component, as its framework names it.
+    """
+
+    reference: str
+    port: str
+    owner: tuple[str, str]
+    structure: MessageStructure
+
+
+@define
+class _Proposal:
+    """A component that the configuration could have, as a function of its own."""
+
+    name: str
+    bridge: str
+    found: FoundComponent
+    ports: list[FoundPort] = field(factory=list)
+
+    def of(self, role: Role) -> list[FoundPort]:
+        return [one for one in self.ports if one.endpoint.role is role]
+
+    @property
+    def owner(self) -> tuple[str, str]:
+        return self.bridge, self.found.name
+
+
+def suggest(
+    robot: Robot,
+    findings: Iterable[BridgeFindings],
+    *,
+    configured: Container[str] = (),
+    seconds: float = 10.0,
+    clock: Callable[[], float] = time.monotonic,
+) -> str:
+    """Return YAML with a function for each component that is seen and not configured.
+
+    An input gets its `from` where exactly one output has its structure, or exactly one fits it.
+    Several are listed beside it, and it is left to be fed by the application.
+
+    Args:
+        robot: the configuration so far; its names are not given again.
+        findings: what the bridges see.
+        configured: bridges that need no line of their own.
+        seconds: for comparing structures; what was not compared is said.
+        clock: a monotonic clock.
+    """
+    findings = [one for one in findings if one.components]
+    proposals = list(_proposals(robot, findings))
+    left_out = proposals[_MOST_COMPONENTS:]
+    proposals = proposals[:_MOST_COMPONENTS]
+    outputs = [*_configured(robot, findings), *_proposed(proposals)]
+    deadline = clock() + seconds
+    new = [one for one in findings if one.bridge not in configured]
+    lines = [_HEAD + "version: 1", "bridges:" if new else "# bridges: those of the configuration"]
+    lines += [f"  {one.bridge}: {{plugin: {one.plugin}}}" for one in new]
+    lines.append("functions:" if proposals else "functions: {}  # nothing is seen that has no name")
+    for proposal in proposals:
+        lines += _lines(proposal, outputs, lambda: clock() > deadline)
+    if left_out:
+        lines.append(f"# and {len(left_out):,} components more, beyond the limit")
+    return "\n".join(lines) + "\n"
+
+
+def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Proposal]:
+    """Yield components that have a port which the configuration does not name."""
+    taken = {*robot.functions, *(one.name for one in robot.components())}
+    for each in findings:
+        for found in each.components:
+            ports = [one for one in found.ports if not one.used_by]
+            streams = [one for one in ports if one.endpoint.role is not Role.SERVICE]
+            if streams:
+                yield _Proposal(_name(found.name, taken), each.bridge, found, streams)
+            for service in (one for one in ports if one.endpoint.role is Role.SERVICE):
+                name = _name(f"{found.name}_{service.endpoint.port}", taken)
+                yield _Proposal(name, each.bridge, found, [service])
+
+
+def _name(wanted: str, taken: set[str]) -> str:
+    """Return a name that the configuration takes and nothing has yet, and take it."""
+    plain = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "component"
+    plain = plain if plain[0].isalpha() else f"c_{plain}"
+    name, number = plain, 2
+    while name in taken:
+        name, number = f"{plain}_{number}", number + 1
+    taken.add(name)
+    return name
+
+
+def _configured(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Output]:
+    """Yield the outputs that the configuration names and a bridge sees."""
+    by_name = {one.name: one for one in robot.components()}
+    for each in findings:
+        for found in each.components:
+            for port in found.ports:
+                for user in port.used_by if port.message is not None else ():
+                    for output in by_name[user].outputs:
+                        if output.endpoint.address == port.endpoint.address:
+                            structure = output.declared or port.message
+                            assert structure is not None, "looked at above"
+                            reference = f"{by_name[user].function}.{output.name}"
+                            owner = each.bridge, found.name
+                            yield _Output(reference, output.name, owner, structure)
+
+
+def _proposed(proposals: Iterable[_Proposal]) -> Iterator[_Output]:
+    for one in proposals:
+        outputs = one.of(Role.OUTPUT)
+        for port in outputs:
+            if port.message is not None:
+                several = len(outputs) > 1
+                reference = f"{one.name}.{_port(port)}" if several else one.name
+                yield _Output(reference, _port(port), one.owner, port.message)
+
+
+def _lines(
+    proposal: _Proposal, outputs: Iterable[_Output], is_late: Callable[[], bool]
+) -> Iterator[str]:
+    yield f"  {proposal.name}:  # {proposal.found.name} of {proposal.bridge}"
+    yield "    components:"
+    yield f"      - name: {proposal.name}"
+    yield f"        bridge: {proposal.bridge}"
+    for service in proposal.of(Role.SERVICE):
+        yield f"        service: {{endpoint: {_address(service)}}}{_unknown(service)}"
+    for key, role in (("inputs", Role.INPUT), ("outputs", Role.OUTPUT)):
+        ports = proposal.of(role)
+        if ports:
+            yield f"        {key}:"
+        for port in ports:
+            chosen, told = "", list[str]()
+            if role is Role.INPUT and port.message is not None:
+                chosen, told = _feed(proposal, port, port.message, outputs, is_late)
+            yield from (f"          # {line}" for line in told)
+            feed = f"from: {chosen}, " if chosen else ""
+            yield f"          {_port(port)}: {{{feed}endpoint: {_address(port)}}}{_unknown(port)}"
+
+
+def _feed(
+    proposal: _Proposal,
+    port: FoundPort,
+    wanted: MessageStructure,
+    outputs: Iterable[_Output],
+    is_late: Callable[[], bool],
+) -> tuple[str, list[str]]:
+    """Return what feeds an input, and what a reader should know of it."""
+    others = [one for one in outputs if one.owner != proposal.owner]
+    fits = [one for one in others if one.structure.schema == wanted.schema]
+    told = "has its structure"
+    left = 0
+    if not fits:
+        told = "fits it: every message is accepted"
+        for one in others:
+            if is_late():
+                left += 1
+            elif _fits(one.structure, wanted):
+                fits.append(one)
+    named = [one for one in fits if one.port == _port(port)]
+    fits = named if len(named) == 1 else fits
+    said = [f"{left} outputs were not compared, for want of time"] if left else []
+    if len(fits) == 1:
+        return fits[0].reference, [*said, f"proven: {fits[0].reference} {told}"]
+    if fits:
+        more = f" and {len(fits) - _SHOWN} more" if len(fits) > _SHOWN else ""
+        several = ", ".join(one.reference for one in fits[:_SHOWN])
+        said.append(f"from: one of {several}{more}")
+    return "", said
+
+
+def _fits(producer: MessageStructure, consumer: MessageStructure) -> bool:
+    try:
+        return check(
+            producer.schema, consumer.schema, budget=Budget(seconds=_PAIR_SECONDS)
+        ).compatible
+    except SchemaError:
+        return False
+
+
+def _port(port: FoundPort) -> str:
+    return _name(port.endpoint.port, set())
+
+
+def _address(port: FoundPort) -> str:
+    return json.dumps(list(port.endpoint.address))
+
+
+def _unknown(port: FoundPort) -> str:
+    known = port.message is not None or port.request is not None
+    return "" if known else "  # its structure is not known: declare it"

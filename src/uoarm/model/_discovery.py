@@ -1,0 +1,83 @@
+"""What bridges see, whether the configuration names it or not."""
+
+from __future__ import annotations
+
+from attrs import frozen
+
+from uoarm.model._component import Endpoint
+from uoarm.model._structure import MessageStructure
+
+__all__ = ["BridgeFindings", "FoundComponent", "FoundPort"]
+
+
+@frozen
+class FoundPort:
+    """A port that a bridge sees now.
+
+    Attributes:
+        endpoint: where it is, as the configuration would name it.
+        message: its structure; None where the framework does not know, and for services.
+        request: that of a service's request.
+        reply: that of its reply.
+        used_by: components of the configuration that have this endpoint.
+    """
+
+    endpoint: Endpoint
+    message: MessageStructure | None = None
+    request: MessageStructure | None = None
+    reply: MessageStructure | None = None
+    used_by: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        one = self.endpoint
+        told = f"{one.role.value:<7} {', '.join(one.address)}"
+        if self.message is None and self.request is None:
+            told += "  (structure unknown)"
+        return told + (f"  used by {', '.join(self.used_by)}" if self.used_by else "")
+
+
+@frozen
+class FoundComponent:
+    """A component that a bridge sees now.
+
+    Attributes:
+        name: as its framework names it.
+        detail: what else the framework says of it.
+    """
+
+    name: str
+    ports: tuple[FoundPort, ...]
+    detail: str = ""
+
+
+@frozen
+class BridgeFindings:
+    """What one bridge sees now.
+
+    Attributes:
+        bridge: its name.
+        plugin: that made it.
+        components: what it sees, by name.
+        cause: why it sees nothing; empty where it does.
+        left_out: ports beyond the limit, which are not among the components.
+
+    As text (`str`, `print`) it is what `uoarm discover` shows.
+    """
+
+    bridge: str
+    plugin: str
+    components: tuple[FoundComponent, ...] = ()
+    cause: str = ""
+    left_out: int = 0
+
+    def __str__(self) -> str:
+        if self.cause:
+            return f"{self.bridge}  {self.cause}"
+        s = "" if len(self.components) == 1 else "s"
+        lines = [f"{self.bridge}  {len(self.components)} component{s}"]
+        for one in self.components:
+            lines.append(f"  {one.name}" + (f"  ({one.detail})" if one.detail else ""))
+            lines += [f"    {port}" for port in one.ports]
+        if self.left_out:
+            lines.append(f"  and {self.left_out:,} ports more, beyond the limit")
+        return "\n".join(lines)

@@ -1,0 +1,70 @@
+"""`uoarm discover` and `uoarm suggest`, on bridges that see something and on one that cannot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from tests.manager.test_discovery import ROBOT, make_lab
+
+from uoarm import RobotManager
+from uoarm.bridge import BridgeType, Registry
+from uoarm.cli import _discover, main
+from uoarm.config import loads
+
+FILE = ROBOT.replace(", gone: {plugin: nowhere}", "")
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a configuration whose bridge sees a camera and a detector."""
+    registry = Registry(())
+    registry.add(BridgeType("memory", "", lambda *_: make_lab(), contract=2))
+    monkeypatch.setattr(_discover, "Registry", lambda: registry)
+    path = tmp_path / "robot.yaml"
+    path.write_text(FILE, encoding="utf-8")
+    return path
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(one) for one in arguments])
+
+
+def test_what_is_seen_is_shown_with_who_uses_it(file: Path) -> None:
+    done = run("discover", "-f", file)
+    assert done.exit_code == 0, done.output
+    assert "lab  2 components" in done.output
+    assert "output  head  used by head" in done.output
+
+
+def test_as_json(file: Path) -> None:
+    (lab,) = json.loads(run("discover", "-f", file, "--json").output)
+    assert [one["name"] for one in lab["components"]] == ["detector", "head"]
+
+
+def test_the_suggestion_can_be_pasted(file: Path) -> None:
+    done = run("suggest", "-f", file)
+    assert done.exit_code == 0, done.output
+    functions = done.output[done.output.index("functions:\n") + len("functions:\n") :]
+    assert set(loads(FILE + functions).functions) == {"camera", "detector"}
+
+
+def test_without_a_bridge_that_can_answer_the_exit_code_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("version: 1\nbridges: {python: {}}\nfunctions: {}\n", encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Registry, "types", {"python": Registry().types["python"]})
+        assert run("discover", "-f", path).exit_code == 4
+        assert "python: cannot list components" in run("suggest", "-f", path).output
+
+
+def test_what_is_different_is_told_as_lines() -> None:
+    lab = make_lab()
+    with RobotManager(loads(FILE), bridges={"lab": lab}) as robot:
+        before = robot.discover()
+        lab.emitter("torch", {"type": "boolean"})
+        after = robot.discover()
+    told = set(_discover._rows(after)) - set(_discover._rows(before))
+    assert told == {"lab  torch", "lab  torch  output  torch"}
