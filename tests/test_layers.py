@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import uoarm
+from uoarm.testing import patience
 
 ROOT = Path(uoarm.__file__).parent
 
@@ -180,7 +181,7 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
     ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
     )
     assert done.stdout.strip() == "[]"
 

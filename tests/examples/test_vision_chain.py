@@ -13,6 +13,7 @@ from vision_demo.footage import Footage
 from uoarm import OverflowPolicy, QueuePolicy, ResolutionError, RobotManager
 from uoarm.config import loads
 from uoarm.model import Robot
+from uoarm.testing import patience
 
 
 def robot_without(vision: Path, *names: str) -> Robot:
@@ -85,7 +86,7 @@ def test_every_message_matches_its_structure_and_none_is_lost(
 ) -> None:
     file = vision / "robot.yaml"
     text = file.read_text(encoding="utf-8").replace("excerpt: 90", "excerpt: 3")
-    everything = QueuePolicy(length=4, policy=OverflowPolicy.BLOCK, timeout=30)
+    everything = QueuePolicy(length=4, policy=OverflowPolicy.BLOCK, timeout=patience())
     with (
         RobotManager(loads(text, str(file))) as robot,
         robot.request("faceRecognition", validate="always", queue=everything) as people,

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from uoarm._dataplane import BoundedQueue, QueueClosed
 from uoarm.errors import ConfigurationError
 from uoarm.model import OverflowPolicy, QueuePolicy
+from uoarm.testing import patience
 
 
 def make(
@@ -65,23 +66,23 @@ def test_block_gives_up_after_its_timeout_and_counts_the_new_message() -> None:
 
 
 def test_block_lets_the_producer_on_as_soon_as_there_is_room() -> None:
-    queue, drops = make(1, OverflowPolicy.BLOCK, timeout=30)
+    queue, drops = make(1, OverflowPolicy.BLOCK, timeout=patience())
     queue.put(1)
     producer = threading.Thread(target=queue.put, args=(2,))
     producer.start()
-    assert [queue.get(10), queue.get(10)] == [1, 2]
-    producer.join(10)
+    assert [queue.get(patience()), queue.get(patience())] == [1, 2]
+    producer.join(patience())
     assert not producer.is_alive()
     assert not drops
 
 
 def test_closing_frees_a_blocked_producer_and_counts_its_message() -> None:
-    queue, drops = make(1, OverflowPolicy.BLOCK, timeout=30)
+    queue, drops = make(1, OverflowPolicy.BLOCK, timeout=patience())
     queue.put(1)
     producer = threading.Thread(target=queue.put, args=(2,))
     producer.start()
     queue.close(discard=False)
-    producer.join(10)
+    producer.join(patience())
     assert not producer.is_alive()
     assert drained(queue) == [1]
     assert drops == {"closed": 1}
@@ -100,7 +101,7 @@ def test_closing_frees_a_waiting_reader() -> None:
     reader = threading.Thread(target=read)
     reader.start()
     queue.close(discard=True)
-    reader.join(10)
+    reader.join(patience())
     assert seen == ["closed"]
 
 
@@ -134,14 +135,14 @@ def test_replaced_items_do_not_hold_up_a_drain() -> None:
 
 @pytest.mark.parametrize("policy", list(OverflowPolicy))
 def test_two_threads_lose_nothing_uncounted(policy: OverflowPolicy) -> None:
-    queue, drops = make(3, policy, timeout=30)
+    queue, drops = make(3, policy, timeout=patience())
     total = 2000
     got: list[int] = []
 
     def read() -> None:
         while True:
             try:
-                got.append(queue.get(30))
+                got.append(queue.get(patience()))
             except QueueClosed:
                 return
 
@@ -150,7 +151,7 @@ def test_two_threads_lose_nothing_uncounted(policy: OverflowPolicy) -> None:
     for item in range(total):
         queue.put(item)
     queue.close(discard=False)
-    reader.join(30)
+    reader.join(patience())
     assert got == sorted(got)
     assert len(got) + sum(drops.values()) == total
 

@@ -18,7 +18,7 @@ from uoarm.errors import (
     PluginError,
     UoarmError,
 )
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
 Ends = tuple[Transport, Transport]
 
@@ -153,7 +153,7 @@ def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> N
     port = free_port()
     place = f"tcp/127.0.0.1:{port}"
     near = Transport(place, listen=True)
-    far = Transport(place, listen=False, timeout=1.0)
+    far = Transport(place, listen=False, timeout=slowness())
     near.close()
     with socket.create_server(("127.0.0.1", port)) as mute:
         mute.settimeout(patience())

@@ -13,7 +13,7 @@ from uoarm.cli import main
 from uoarm.cli._live_status import _print_tables
 from uoarm.config import loads
 from uoarm.model import to_json
-from uoarm.testing import Collector, MemoryBridge
+from uoarm.testing import Collector, MemoryBridge, patience
 
 NUMBER: Any = {"type": "integer"}
 ROBOT = """
@@ -52,7 +52,7 @@ def test_a_status_prints_as_the_command_line_shows_it(capsys: pytest.CaptureFixt
         robot.listen(told.deliver)
         connection = robot.request("face")
         camera.emit(1)
-        connection.get(10)
+        connection.get(patience())
         status = robot.status()
         _print_tables(to_json(status))
         assert capsys.readouterr().out == f"{status}\n"

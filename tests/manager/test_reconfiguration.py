@@ -75,7 +75,7 @@ def test_a_connection_goes_on_with_what_the_configuration_says_now(
 ) -> None:
     face, lamp = robot.request("face"), robot.request("lamp")
     lab.emit("one.best", 1)
-    assert face.get(timeout=10) == 1
+    assert face.get(timeout=patience()) == 1
 
     change = robot.apply(loads(OTHER_CAMERA))
 
@@ -84,7 +84,7 @@ def test_a_connection_goes_on_with_what_the_configuration_says_now(
     assert change.differences == ("~ component best",)
     assert [(one.connection, one.effect) for one in change.connections] == [(face.id, Effect.MOVES)]
     lab.emit("one.better", 2)
-    assert face.get(timeout=10) == 2
+    assert face.get(timeout=patience()) == 2
     assert [gap.cause for gap in face.gaps] == ["the configuration was changed"]
     assert lamp.gaps == ()
     wait(lambda: lab.bridges["one"].open_channels == 1)  # the one before was closed
@@ -157,7 +157,7 @@ def test_another_order_of_candidates_moves_what_runs(robot: RobotManager, lab: L
     camera, face = robot.request("camera"), robot.request("face")
     robot.apply(loads(ROBOT.replace("priority: 2", "priority: 0")))
     lab.emit("two.spare", 7)
-    assert camera.get(timeout=10) == face.get(timeout=10) == 7
+    assert camera.get(timeout=patience()) == face.get(timeout=patience()) == 7
     assert "best" not in camera.plan.provider.component.name
 
 
@@ -198,7 +198,7 @@ def test_a_bridge_with_other_options_is_another_one(
         robot.apply(loads(other))
         before, after = (one for one in made if one.name == "two")
         lab.emit("one.best", 3)
-        assert face.get(timeout=10) == camera.get(timeout=10) == 3
+        assert face.get(timeout=patience()) == camera.get(timeout=patience()) == 3
         assert after.open_channels > 0
         wait(lambda: before.closed)
         assert camera.gaps == ()
@@ -230,7 +230,7 @@ def test_a_new_function_and_a_new_bridge_can_be_requested(
         robot.apply(loads(more))
         connection = robot.request("torch")
         lab.emit("three.light", 5)
-        assert connection.get(timeout=10) == 5
+        assert connection.get(timeout=patience()) == 5
         assert face.gaps == ()
 
 

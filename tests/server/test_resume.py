@@ -23,6 +23,7 @@ from uoarm import ConnectionClosedError, QueuePolicy, RobotManager
 from uoarm.client import Client, connect
 from uoarm.model import Message
 from uoarm.server import Limits, Server
+from uoarm.testing import slowness
 
 CLIENTS = Path(__file__).parent / "clients"
 FORMS = pytest.mark.parametrize("binary", [False, True], ids=["json", "cbor"])
@@ -310,7 +311,7 @@ def test_a_drop_takes_nothing_from_what_was_counted(server: Server, between: Bet
 def test_a_link_that_jams_is_a_drop_for_a_session_that_is_kept(
     serve: Serve, between: Between
 ) -> None:
-    server = serve(Limits(stall_seconds=0.3))
+    server = serve(Limits(stall_seconds=slowness()))
     proxy = between(server)
 
     async def work(client: Client) -> None:
