@@ -2,9 +2,10 @@
 
 A chain of two hosted functions, each with two candidates in hosts of their own, delivers to this
 process while random hosts are killed, stopped, made to hang, slow or refusing, each at least
-once. It must go on behind its handle; at the end every message must be received or counted, and
-threads, descriptors and memory be where they were after the first part. Exit code 0 when all of
-that held.
+once. It must go on behind its handle; at the end every message must be received or counted, but
+for one at most for each host that there was, and threads, descriptors and memory be where they
+were after the first part. Exit code 0 when all of that held. Silence and patience are longer on a
+machine that is slow, so that hosts which only wait for a processor are not given up.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from bench.tables import print_table
 from uoarm import Connection, RobotManager
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy
-from uoarm.testing import Census, losses
+from uoarm.testing import Census, losses, slowness
 
 HERE = Path(__file__).parent
-PATIENCE_SECONDS = 90.0
+PATIENCE_SECONDS = 90.0 * slowness()
+SILENCE_SECONDS = 0.6 * slowness()
 BETWEEN_SECONDS = 1.5
 STILL_SECONDS = 2.0
 GROWTH_MEGABYTES = 25.0
-DOUBT_SHARE = 0.01
 POLICY = FailoverPolicy(wait=PATIENCE_SECONDS, limit=1_000_000, return_after=0.5)
 ROBOT = """
 version: 1
@@ -78,17 +79,21 @@ def main(minutes: float, seed: int) -> None:
     logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # every fault is told, in hundreds
     with tempfile.TemporaryDirectory(prefix="uoarm-soak-") as folder:
         with RobotManager(evolve(loads(_robot(Path(folder))), failover=POLICY)) as warm:
-            warm.request("found").get(30)
+            warm.request("found", timeout=PATIENCE_SECONDS).get(PATIENCE_SECONDS)
         for left in Path(folder).glob("*.journal"):
             left.unlink()
         before = Census()
         held = _soak(Path(folder), 60.0 * minutes, seed)
-        before.check(30.0)
+        before.check()
     sys.exit(0 if held else 1)
 
 
 def _robot(folder: Path) -> str:
-    host = {"silence": 0.6, "restarts": 1_000_000, "variables": {"UOARM_SOAK": str(folder)}}
+    host = {
+        "silence": SILENCE_SECONDS,
+        "restarts": 1_000_000,
+        "variables": {"UOARM_SOAK": str(folder)},
+    }
     one = {"plugin": "python", "host": host, "options": {"path": [str(HERE)]}}
     return ROBOT.format(bridges=dict.fromkeys(("one", "two", "three", "four"), one))
 
@@ -96,7 +101,7 @@ def _robot(folder: Path) -> str:
 def _soak(folder: Path, seconds: float, seed: int) -> bool:
     soak = Soak()
     with RobotManager(evolve(loads(_robot(folder)), failover=POLICY)) as robot:
-        connection = robot.request("found", on_message=soak.take)
+        connection = robot.request("found", on_message=soak.take, timeout=PATIENCE_SECONDS)
         faults = Faults(robot, folder, seed)
         begun = time.monotonic()
         with Progress(
@@ -111,7 +116,8 @@ def _soak(folder: Path, seconds: float, seed: int) -> bool:
                 soak.samples.append(look())
         (folder / "enough").touch()
         unaccounted = _settle(robot, soak, folder)
-        return _report(robot, connection, soak, faults, unaccounted)
+        doubt = unaccounted, _processes(folder)
+        return _report(robot, connection, soak, faults, doubt)
 
 
 def _told(soak: Soak, faults: Faults) -> str:
@@ -131,6 +137,11 @@ def _wait_for_more(soak: Soak, connection: Connection) -> None:
         if connection.state is not ConnectionState.RUNNING or time.monotonic() > deadline:
             raise TimeoutError(f"nothing comes: {connection.status()}")
         pause.wait(0.01)
+
+
+def _processes(folder: Path) -> int:
+    """Return how many hosts there were: more than were meant to die, where silence was taken so."""
+    return len({path.stem.rpartition("-")[2] for path in folder.glob("*.journal")})
 
 
 def _journal(folder: Path, name: str) -> int:
@@ -154,9 +165,13 @@ def _settle(robot: RobotManager, soak: Soak, folder: Path) -> int:
 
 
 def _report(
-    robot: RobotManager, connection: Connection, soak: Soak, faults: Faults, unaccounted: int
+    robot: RobotManager,
+    connection: Connection,
+    soak: Soak,
+    faults: Faults,
+    doubt: tuple[int, int],
 ) -> bool:
-    gaps = connection.gaps
+    (unaccounted, hosts), gaps = doubt, connection.gaps
     counted = losses(robot.status())
     by_reason = ", ".join(f"{reason} {count}" for reason, count in sorted(counted.items()))
     spans = sorted(gap.seconds for gap in gaps) or [0.0]
@@ -167,15 +182,14 @@ def _report(
         ("changes of plan", f"{len(gaps)}, median gap {1000 * spans[len(spans) // 2]:.0f} ms"),
         ("messages received", f"{soak.arrived:,}"),
         ("messages counted as lost", f"{counted.total():,} ({by_reason})"),
-        ("neither, or counted twice if below 0", f"{unaccounted}, in {faults.deaths} deaths"),
+        ("neither, or counted twice if below 0", f"{unaccounted}, in {hosts} hosts"),
         ("memory, MB", _drawn([one.memory_megabytes for one in soak.samples])),
         ("threads", _drawn([one.threads for one in soak.samples])),
         ("descriptors", _drawn([one.descriptors for one in soak.samples])),
         ("growth after the first third", f"{growth:.1f} MB"),
     ]
     print_table("Soak", ("what", "figures"), rows)
-    in_doubt = abs(unaccounted) / (soak.arrived + counted.total())
-    return in_doubt <= DOUBT_SHARE and growth < GROWTH_MEGABYTES
+    return abs(unaccounted) <= hosts and growth < GROWTH_MEGABYTES
 
 
 def _drawn(values: list[float]) -> str:
