@@ -21,7 +21,7 @@ BEYOND: dict[str, tuple[Any, Any, str]] = {
         "patterns of names",
     ),
     "contains that may be evaluated": (
-        ARRAY,
+        {**ARRAY, "minItems": 1, "items": {"enum": [0, "x"]}},
         {
             "anyOf": [{"contains": {"const": n}} for n in range(7)],
             "unevaluatedItems": {"type": "integer"},

@@ -14,7 +14,18 @@ from uoarm.schema._repeated import build, describe, is_small
 from uoarm.schema._values import SCALARS
 from uoarm.schema.explain import Budget, Verdict, explain, find_losses
 from uoarm.schema.read import Document, Node, Pool
-from uoarm.schema.solve import Found, Judgements, Result, Solver, Unknown, answer
+from uoarm.schema.solve import (
+    EMPTY,
+    Empty,
+    Found,
+    Judgements,
+    Messages,
+    Result,
+    Solver,
+    Unknown,
+    answer,
+    differences,
+)
 
 __all__ = ["check"]
 
@@ -54,10 +65,12 @@ def check(
         other = Document(consumer, pool)
         made, taken = document.root, other.root
         disputed = tuple(document.disputed | other.disputed)
+        judgements = Judgements(meter.spend)
         with meter.part("the search"):
-            result = Solver(pool, answer).solve(((made, True), (taken, False)))
+            result = _search(made, taken, pool, judgements)
         if isinstance(result, Found):
-            return evolve(_refusal(made, taken, result.value, meter), disputed_patterns=disputed)
+            refusal = _refusal(made, taken, result.value, meter, judgements)
+            return evolve(refusal, disputed_patterns=disputed)
     except (BudgetError, OutOfScopeError) as error:
         result = Unknown(str(error))
     if isinstance(result, Unknown):
@@ -94,14 +107,40 @@ def _are_same(one: object, other: object) -> bool:
     return True
 
 
-def _refusal(producer: Node, consumer: Node, message: Any, meter: Meter) -> Verdict:
+def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) -> Result:
+    """Look for a message of the producer that the consumer refuses, first where they differ."""
+    solver, messages = Solver(pool, answer), Messages(pool.meter)
+
+    def refused(one: Node, other: Node, found: Found) -> bool:
+        accepts = judgements.accepts
+        return accepts(one, found.value) and not accepts(other, found.value)
+
+    for path, one, other in differences(producer, consumer, pool.meter):
+        simplest = messages.simplest(one)
+        if simplest is not None and refused(one, other, simplest):
+            result: Result = simplest
+        else:
+            result = solver.solve(((one, True), (other, False)))
+        if not path:
+            return result
+        if isinstance(result, Found):
+            message = messages.place(producer, path, result.value)
+            if message is not None and refused(producer, consumer, message):
+                return message
+        if not isinstance(result, Empty):
+            return solver.solve(((producer, True), (consumer, False)))
+    return EMPTY
+
+
+def _refusal(
+    producer: Node, consumer: Node, message: Any, meter: Meter, judgements: Judgements
+) -> Verdict:
     """Return the verdict that a message comes to which the search has found.
 
     Raises:
         OutOfScopeError: whether the message is valid is not decided.
         BudgetError: nor within the budget.
     """
-    judgements = Judgements(meter.spend)
     with meter.part("the check of the counterexample"):
         if not judgements.accepts(producer, message) or judgements.accepts(consumer, message):
             return Verdict(compatible=False, undecided="internal: a counterexample did not hold")

@@ -71,7 +71,7 @@ class Document:
         self._keys = Keys(pool.meter.spend)
         self._nodes: dict[tuple[int, Scope], Node] = {}
         self.disputed: dict[str, None] = {}
-        self._views: dict[int, tuple[Mapping[str, Any], list[object]]] = {}
+        self._views: dict[int, tuple[Mapping[str, Any], list[Any]]] = {}
         self._targets: dict[Reference, Node] = {}
         self._leaves: dict[int, Leaf] = {}
         self._dialect = dialect_of(schema) or NEWEST
@@ -242,13 +242,17 @@ class Document:
                 continue
             inner = self._enter(one, around) if self._scopes.matter else around
             view, children = self._views[id(one)]
-            if not children and not self._placed and id(one) in self._leaves:
-                self._nodes[key] = self._read_leaf(one, self._leaves[id(one)])
-            elif expanded or not children:
+            if expanded or not children:
                 self._nodes[key] = self._make(one, view, inner)
             else:
                 stack.append((one, around, True))
-                stack.extend((child, inner, False) for child in children)
+                for child in children:
+                    leaf = None if self._placed else self._leaves.get(id(child))
+                    if leaf is None:
+                        stack.append((child, inner, False))
+                    elif (id(child), inner) not in self._nodes:
+                        self.meter.spend()
+                        self._nodes[id(child), inner] = self._read_leaf(child, leaf)
         return self._nodes[id(schema), scope]
 
     def _read_leaf(self, schema: Mapping[str, Any], leaf: Leaf) -> Node:

@@ -1,0 +1,204 @@
+"""Two schemas of one shape, which differ in schemas of members and items only: place by place.
+
+What the one allows the other allows, too, if that holds at each such place. A value that the one
+allows at a place and the other refuses is put into a whole message, which is then checked. Most
+schemas that are compared in life are of this sort, as versions of one type are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from attrs import fields
+
+from uoarm.schema._meter import Meter
+from uoarm.schema._repeated import Repeated
+from uoarm.schema.read import Node
+from uoarm.schema.solve._branch import KINDS
+from uoarm.schema.solve._results import Found
+
+__all__ = ["Difference", "Messages", "differences"]
+
+_MAX_DEPTH = 200
+_MAX_WRITTEN = 100
+_MAX_TEXT = 1_000
+_MAX_ITEMS = 10_000_000
+_ASIDE = frozenset({"number", "raw", "document", "tags", "properties", "items"})
+_said = attrgetter(*(one.name for one in fields(Node) if one.name not in _ASIDE))
+_beyond = attrgetter("unsupported", "reference", "unevaluated_items", "unevaluated_properties")
+"""Keywords that depend on more than the value, or on what others evaluated."""
+_sought = attrgetter("unsupported", "never", "reference", "all_of", "any_of", "one_of", "negated",
+    "condition", "dependent_required", "dependent_schemas", "names", "contains", "unique",
+    "pattern", "multiple", "above", "below", "min_properties")  # fmt: skip
+"""Keywords for which a value is sought, not made."""
+
+
+class Difference(NamedTuple):
+    """Two schemas at one place: a path of names of members and of positions of items."""
+
+    path: tuple[str | int, ...]
+    one: Node
+    other: Node
+
+
+def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
+    """Yield the places at which two schemas differ: the whole, where they are of two shapes.
+
+    Each value that the one allows and the other refuses has at one of these places a part that
+    the one allows there and the other refuses.
+    """
+    waiting = [Difference((), one, other)]
+    seen: set[tuple[int, int]] = set()
+    while waiting:
+        found = waiting.pop()
+        pair = found.one.number, found.other.number
+        if pair[0] == pair[1] or pair in seen:
+            continue
+        seen.add(pair)
+        meter.spend(1 + len(found.one.properties) // 8)
+        alike = len(found.path) < _MAX_DEPTH and _are_alike(found.one, found.other)
+        if alike:
+            waiting.extend(_parts(found))
+        else:
+            yield found
+
+
+def _are_alike(one: Node, other: Node) -> bool:
+    """Say whether two plain schemas differ in those of their members and items at most."""
+    return (
+        not any(_beyond(one))
+        and (one.items is None) is (other.items is None)
+        and one.properties.keys() == other.properties.keys()
+        and all(map(_is_same, _said(one), _said(other)))
+    )
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    if one is other:
+        return True
+    if isinstance(one, Node) or isinstance(other, Node):
+        return isinstance(one, Node) and isinstance(other, Node) and one.number == other.number
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):  # the values of an enum, by their keys
+        return one.keys() == other.keys()
+    return bool(one == other)
+
+
+def _parts(found: Difference) -> Iterator[Difference]:
+    path, one, other = found
+    for name, child in one.properties.items():
+        yield Difference((*path, name), child, other.properties[name])
+    if one.items is not None and other.items is not None:
+        yield Difference((*path, len(one.prefix)), one.items, other.items)
+
+
+class Messages:
+    """Makes the simplest messages of plain schemas, which whoever asks for one has to check."""
+
+    def __init__(self, meter: Meter) -> None:
+        self._meter = meter
+        self._made: dict[int, Any] = {}
+
+    def simplest(self, node: Node) -> Found | None:
+        """Return a value that a schema probably allows; None where one would have to be sought."""
+        waiting = [node]
+        while waiting:
+            one = waiting[-1]
+            kind = _kind(one)
+            if kind is None or len(waiting) > _MAX_DEPTH:
+                return None
+            self._meter.spend()
+            missing = [part for part in _needed(one, kind) if part.number not in self._made]
+            if missing:
+                waiting.append(missing[0])
+            else:
+                self._made[waiting.pop().number] = self._of_kind(one, kind)
+        return Found(self._made[node.number])
+
+    def place(self, node: Node, path: tuple[str | int, ...], value: Any) -> Found | None:
+        """Return a message with a value at a place, and the simplest elsewhere."""
+        around = [node]
+        for step in path:
+            inner = around[-1].items if isinstance(step, int) else around[-1].properties[step]
+            assert inner is not None, "a path leads through what is there"
+            around.append(inner)
+        if any(one.min_items > _MAX_ITEMS for one in around):
+            return None
+        for step, one in zip(reversed(path), reversed(around[:-1]), strict=True):
+            kind = "array" if isinstance(step, int) else "object"
+            for part in _needed(one, kind):
+                if self.simplest(part) is None:
+                    return None
+            if isinstance(step, int):
+                front = [self._made[part.number] for part in one.prefix]
+                value = _repeated(front, value, max(1, one.min_items - len(front)))
+            else:
+                value = {**self._of_kind(one, kind), step: value}
+        return Found(value)
+
+    def _of_kind(self, node: Node, kind: str) -> Any:
+        """Make a value of which all parts are made."""
+        if node.values is not None:
+            return next(iter(node.values.values()), None)
+        if kind == "null":
+            return None
+        if kind == "boolean":
+            return False
+        if kind == "number":
+            return _number(node)
+        if kind == "string":
+            return "a" * node.min_length
+        if kind == "object":
+            return {name: self._made[part.number] for name, part in _required(node)}
+        front = [self._made[part.number] for part in node.prefix[: node.min_items]]
+        rest = node.min_items - len(front)
+        item = self._made[node.items.number] if rest and node.items is not None else None
+        return _repeated(front, item, rest)
+
+
+def _kind(node: Node) -> str | None:
+    """Return the kind of the simplest value of a schema; None where one would have to be sought."""
+    if any(_sought(node)) or node.min_length > _MAX_TEXT or node.min_items > _MAX_ITEMS:
+        return None
+    for kind in KINDS:
+        if node.kinds is None or kind in node.kinds:
+            return kind
+    return None
+
+
+def _needed(node: Node, kind: str) -> Iterator[Node]:
+    """Yield the schemas of the parts that a value of a kind must have."""
+    if node.values is not None:
+        return
+    if kind == "object":
+        for _, part in _required(node):
+            yield part
+    elif kind == "array":
+        yield from node.prefix[: node.min_items]
+        if node.items is not None and node.min_items > len(node.prefix):
+            yield node.items
+
+
+def _required(node: Node) -> Iterator[tuple[str, Node]]:
+    for name in node.required:
+        if name in node.properties:
+            yield name, node.properties[name]
+
+
+def _number(node: Node) -> int:
+    """Return the whole number next to zero within the bounds; one outside where there is none."""
+    number = 0
+    if node.minimum is not None and node.minimum > 0:
+        number = -(-node.minimum.numerator // node.minimum.denominator)
+    if node.maximum is not None and node.maximum < 0:
+        number = node.maximum.numerator // node.maximum.denominator
+    return number
+
+
+def _repeated(front: list[Any], item: Any, count: int) -> Any:
+    if count <= _MAX_WRITTEN:
+        return [*front, *[item] * count]
+    return Repeated([*((one, 1) for one in front), (item, count)])
