@@ -37,19 +37,24 @@ def text_of(error: BaseException) -> str:
 
 
 class LimitedLog:
-    """Writes the first of many like records, then one in ten seconds at most. Thread safe.
+    """Writes the first of many like records, and then as many in ten seconds. Thread safe.
 
     A record says how many were left out since the one before it.
 
     Args:
         logger: where records go.
+        burst: how many records in ten seconds.
         clock: seconds.
     """
 
-    def __init__(self, logger: logging.Logger, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, logger: logging.Logger, burst: int = 1, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._logger = logger
+        self._burst = burst
         self._clock = clock
         self._lock = threading.Lock()
+        self._room = 0
         self._next: float | None = None
         self._left_out = 0
 
@@ -57,10 +62,12 @@ class LimitedLog:
         """Write a record, with the traceback of an error, or count it as left out."""
         now = self._clock()
         with self._lock:
-            if self._next is not None and now < self._next:
+            if self._next is None or now >= self._next:
+                self._next, self._room = now + _RECORD_SECONDS, self._burst
+            if not self._room:
                 self._left_out += 1
                 return
-            self._next = now + _RECORD_SECONDS
+            self._room -= 1
             left_out, self._left_out = self._left_out, 0
         more = f" (and {left_out} more since the last record)" if left_out else ""
         self._logger.log(level, "%s%s", text, more, exc_info=error)

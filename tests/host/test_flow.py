@@ -250,3 +250,20 @@ def test_confirmations_that_are_none_change_nothing(ends: Ends) -> None:
     wait(lambda: outgoing.unconfirmed == 0)
     assert (outgoing.failed, outgoing.lost, outgoing.last_error) == (0, 0, "")
     assert incoming.received == 1
+
+
+def test_the_first_failure_is_told_at_once_and_what_is_told_twice_counts_once(ends: Ends) -> None:
+    near, far = ends
+    taker = _Taker()
+    incoming = taker.incoming(near)
+    outgoing = FlowSender(far, "flow/1", patience=patience())
+    told: list[tuple[int, int, str]] = []
+    outgoing.watch(lambda *what: told.append(what))
+    for number in range(40):
+        outgoing.send(number)
+    outgoing.send("bad")
+    wait(lambda: sum(raised for _, raised, _ in told) == 1)
+    assert told[-1][1:] == (1, "ValueError: it was bad")
+    outgoing.confirm(incoming.handled())
+    assert sum(taken for taken, _, _ in told) == 40
+    assert sum(raised for _, raised, _ in told) == 1

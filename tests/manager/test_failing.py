@@ -229,3 +229,29 @@ def test_hundreds_of_exceptions_are_one_record(
     [first] = [one for one in records if one.name == "uoarm.component.first"]
     assert "its input 'default' raised OddError: first does not like 0" in first.getMessage()
     assert first.exc_info is not None
+
+
+def test_a_death_and_a_takeover_have_one_record_each(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("filter"):
+        scene.emit(10, 0.6)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+    told = [(one.name, one.getMessage()) for one in caplog.records]
+    [lost] = [text for name, text in told if name == "uoarm.component.first" and " lost" in text]
+    assert lost.startswith("component first lost: its input 'default' raises again and again")
+    [taken] = [text for name, text in told if name == "uoarm"]
+    assert taken.startswith("connection c1 replaced: component 'first' was lost")
+
+
+def test_the_first_message_that_is_dropped_has_a_record_and_the_others_are_counted(
+    scene: Scene, caplog: pytest.LogCaptureFixture
+) -> None:
+    with scene.robot.request("camera") as connection:
+        scene.emit(70, 1.0)  # 64 wait for the application
+        dropped = dict(connection.routes()[0].dropped)
+    assert dropped == {"queue-full": 6}
+    assert [one.getMessage() for one in caplog.records if one.name == "uoarm"] == [
+        "camera.default -> c1: a message was dropped: queue-full"
+    ]

@@ -8,18 +8,23 @@ from collections.abc import Callable
 from queue import SimpleQueue
 
 from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog
 from uoarm.model import StatusEvent
 
 __all__ = ["EventDispatcher"]
 
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 2.0
+_RECORDED = frozenset({"lost", "failed", "replaced"})
+_BURST = 20
 
 
 class EventDispatcher:
     """Numbers events and calls listeners, in a thread of its own: nothing waits for a listener.
 
-    The thread begins with the first listener, and is woken only while there are some.
+    The thread begins with the first listener, and is woken only while there are some. Deaths and
+    takeovers have a record in the log each, written by the same thread: at most twenty in ten
+    seconds for a component or a bridge, and for all connections together.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -29,21 +34,21 @@ class EventDispatcher:
         self._listeners: tuple[Callable[[StatusEvent], None], ...] = ()
         self._events: SimpleQueue[StatusEvent | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
+        self._records: dict[tuple[str, str], LimitedLog] = {}
 
     def post(self, subject: str, change: str, cause: str = "") -> None:
         """Number one change and have the listeners called. Waits for nothing."""
         with self._lock:
             self._number += 1
-            if self._listeners:
+            if self._listeners or change in _RECORDED:
+                self._start()
                 self._events.put(StatusEvent(self._number, self._clock(), subject, change, cause))
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call a listener for every change from now on; returns what ends that."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
-                self._thread.start()
+            self._start()
 
         def end() -> None:
             with self._lock:
@@ -58,8 +63,23 @@ class EventDispatcher:
         if thread is not None and threading.current_thread() is not thread:
             thread.join(_CLOSE_SECONDS)
 
+    def _start(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="uoarm-events", daemon=True)
+            self._thread.start()
+
+    def _record(self, event: StatusEvent) -> None:
+        kind, _, name = event.subject.partition(" ")
+        key = kind if kind == "connection" else event.subject, event.change
+        if key not in self._records:
+            logger = logging.getLogger(f"uoarm.component.{name}") if kind == "component" else _log
+            self._records[key] = LimitedLog(logger, _BURST)
+        self._records[key].write(logging.WARNING, f"{event.subject} {event.change}: {event.cause}")
+
     def _run(self) -> None:
         while (event := self._events.get()) is not None:
+            if event.change in _RECORDED:
+                self._record(event)
             for listener in self._listeners:
                 try:
                     listener(event)

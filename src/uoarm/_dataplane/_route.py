@@ -19,6 +19,7 @@ Clock = Callable[[], float]
 
 _WINDOW_SECONDS = 1.0
 _WORKER_SECONDS = 1.0
+_LOSSES = frozenset({"queue-full", "queue-octets", "blocked-too-long"})
 
 _log = logging.getLogger("uoarm")
 
@@ -61,6 +62,8 @@ class Route:
         "_give",
         "_hand",
         "_handed",
+        "_loss",
+        "_losses",
         "_queue",
         "_records",
         "_taken_back",
@@ -106,6 +109,8 @@ class Route:
         self.check = check
         self._watch = watch
         self._records = LimitedLog(_log)
+        self._losses = LimitedLog(_log)
+        self._loss = ""
         self._clock = clock
         self._closed = False
         self._window_start = clock()
@@ -135,17 +140,22 @@ class Route:
             self._give(message)
         except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted here
             self._fail(error)
+        if self._loss:
+            # Here, since `drop` is called with a queue's lock held, and handlers of logs may block.
+            reason, self._loss = self._loss, ""
+            text = f"{self.producer} -> {self.consumer}: a message was dropped: {reason}"
+            self._losses.write(logging.WARNING, text)
 
     def drop(self, reason: str) -> None:
         """Count one lost message, from any thread."""
         with self._dropping:
-            self._dropped[reason] = self._dropped.get(reason, 0) + 1
+            self._count(reason)
 
     def take_back(self, reason: str) -> None:
         """Count a message as lost that had been counted as delivered."""
         with self._dropping:
             self._taken_back += 1
-            self._dropped[reason] = self._dropped.get(reason, 0) + 1
+            self._count(reason)
 
     def drain(self, timeout: float) -> bool:
         """Wait until what is queued was handed over; False when time ran out."""
@@ -222,6 +232,11 @@ class Route:
                 self._fail(error)
             finally:
                 queue.done()
+
+    def _count(self, reason: str) -> None:
+        self._dropped[reason] = self._dropped.get(reason, 0) + 1
+        if reason in _LOSSES:
+            self._loss = reason
 
     def _fail(self, error: Exception) -> None:
         if self._closed:

@@ -14,6 +14,7 @@ from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import SharedCounter, SharedCounters
 from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._raised import LimitedLog
 from uoarm.bridge import Channel, Sink
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message
@@ -45,7 +46,7 @@ class OutboundFlow:
         self.channel: Channel | None = None
         self._outgoing = outgoing
         self._closed = False
-        self._last_error = ""
+        self._records = LimitedLog(_log)
 
     @property
     def sent(self) -> int:
@@ -61,9 +62,8 @@ class OutboundFlow:
             self._outgoing.send(message)
         except UoarmError as error:
             self._outgoing.skip()
-            if not self._closed and str(error) != self._last_error:
-                self._last_error = str(error)
-                _log.warning("%s: a message is lost: %s", self.endpoint, error)
+            if not self._closed:
+                self._records.write(logging.WARNING, f"{self.endpoint}: a message is lost: {error}")
 
     def finish(self, ending: Ending) -> None:
         """Have the manager told, behind the last message, that the source has ended."""
