@@ -7,6 +7,7 @@ Answers are lines of JSON on standard output. It ends when standard input does.
 from __future__ import annotations
 
 import json
+import os
 import queue
 import sys
 import threading
@@ -23,13 +24,20 @@ from uoarm_rtm._peer import pairs, peer_at, properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._publisher import Pulled
 from uoarm_rtm._service_port import ServicePort, servant_of
-from uoarm_rtm._stubs import RTC
+from uoarm_rtm._stubs import RTC, SDOPackage
 from uoarm_rtm._types import Types
 from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet
 from uoarm_rtm.errors import IdlError
 
 from uoarm.testing import patience
+
+SETS = {
+    "default": {"gain": "1", "mode": "slow"},
+    "fast": {"gain": "9"},
+    "__constraints__": {"gain": "0<=x<=150", "mode": "(slow,quick)"},
+    "__widget__": {"gain": "slider.10"},
+}
 
 
 class Wanted(PortServant):
@@ -102,7 +110,7 @@ class Process:
     """The component and the commands that it obeys, one method each."""
 
     def __init__(self, nameserver: str, name: str, type_id: str, idl: str) -> None:
-        self._orb = Orb("127.0.0.1", 2.0)
+        self._orb = Orb("127.0.0.1", 2.0, int(os.environ.get("PEER_MOST_OCTETS", "268435456")))
         self._types = Types([idl] if idl else [])
         self._received: list[Any] = []
         self._calls: list[str] = []
@@ -117,7 +125,7 @@ class Process:
             aborting=lambda: self._called("aborting"),
             reset=lambda: self._called("reset"),
         )
-        sheet = Sheet(name, configuration={"default": {"gain": "1"}, "fast": {"gain": "9"}})
+        sheet = Sheet(name, configuration=SETS)
         self._component = RtComponent(
             self._orb, sheet, callbacks=callbacks, configured=self._take_configuration
         )
@@ -135,6 +143,15 @@ class Process:
 
     def received(self) -> list[Any]:
         return self._received
+
+    def sizes(self) -> list[int]:
+        return [len(each["data"]) for each in self._received]
+
+    def dropped(self) -> int:
+        return self._out.dropped
+
+    def write_octets(self, size: int) -> None:
+        self._out.write({"tm": {"sec": 1, "nsec": 0}, "data": bytes(size)})
 
     def fetch(self) -> int:
         return self._in.fetch()
@@ -194,6 +211,43 @@ class Process:
             release(connector_id)
 
         setattr(self._out, "_release", spy)  # noqa: B010 - of this instance alone
+
+    def mind_connections(self) -> None:
+        """Refuse a connection that another of its ports has already, as 1.2 in Python does."""
+        publish = getattr(self._in, "_publish")  # noqa: B009 - private
+
+        def compare(profile: Any) -> None:
+            for each in profile.ports[0].get_connector_profiles():
+                if each.connector_id == profile.connector_id:
+                    raise Refusal("it is there already", RTC.PRECONDITION_NOT_MET)
+            publish(profile)
+
+        setattr(self._in, "_publish", compare)  # noqa: B010 - of this instance alone
+
+    def forget_sets(self) -> None:
+        """Have no active set after a write, and forget new sets, as OpenRTM does."""
+        servant = getattr(self._component, "_configuration")  # noqa: B009 - private
+        write, active = servant.set_configuration_set_values, servant.get_active_configuration_set
+        activate = servant.activate_configuration_set
+        self._no_set = False
+
+        def written(each: Any) -> bool:
+            self._no_set = True
+            return bool(write(each))
+
+        def activated(name: str) -> bool:
+            self._no_set = False
+            return bool(activate(name))
+
+        def read() -> Any:
+            if self._no_set:
+                raise SDOPackage.NotAvailable("none")
+            return active()
+
+        servant.set_configuration_set_values = written
+        servant.activate_configuration_set = activated
+        servant.get_active_configuration_set = read
+        servant.add_configuration_set = lambda _: True
 
     def asked(self) -> int:
         return Asked.asking

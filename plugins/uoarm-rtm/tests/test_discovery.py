@@ -116,8 +116,17 @@ def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
     [
         ({"flow": "sideways"}, "flow must be push or pull"),
         ({"rate": -1}, "rate must be more than 0"),
-        ({"activate": "yes"}, "activate must be true or false"),
+        ({"activate": "yes"}, "activate must be true, false or keep"),
         ({"properties": {"a": 1}}, "properties must be a table of strings"),
+        ({"reset": True}, "reset means nothing without activate"),
+        (
+            {"properties": {"dataport.serializer.cdr.endian": "big"}},
+            "properties must not hold dataport.serializer.cdr.endian: use endian",
+        ),
+        (
+            {"properties": {"dataport.interface_type": "shared_memory"}},
+            "interface type 'shared_memory' is not spoken here: only corba_cdr is",
+        ),
         ({"qos": "auto"}, "there is no option 'qos'; there are flow"),
         ({"endian": "middle"}, "endian must be little or big"),
     ],

@@ -170,6 +170,7 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
         bridge = make_bridge(nameserver=first.address, component="Manager")
         bridge.watch(events)
         component = peer("Mortal", at=first.address)
+        component.activate()
         source(bridge, OUT, inbox)
         sink(bridge, endpoint(Role.INPUT, "self", "said", "TimedLong"))
         wait(lambda: len(bridge.discover()) == 2)

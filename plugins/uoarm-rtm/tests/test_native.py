@@ -11,7 +11,7 @@ from endpoints import Inbox, of, stamped
 from peers import Peer
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge, Channel
+from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Health, Role
 from uoarm.testing import wait
 
@@ -20,6 +20,10 @@ Start = Callable[..., Peer]
 
 def linked(bridge: Bridge, out: dict[str, Any], into: dict[str, Any]) -> Channel | None:
     return bridge.link(of("From", Role.OUTPUT, "out", **out), of("Into", Role.INPUT, "in", **into))
+
+
+def concerned(event: HealthEvent) -> str | None:
+    return event.component if event.channel is None else event.channel.endpoint.component
 
 
 FAULTS: dict[str, tuple[Callable[[Peer, Peer], object], str, str]] = {
@@ -50,9 +54,9 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     if "dies" in fault and blamed == "Into":
         ends["From"].count(0, 1)  # at which the source drops the connection
     event = events.event(Health.LOST, words)
-    assert event.component == blamed
+    assert concerned(event) == blamed
     lost = [each for each in events.messages if each.health is Health.LOST]
-    assert {each.component for each in lost} <= {blamed, f"{blamed}.rtc"}
+    assert {concerned(each) for each in lost} <= {blamed, f"{blamed}.rtc"}
     if "hangs" not in fault:
         link.close()
         other = ends["Into" if blamed == "From" else "From"]

@@ -138,6 +138,7 @@ def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: St
     ("address", "words", "reason"),
     [
         (("Nobody.rtc", "out"), "there is no component 'Nobody.rtc'", FailureReason.NOT_FOUND),
+        (("talker.rtc", "out"), "did you mean 'Talker.rtc'?", FailureReason.NOT_FOUND),
         (("Talker.rtc", "left"), "has no port 'left'; it has in, out", FailureReason.NOT_FOUND),
         (("Talker.rtc", "in"), "is a DataInPort, but an output needs", FailureReason.BAD_ENDPOINT),
         (
@@ -175,8 +176,20 @@ def test_a_refusal_half_way_leaves_nothing_behind(
 def test_a_component_in_a_context_is_found_by_its_last_step(bridge: Bridge, peer: Start) -> None:
     peer("some\\.host.host_cxt/deep.mgr/Far.rtc")
     peer("Other")
-    for path in ("some\\.host.host_cxt/deep.mgr/Far.rtc", "Far.rtc"):
+    plain = "some.host.host_cxt/deep.mgr/Far.rtc"
+    for path in ("some\\.host.host_cxt/deep.mgr/Far.rtc", plain, "Far.rtc"):
         assert bridge.describe(endpoint(Role.OUTPUT, path, "out")).message is not None
     peer("elsewhere.host_cxt/Far.rtc")
     with pytest.raises(BridgeError, match="is there several times"):
         bridge.describe(endpoint(Role.OUTPUT, "Far.rtc", "out"))
+
+
+def test_a_port_of_ours_shows_no_connection_that_is_being_made(
+    nameserver: str, peer: Start
+) -> None:
+    first, second = peer("First"), peer("Second")
+    second.mind_connections()
+    properties = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
+    assert first.connect(nameserver, "Second.rtc", "in", properties) == "RTC_OK"
+    assert first.connectors() == [0, 1]
+    assert second.connectors() == [1, 0]

@@ -147,17 +147,10 @@ def test_lifecycle_as_calls(bridge: Bridge, peer: Start) -> None:
         drive("dance")
 
 
-def test_configuration_sets_as_calls(bridge: Bridge, peer: Start) -> None:
-    component = peer("Worker")
-    at = endpoint(Role.SERVICE, "Worker.rtc", "@configuration")
-    sets = {"default": {"gain": "1"}, "fast": {"gain": "9"}}
-    assert bridge.call(at, {}) == {"active": "default", "sets": sets}
-    assert bridge.call(at, {"set": "fast", "activate": True})["active"] == "fast"
-    assert component.configuration() == {"gain": "9"}
-    bridge.call(at, {"values": {"gain": "10"}})
-    assert component.configuration() == {"gain": "10"}
-    with pytest.raises(BridgeError, match="InvalidParameter: there is no configuration set 'x'"):
-        bridge.call(at, {"set": "x", "activate": True})
+def test_an_endpoint_may_limit_its_calls(make_bridge: Make, robot: Peer) -> None:
+    at = endpoint(Role.SERVICE, "Robot.rtc", "served", "Arm::Mover::sleep", timeout=0.2)
+    with pytest.raises(BridgeTimeoutError):
+        make_bridge(idl=IDL).call(at, {"seconds": 3})
 
 
 def test_activated_on_request_and_deactivated_on_kill(bridge: Bridge, peer: Start) -> None:

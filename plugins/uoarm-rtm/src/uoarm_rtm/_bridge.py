@@ -25,6 +25,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
+from uoarm_rtm._configuration import configure
 from uoarm_rtm._connector import Connections
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._discovery import discovered
@@ -77,7 +78,7 @@ class RtmBridge(Bridge):
         self._settings = bridge_settings(name, options)
         self._types = Types(self._settings.idl, self._settings.text)
         seconds = self._settings.call_seconds
-        self._orb = Orb(self._settings.address, seconds)
+        self._orb = Orb(self._settings.address, seconds, self._settings.most_octets)
         self._services = [
             NamingService(self._orb, each, seconds) for each in self._settings.nameservers
         ]
@@ -146,10 +147,12 @@ class RtmBridge(Bridge):
         del structures  # the interface is in the address, or at the port
         address = address_of(endpoint)
         seconds = min(timeout, self._settings.call_seconds)
+        if endpoint.options:
+            timeout = min(timeout, settings_of(endpoint).timeout or timeout)
         if address.port == LIFECYCLE:
             return _control.drive(self._directory.peer(address.component), message, seconds)
         if address.port == CONFIGURATION:
-            return _control.configure(self._directory.peer(address.component), message, seconds)
+            return configure(self._directory.peer(address.component), message, seconds)
         key = (address.component, address.port, address.type)
         caller = self._callers.get(key)
         if caller is None:
@@ -201,7 +204,7 @@ class RtmBridge(Bridge):
             return None
         if _is_big_in_cpp(start.peer, settings) or _is_big_in_cpp(end.peer, settings):
             return None
-        native = Native(start, end, settings, self._component_changed)
+        native = Native(start, end, settings, self.report)
         for place in (end, start):
             self._activate(native, place)
         with self._guard:
@@ -213,7 +216,7 @@ class RtmBridge(Bridge):
 
     def _close(self) -> None:
         atexit.unregister(self._at_exit)
-        self._watch.close()
+        self._watch.close(_EXIT_SECONDS)
         with self._guard:
             self._ticking.clear()
         self._active.tick()
@@ -230,7 +233,7 @@ class RtmBridge(Bridge):
         In this thread, since none can begin any more; what takes too long is left to the next
         process.
         """
-        self._watch.close()
+        self._watch.close(_EXIT_SECONDS)
         deadline = time.monotonic() + _EXIT_SECONDS
         for channel in list(self._open):
             if time.monotonic() < deadline:

@@ -1,4 +1,4 @@
-"""Components driven from outside: their lifecycle, and their configuration sets, as calls."""
+"""The lifecycle of components as a call; and the structures of it and of `_configuration`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import Any
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Message, MessageStructure
 from uoarm_rtm._faults import corba_errors
-from uoarm_rtm._orb import narrowed
-from uoarm_rtm._peer import Peer, contexts_of, pairs, properties_of, state_of
-from uoarm_rtm._stubs import RTC, SDOPackage
+from uoarm_rtm._peer import Peer, contexts_of, state_of
+from uoarm_rtm._stubs import RTC
 
 __all__ = [
     "CONFIGURATION_REPLY",
@@ -19,7 +18,6 @@ __all__ = [
     "LIFECYCLE_REPLY",
     "LIFECYCLE_REQUEST",
     "change",
-    "configure",
     "drive",
 ]
 
@@ -43,12 +41,20 @@ def _closed(properties: dict[str, Any], *required: str) -> MessageStructure:
 LIFECYCLE_REQUEST = _closed({"action": {"enum": [*_GOALS, "state"]}}, "action")
 LIFECYCLE_REPLY = _closed({"state": {"enum": _STATES}}, "state")
 CONFIGURATION_REQUEST = _closed(
-    {"set": {"type": "string"}, "values": _TEXTS, "activate": {"type": "boolean"}}
+    {
+        "set": {"type": "string"},
+        "values": _TEXTS,
+        "activate": {"type": "boolean"},
+        "create": {"type": "boolean"},
+    }
 )
 CONFIGURATION_REPLY = _closed(
     {
         "active": {"type": "string"},
         "sets": {"type": "object", "additionalProperties": _TEXTS},
+        "constraints": _TEXTS,
+        "widgets": _TEXTS,
+        "types": _TEXTS,
     },
     *("active", "sets"),
 )
@@ -113,53 +119,3 @@ def change(peer: Peer, action: str, seconds: float, *, there_is_fine: bool = Fal
                 raise BridgeError(text, FailureReason.REFUSED)
             raise BridgeTimeoutError(f"{what}: it is still {state} after {seconds:g} s")
         time.sleep(_GLANCE_SECONDS)
-
-
-def configure(peer: Peer, message: Message, seconds: float) -> Message:
-    """Answer a request to a component's configuration: write what it holds, then read all.
-
-    Raises:
-        MessageError: the request is something else.
-        BridgeError: REFUSED with the component's words.
-    """
-    if not isinstance(message, Mapping):
-        raise MessageError("$: expected an object with set, values, activate, or an empty one")
-    what = f"component {peer.path!r}: configuration"
-    with corba_errors(what):
-        reference = peer.reference.get_configuration()
-    target = narrowed(reference, SDOPackage.Configuration, seconds, what)
-    with corba_errors(what):
-        try:
-            _write(target, message)
-            sets = {
-                each.id: properties_of(each.configuration_data)
-                for each in target.get_configuration_sets()
-            }
-            return {"active": _active(target), "sets": sets}
-        except (SDOPackage.InvalidParameter, SDOPackage.NotAvailable) as error:
-            text = f"{what}: {type(error).__name__}: {error.description}"
-            raise BridgeError(text, FailureReason.REFUSED) from error
-        except SDOPackage.InternalError as error:
-            text = f"{what}: {error.description}"
-            raise BridgeError(text, FailureReason.REFUSED) from error
-
-
-def _write(target: Any, message: Mapping[str, Any]) -> None:
-    """Write values, and put the set in force where asked, or where it is in force already.
-
-    Components of OpenRTM have no active set after a write, until one is activated (observed).
-    """
-    values, before = message.get("values"), _active(target)
-    name = message.get("set") or before or "default"
-    if values:
-        listing = pairs({key: str(each) for key, each in values.items()})
-        target.set_configuration_set_values(SDOPackage.ConfigurationSet(name, "", listing))
-    if message.get("activate") or (values and name == before):
-        target.activate_configuration_set(name)
-
-
-def _active(target: Any) -> str:
-    try:
-        return str(target.get_active_configuration_set().id)
-    except SDOPackage.NotAvailable:
-        return ""

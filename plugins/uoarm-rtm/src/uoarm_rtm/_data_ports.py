@@ -21,6 +21,7 @@ from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._publisher import Pulled, Pusher, Threaded
 from uoarm_rtm._puller import Puller
 from uoarm_rtm._scalars import Order
+from uoarm_rtm._sizes import SizeLimit
 from uoarm_rtm._stubs import RTC, OpenRTM, OpenRTM__POA
 from uoarm_rtm._types import plain_name
 from uoarm_rtm._wishes import Refusal, Wishes, read_policies, read_wishes
@@ -193,6 +194,12 @@ class _Outlet:
     reference: Any = None
     pusher: Pusher | None = None
 
+    @property
+    def dropped(self) -> int:
+        """Messages that a buffer gave up or did not take, or that were too large."""
+        writers = {id(each): each for each in (self.writer, self.pusher) if each is not None}
+        return sum(each.dropped for each in writers.values())
+
 
 class OutPort(_DataPort):
     """Emits messages of one type; `write` may be called from any thread.
@@ -214,7 +221,7 @@ class OutPort(_DataPort):
     def dropped(self) -> int:
         """Messages that buffers gave up or did not take, of all connectors there were."""
         outlets = list(self._outlets.values())
-        return self._dropped_before + sum(each.writer.dropped for each in outlets)
+        return self._dropped_before + sum(each.dropped for each in outlets)
 
     def write(self, message: Message) -> None:
         """Send a message to all connectors.
@@ -248,7 +255,8 @@ class OutPort(_DataPort):
             return
         target = self._reach(profile, INPORT_IOR, OpenRTM.InPortCdr)
         connector = profile.connector_id
-        pusher = Pusher(target, lambda: self.drop(connector))
+        sizes = SizeLimit(f"a connection of port {self.name}", self.orb.most_octets)
+        pusher = Pusher(target, sizes, lambda: self.drop(connector))
         writer: Pusher | Threaded = pusher
         if wishes.subscription != "flush":
             buffer, push = read_policies(properties_of(profile.properties))
@@ -266,6 +274,6 @@ class OutPort(_DataPort):
         outlet = self._outlets.pop(connector_id, None)
         if outlet is not None:
             outlet.writer.close()
-            self._dropped_before += outlet.writer.dropped
+            self._dropped_before += outlet.dropped
             if outlet.reference is not None:
                 self.orb.withdraw(outlet.reference)

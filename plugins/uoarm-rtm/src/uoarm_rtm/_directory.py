@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -57,7 +58,7 @@ class Directory:
                 reference = service.resolve(path)
             except BridgeError as error:
                 if error.reason is FailureReason.BAD_ENDPOINT:
-                    raise
+                    return self._below(path, error)  # a plain way of writing one, perhaps
                 failures.append(error)
                 continue
             if reference is not None:
@@ -85,8 +86,11 @@ class Directory:
             raise failures[0]
         if not names:
             return ()
-        with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
-            return tuple(pool.map(self._look, names.values()))
+        try:
+            with ThreadPoolExecutor(_AT_ONCE, "uoarm-rtm-look") as pool:
+                return tuple(pool.map(self._look, names.values()))
+        except RuntimeError as error:  # no thread can begin any more
+            raise BridgeError("this process is ending", FailureReason.CLOSED) from error
 
     def peers(self) -> tuple[tuple[Peer, ...], tuple[tuple[str, str], ...]]:
         """Return the components that answer, and (path, what is wrong) of those that do not."""
@@ -112,9 +116,18 @@ class Directory:
             gone = True
         return Sighting(name.path, name.reference, "dead" if gone else "alive")
 
-    def _below(self, path: str) -> Peer:
-        """Return the component of this name in any context."""
-        seen = [each for each in self.sightings() if each.path.split("/")[-1] == path]
+    def _below(self, path: str, unreadable: BridgeError | None = None) -> Peer:
+        """Return the component of this name in any context, or at this path written plainly.
+
+        CORBA writes a dot within a step with a backslash before it; people write `x.y.host_cxt`.
+        """
+        plain = path.replace("\\", "")
+        every = self.sightings()
+        seen = [
+            each
+            for each in every
+            if each.path.split("/")[-1] == path or each.path.replace("\\", "") == plain
+        ]
         alive = [each for each in seen if each.condition == "alive"]
         if len(alive) == 1:
             return peer_at(alive[0].path, alive[0].reference, self._seconds)
@@ -129,5 +142,10 @@ class Directory:
         if seen:
             text = f"component {seen[0].path!r} is dead: only its name is left"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
+        if unreadable is not None:
+            raise unreadable
         text = f"there is no component {path!r} in {where}"
+        close = difflib.get_close_matches(path, [each.path for each in every], n=1)
+        if close:
+            text = f"{text}; did you mean {close[0]!r}?"
         raise BridgeError(text, FailureReason.NOT_FOUND)

@@ -20,7 +20,7 @@ class Native(Channel):
         source: the OutPort.
         sink: the InPort.
         settings: what the options of both ends ask together.
-        report: takes (health, sentence, name of the component that it is about).
+        report: that of the bridge.
 
     Raises:
         BridgeError: a port refuses; nothing stays connected.
@@ -31,7 +31,7 @@ class Native(Channel):
         source: Place,
         sink: Place,
         settings: Settings,
-        report: Callable[[Health, str, str], None],
+        report: Callable[..., None],
     ) -> None:
         super().__init__(source.endpoint)
         self._ends = source, sink
@@ -62,6 +62,8 @@ class Native(Channel):
         if looks[worst].trouble > Trouble.INACTIVE:
             self._lost = True
             text = f"{looks[worst].cause}; it was connected from {self._where}"
+            if all(each.trouble is Trouble.ENDED for each in looks):
+                text = f"{self._where}: the components have ended the connection"
             self._tell(worst, Health.LOST, text)
             return
         for end, seen in enumerate(looks):
@@ -71,8 +73,13 @@ class Native(Channel):
                 self._tell(end, Health.DEGRADED if seen.cause else Health.OK, seen.cause or text)
 
     def _tell(self, end: int, health: Health, cause: str) -> None:
-        if not self.closed:
-            self._report(health, cause, self._ends[end].endpoint.component)
+        """Report of one component: of the source as this channel, which has its endpoint."""
+        if self.closed:
+            return
+        if end == 0:
+            self._report(health, cause, channel=self)
+        else:
+            self._report(health, cause, component=self._ends[end].endpoint.component)
 
     def _close(self) -> None:
         try:

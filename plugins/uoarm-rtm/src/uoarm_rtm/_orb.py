@@ -22,7 +22,7 @@ from uoarm_rtm._faults import corba_errors
 
 __all__ = ["Orb", "limit", "narrowed"]
 
-_MOST_BYTES = 1 << 28
+_MOST_OCTETS = 1 << 26
 _DRAIN_SECONDS = 4.0
 _DESTROY_SECONDS = 5.0
 _WORKERS_SECONDS = 1.0
@@ -73,6 +73,7 @@ class _Running:
 
     orb: Any
     address: str
+    most_octets: int
     ending: _Ending | None
 
 
@@ -95,15 +96,17 @@ class Orb:
     Args:
         address: interface that servants listen on.
         call_seconds: limit of every call that has no limit of its own.
+        most_octets: limit of one message of GIOP, sent or received.
 
     Raises:
-        BridgeError: REFUSED when an ORB is running that listens elsewhere; RAISED when omniORB
-            cannot begin.
+        BridgeError: REFUSED when an ORB is running that listens elsewhere, or has another limit;
+            RAISED when omniORB cannot begin.
     """
 
-    def __init__(self, address: str, call_seconds: float) -> None:
+    def __init__(self, address: str, call_seconds: float, most_octets: int = _MOST_OCTETS) -> None:
+        self.most_octets = most_octets
         with _shared.lock:
-            self._orb = _begin(address, call_seconds)
+            self._orb = _begin(address, call_seconds, most_octets)
             _shared.users += 1
         self._closed = False
         try:
@@ -180,7 +183,7 @@ def narrowed(reference: Any, interface: Any, seconds: float, what: str) -> Any:
         return limit(narrow, seconds)
 
 
-def _begin(address: str, call_seconds: float) -> Any:
+def _begin(address: str, call_seconds: float, most_octets: int) -> Any:
     if _shared.running is None:
         if _shared.destroying is not None:
             _shared.destroying.join()
@@ -191,7 +194,7 @@ def _begin(address: str, call_seconds: float) -> Any:
             "clientConnectTimeOutPeriod": str(int(call_seconds * 1000)),
             "supportPerThreadTimeOut": "1",
             "endPoint": f"giop:tcp:{address}:",
-            "giopMaxMsgSize": str(_MOST_BYTES),
+            "giopMaxMsgSize": str(most_octets),
             "traceLevel": "0",
         }
         words = ["uoarm"]
@@ -199,12 +202,18 @@ def _begin(address: str, call_seconds: float) -> Any:
             words += [f"-ORB{name}", value]
         with corba_errors(f"starting the ORB on {address}"):
             orb = CORBA.ORB_init(words, CORBA.ORB_ID)
-        _shared.running = _Running(orb, address, None if foreign else _Ending(orb))
+        _shared.running = _Running(orb, address, most_octets, None if foreign else _Ending(orb))
         _shared.users = 0
     elif _shared.running.address != address and _shared.running.ending is not None:
         text = (
             f"the ORB of this process listens on {_shared.running.address}, not on {address}: "
             "give all bridges of the process one address, or this one a bridge host"
+        )
+        raise BridgeError(text, FailureReason.REFUSED)
+    elif _shared.running.most_octets != most_octets and _shared.running.ending is not None:
+        text = (
+            f"the ORB of this process takes messages of {_shared.running.most_octets} octets, not "
+            f"of {most_octets}: give all bridges of the process one `max_message`"
         )
         raise BridgeError(text, FailureReason.REFUSED)
     return _shared.running.orb

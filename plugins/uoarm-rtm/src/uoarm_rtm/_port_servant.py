@@ -49,6 +49,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         self._seconds = seconds
         self._lock = threading.Lock()
         self._profiles: dict[str, Any] = {}
+        # Not shown before they are made: components of 1.2 take them for a second connection.
+        self._making: dict[str, Any] = {}
         self.reference = orb.serve(self)
 
     def close(self) -> None:
@@ -81,7 +83,7 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             return RTC.BAD_PARAMETER, profile
         if not profile.connector_id:
             profile.connector_id = str(uuid.uuid4())
-        elif profile.connector_id in self._profiles:
+        elif profile.connector_id in self._profiles or profile.connector_id in self._making:
             return RTC.PRECONDITION_NOT_MET, profile
         try:
             with calls:
@@ -96,9 +98,9 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
         """Take part in a connection (CORBA operation)."""
         identifier = profile.connector_id
         with self._lock:
-            if identifier in self._profiles:
+            if identifier in self._profiles or identifier in self._making:
                 return RTC.PRECONDITION_NOT_MET, profile
-            self._profiles[identifier] = profile
+            self._making[identifier] = profile
         try:
             self._publish(profile)
             code, profile = self._next_connect(profile)
@@ -111,7 +113,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
             self._forget(identifier)
             return code, profile
         with self._lock:
-            if identifier in self._profiles:
+            # One that was disconnected meanwhile stays so.
+            if self._making.pop(identifier, None) is not None:
                 self._profiles[identifier] = profile
         return code, profile
 
@@ -200,7 +203,8 @@ class PortServant(RTC__POA.PortService):  # type: ignore[misc]  # generated, wit
 
     def _forget(self, connector_id: str) -> Any:
         with self._lock:
-            profile = self._profiles.pop(connector_id, None)
+            making = self._making.pop(connector_id, None)
+            profile = self._profiles.pop(connector_id, making)
         self._release(connector_id)
         return profile
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -11,9 +12,12 @@ from omniORB import CORBA
 from uoarm_rtm._buffer import Buffer
 from uoarm_rtm._buffering import BufferPolicy, PushPolicy
 from uoarm_rtm._calls import Calls, calls
+from uoarm_rtm._sizes import SizeLimit
 from uoarm_rtm._stubs import OpenRTM, OpenRTM__POA
 
 __all__ = ["Pulled", "Pusher", "Threaded"]
+
+_log = logging.getLogger("uoarm.rtm")
 
 
 class Pusher:
@@ -21,25 +25,36 @@ class Pusher:
 
     Args:
         target: the InPort, with its time limit set.
+        sizes: what is known of how large a message it takes.
         lost: told once, when the InPort is gone.
     """
 
-    dropped = 0
-
-    def __init__(self, target: Any, lost: Callable[[], None]) -> None:
+    def __init__(self, target: Any, sizes: SizeLimit, lost: Callable[[], None]) -> None:
+        self.dropped = 0
         self._target = target
+        self._sizes = sizes
         self._lost = lost
         self._putting = Calls()
 
     def write(self, data: bytes) -> bool:
-        """Send one message; a hung InPort costs its time limit."""
+        """Send one message; a hung InPort costs its time limit, one too large is dropped."""
+        if self._sizes.refusal(len(data)):
+            self.dropped += 1
+            return False
         try:
             with calls, self._putting:
                 self._target.put(data)
         except CORBA.TIMEOUT:
             return True  # it may be back for the next
-        except CORBA.Exception:
+        except CORBA.Exception as error:
+            too_large = self._sizes.meant(error, self._target, len(data))
+            if too_large:
+                _log.warning("%s", too_large)
+                self.dropped += 1
+                return False
             self._lost()
+        else:
+            self._sizes.passed(len(data))
         return True
 
     def close(self) -> None:

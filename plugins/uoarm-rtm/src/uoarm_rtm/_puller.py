@@ -9,6 +9,7 @@ from typing import Any
 from omniORB import CORBA
 
 from uoarm_rtm._calls import Calls, calls
+from uoarm_rtm._sizes import is_there
 from uoarm_rtm._stubs import OpenRTM
 
 __all__ = ["Puller"]
@@ -26,6 +27,8 @@ class Puller:
         repeats: whether a datum that equals the one before it counts.
         take: called with each datum; must not raise.
         lost: called once, with the reason, when the OutPort is gone.
+        missed: called for each answer that did not arrive although the OutPort is there; None:
+            that counts as gone.
     """
 
     def __init__(
@@ -36,12 +39,14 @@ class Puller:
         repeats: bool,
         take: Callable[[bytes], object],
         lost: Callable[[CORBA.Exception], None],
+        missed: Callable[[CORBA.Exception], None] | None = None,
     ) -> None:
         self._target = target
         self._period = 1.0 / rate
         self._repeats = repeats
         self._take = take
         self._lost = lost
+        self._missed = missed
         self._ended = threading.Event()
         self._asking = Calls()
         threading.Thread(target=self._run, name="uoarm-rtm-pull", daemon=True).start()
@@ -54,6 +59,10 @@ class Puller:
         self._ended.set()
         self._asking.end(seconds)
 
+    def _tell_lost(self, error: CORBA.Exception) -> None:
+        if not self._ended.is_set():
+            self._lost(error)
+
     def _run(self) -> None:
         before = b""
         while not self._ended.wait(self._period):
@@ -62,9 +71,15 @@ class Puller:
                     status, data = self._target.get()
             except (CORBA.BAD_PARAM, CORBA.TIMEOUT):
                 continue
+            except (CORBA.COMM_FAILURE, CORBA.MARSHAL) as error:
+                # What is larger than an ORB takes ends in these, too, and harms nothing else.
+                if self._missed is None or not is_there(self._target):
+                    self._tell_lost(error)
+                    return
+                self._missed(error)
+                continue
             except CORBA.Exception as error:
-                if not self._ended.is_set():
-                    self._lost(error)
+                self._tell_lost(error)
                 return
             if status == OpenRTM.PORT_OK and (self._repeats or data != before):
                 before = data

@@ -68,6 +68,12 @@ BRIDGE_OPTIONS: Schema = {
             "enum": ["utf-8", "latin-1"],
             "description": "encoding of strings in data; default utf-8",
         },
+        "max_message": {
+            "type": "integer",
+            "minimum": 1 << 16,
+            "maximum": 1 << 30,
+            "description": "octets of one message that we send or take at most; default 64 MiB",
+        },
         "component": {
             "type": "string",
             "pattern": "^[A-Za-z0-9_]+$",
@@ -103,6 +109,7 @@ class BridgeSettings:
     call_seconds: float = 2.0
     watch_seconds: float = 1.0
     text: str = "utf-8"
+    most_octets: int = 1 << 26
 
 
 @frozen
@@ -139,6 +146,7 @@ def bridge_settings(name: str, options: Options) -> BridgeSettings:
         _seconds(options, "call_timeout") or defaults.call_seconds,
         _number(options.get("watch", defaults.watch_seconds), "watch"),
         str(options.get("text", defaults.text)),
+        int(str(options.get("max_message", defaults.most_octets))),
     )
 
 

@@ -19,6 +19,7 @@ from uoarm_rtm._faults import corba_text
 from uoarm_rtm._orb import limit, narrowed
 from uoarm_rtm._place import Place, Pulse
 from uoarm_rtm._publisher import Pulled, Threaded
+from uoarm_rtm._sizes import SizeLimit
 from uoarm_rtm._stubs import OpenRTM
 
 __all__ = ["InPortSink"]
@@ -55,6 +56,7 @@ class InPortSink(Sink):
         self._target: Any = None
         self._gone = ""
         self._putting = Calls()
+        self._sizes = SizeLimit(place.where, place.orb.most_octets)
         waits = buffer_policy(place.settings.properties, "inport").longest_write
         self._longest = place.settings.timeout or place.seconds + waits
         properties = asked(place.settings, place.codec.name)
@@ -80,8 +82,8 @@ class InPortSink(Sink):
 
         Raises:
             MessageError: it does not fit the data type; the text names the field.
-            BridgeError: the component is gone or refuses the data, our buffer is full, or the
-                channel was closed meanwhile.
+            BridgeError: the component is gone or refuses the data, the message is larger than an
+                ORB takes, our buffer is full, or the channel was closed meanwhile.
             BridgeTimeoutError: the component does not answer in time.
         """
         self._be_open()
@@ -140,6 +142,10 @@ class InPortSink(Sink):
             self.pulse.beat()
 
     def _put(self, data: bytes) -> None:
+        too_large = self._sizes.refusal(len(data))
+        if too_large:
+            self.pulse.refused += 1
+            raise BridgeError(too_large, FailureReason.REFUSED)
         try:
             with calls, self._putting:
                 status = self._target.put(data)
@@ -149,9 +155,14 @@ class InPortSink(Sink):
             raise BridgeTimeoutError(text) from error
         except CORBA.Exception as error:
             self._be_open()
+            too_large = self._sizes.meant(error, self._target, len(data))
+            if too_large:
+                self.pulse.refused += 1
+                raise BridgeError(too_large, FailureReason.REFUSED) from error
             text = f"{self._place.where} is gone ({corba_text(error)})"
             self.pulse.lose(text)
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        self._sizes.passed(len(data))
         if status != OpenRTM.PORT_OK:
             self.pulse.refused += 1
             reason = _REASONS.get(str(status), "it said so")

@@ -122,7 +122,17 @@ class OutPortSource(Source):
             repeats=says_what_empty_means(place.settings.properties),
             take=self.receive,
             lost=self._lost,
+            missed=self._missed,
         )
+
+    def _missed(self, error: CORBA.Exception) -> None:
+        self.pulse.refused += 1
+        text = (
+            f"an answer of {self._place.where} does not arrive ({corba_text(error)}): it may be "
+            f"larger than our limit of {self._place.orb.most_octets} octets (`max_message`), or "
+            "than the component's own (-ORBgiopMaxMsgSize there)"
+        )
+        self.pulse.degrade(text)
 
     def _lost(self, error: CORBA.Exception) -> None:
         self.pulse.lose(f"{self._place.where} is gone ({corba_text(error)})")

@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable
 
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health
 from uoarm_rtm._directory import Directory
 
@@ -38,6 +38,8 @@ class Attendance:
         try:
             sightings = self._directory.sightings()
         except BridgeError as error:
+            if error.reason is FailureReason.CLOSED:
+                return
             # A naming service that is gone says nothing of the components.
             if not self._deaf:
                 self._deaf = True
@@ -78,12 +80,18 @@ class Watch:
         self._ticks = ticks
         self._seconds = seconds
         self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="uoarm-rtm-watch", daemon=True)
         if seconds:
-            threading.Thread(target=self._run, name="uoarm-rtm-watch", daemon=True).start()
+            self._thread.start()
 
-    def close(self) -> None:
-        """End the thread after the tick under way."""
+    def close(self, seconds: float) -> None:
+        """End the thread after the tick under way, and wait for that up to `seconds`.
+
+        A thread that lets go of references while the interpreter ends aborts the process.
+        """
         self._ended.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(seconds)
 
     def _run(self) -> None:
         while True:

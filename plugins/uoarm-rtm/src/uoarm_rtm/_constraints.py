@@ -1,0 +1,78 @@
+"""What a configuration parameter may be: the constraints and types that components tell.
+
+They stand in configuration sets of their own, `__constraints__`, `__widget__` and `__type__`, by
+the parameter's name. OpenRTM's tools keep to them; the components themselves do not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+
+__all__ = ["CONSTRAINTS", "TYPES", "WIDGETS", "problem"]
+
+CONSTRAINTS, WIDGETS, TYPES = "__constraints__", "__widget__", "__type__"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_ONE_SIDE = re.compile(rf"x\s*(<=|>=|<|>|==)\s*({_NUMBER})|({_NUMBER})\s*(<=|>=|<|>)\s*x")
+_BOTH_SIDES = re.compile(rf"({_NUMBER})\s*(<=|<|>=|>)\s*x\s*(<=|<|>=|>)\s*({_NUMBER})")
+_COMPARE: Mapping[str, Callable[[float, float], bool]] = {
+    "<": lambda one, other: one < other,
+    "<=": lambda one, other: one <= other,
+    ">": lambda one, other: one > other,
+    ">=": lambda one, other: one >= other,
+    "==": lambda one, other: one == other,
+}
+_WHOLE = re.compile(r"[-+]?\d+")
+_WHOLES = {"short", "int", "long", "unsigned short", "unsigned int", "unsigned long"}
+_NUMBERS = {"float", "double"}
+
+
+def problem(value: str, constraint: str, kind: str, widget: str) -> str:
+    """Return what is wrong with a parameter's value, or "".
+
+    A constraint or type that is written as nothing we know says nothing. Of a list, separated by
+    commas, each element must fit.
+
+    Args:
+        value: as it is to be written.
+        constraint: such as `0<=x<=150` or `(a,b)`; empty for none.
+        kind: type, such as `int` or `vector<double>`; empty where it is not told.
+        widget: such as `slider.10`, which only numbers have, or `text`.
+    """
+    one = re.fullmatch(r"(?:std::)?vector<(.*)>", kind.strip().lower())
+    kind = one.group(1).strip() if one else kind.strip().lower()
+    constraint = constraint.strip()
+    if constraint.startswith("(") and constraint.endswith(")"):
+        words = [each.strip() for each in constraint[1:-1].split(",")]
+        given = [each.strip() for each in value.split(",")] if widget == "checkbox" else [value]
+        return "" if all(each in words for each in given) else f"expected one of {constraint}"
+    tests = [_test(each.strip()) for each in constraint.split(",")] if constraint else []
+    numeric = (
+        any(tests) or widget.split(".", maxsplit=1)[0] in {"slider", "spin"} or kind in _NUMBERS
+    )
+    for index, element in enumerate(each.strip() for each in value.split(",")):
+        if kind in _WHOLES and not _WHOLE.fullmatch(element):
+            return f"expected {kind}, got {element!r}"
+        if not numeric:
+            continue
+        if not re.fullmatch(_NUMBER, element):
+            return f"expected a number, got {element!r}"
+        test = tests[min(index, len(tests) - 1)] if tests else None
+        if test is not None and not test(float(element)):
+            return f"expected {constraint}, got {element}"
+    return ""
+
+
+def _test(constraint: str) -> Callable[[float], bool] | None:
+    both = _BOTH_SIDES.fullmatch(constraint)
+    if both:
+        low, first, second, high = both.groups()
+        return lambda x: _COMPARE[first](float(low), x) and _COMPARE[second](x, float(high))
+    one = _ONE_SIDE.fullmatch(constraint)
+    if one is None:
+        return None
+    after, right, left, before = one.groups()
+    if after:
+        return lambda x: _COMPARE[after](x, float(right))
+    return lambda x: _COMPARE[before](float(left), x)

@@ -1,0 +1,95 @@
+"""Messages that are larger than an ORB takes: a fault of the message, never of the component."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from endpoints import Inbox, endpoint, sink, source, stamped
+from peers import Peer
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Health, Role
+from uoarm.testing import wait
+
+Start = Callable[..., Peer]
+Make = Callable[..., Bridge]
+OCTETS = "IDL:RTC/TimedOctetSeq:1.0"
+USUAL = 2 << 20  # the limit of omniORB when it is told no other
+
+
+@pytest.fixture
+def usual(peer: Start, monkeypatch: pytest.MonkeyPatch) -> Peer:
+    """A component whose ORB has the usual limit."""
+    with monkeypatch.context() as patch:
+        patch.setenv("PEER_MOST_OCTETS", str(USUAL))
+        component = peer("Usual", OCTETS)
+    component.activate()
+    return component
+
+
+def lost(events: Inbox) -> list[object]:
+    return [each for each in events.messages if each.health is Health.LOST]
+
+
+def test_a_message_too_large_for_a_component_fails_alone(bridge: Bridge, usual: Peer) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    into = sink(bridge, endpoint(Role.INPUT, "Usual.rtc", "in"))
+    into.send(stamped(bytes(100_000)))
+    words = r"does not take a message of 30000\d\d octets: 1000\d\d passed.*ORBgiopMaxMsgSize"
+    for _ in range(2):
+        with pytest.raises(BridgeError, match=words) as caught:
+            into.send(stamped(bytes(3_000_000)))
+        assert caught.value.reason is FailureReason.REFUSED
+    into.send(stamped(bytes(1_500_000)))
+    assert usual.sizes() == [100_000, 1_500_000]
+    assert into.facts()["refused"] == 2
+    assert lost(events) == []
+
+
+def test_a_message_too_large_for_us_fails_alone(make_bridge: Make, peer: Start) -> None:
+    component = peer("Large", OCTETS)
+    component.activate()
+    bridge, events = make_bridge(max_message=1 << 20), Inbox()
+    bridge.watch(events)
+    into = sink(bridge, endpoint(Role.INPUT, "Large.rtc", "in"))
+    with pytest.raises(BridgeError, match=r"larger than our own limit of 1048576.*`max_message`"):
+        into.send(stamped(bytes(2_000_000)))
+    into.send(stamped(bytes(100)))
+    assert component.sizes() == [100]
+    assert lost(events) == []
+    with pytest.raises(BridgeError, match="give all bridges of the process one `max_message`"):
+        make_bridge("other", max_message=1 << 21)
+
+
+def test_an_answer_too_large_is_told_and_ends_nothing(bridge: Bridge, usual: Peer) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    at = endpoint(Role.OUTPUT, "Usual.rtc", "out", flow="pull", rate=200)
+    channel = source(bridge, at, inbox)
+    usual.write_octets(3_000_000)
+    event = events.event(Health.DEGRADED, "does not arrive")
+    assert event.channel is channel
+    usual.write_octets(100)
+    inbox.wait_for(1)
+    assert lost(events) == []
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_our_own_port_drops_what_is_too_large_and_stays_connected(
+    nameserver: str, bridge: Bridge, usual: Peer, peer: Start, subscription: str
+) -> None:
+    talker = peer("Talker", OCTETS)
+    properties = {
+        "dataport.interface_type": "corba_cdr",
+        "dataport.dataflow_type": "push",
+        "dataport.subscription_type": subscription,
+    }
+    assert talker.connect(nameserver, "Usual.rtc", "in", properties) == "RTC_OK"
+    talker.write_octets(3_000_000)
+    wait(lambda: talker.dropped() == 1)
+    talker.write_octets(100)
+    wait(lambda: usual.sizes() == [100])
+    assert talker.connectors() == [0, 1]
