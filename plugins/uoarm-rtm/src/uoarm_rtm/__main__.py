@@ -1,29 +1,46 @@
-"""`uoarm rtm nameserver`: a naming service without any other installation."""
+"""`uoarm rtm`: a naming service, and a look at components, without any other installation."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import os
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from uoarm.errors import BridgeError
+from uoarm.errors import MessageError, UoarmError, UsageError
 from uoarm.plugins import Command, hookimpl
-from uoarm_rtm._nameserver import NameServer
 
 __all__ = ["main", "uoarm_commands"]
+
+_REFUSED, _USAGE, _BRIDGE, _INTERRUPTED = 1, 2, 4, 130
+_ACTIONS = ("activate", "deactivate", "reset")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="uoarm rtm", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
-    nameserver = commands.add_parser("nameserver", help="run omniNames until it is interrupted")
-    nameserver.add_argument("--port", type=int, default=2809, help="0 for any that is free")
-    nameserver.add_argument("--address", default="127.0.0.1", help="interface to listen on")
-    nameserver.add_argument("--folder", type=Path, help="where names survive; default: nowhere")
-    given = parser.parse_args(arguments)
-    return _nameserver(given.port, given.address, given.folder)
+    parser = _parser()
+    given, rest = parser.parse_known_args(arguments)
+    if rest and (given.command != "configure" or any(each[0] == "-" for each in rest)):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
+    if rest:  # values after an option: argparse leaves them
+        given.values += rest
+    try:
+        if given.command == "nameserver":
+            return _nameserver(given.port, given.address, given.folder)
+        return _ask(given)
+    except UsageError as error:
+        return _fail(error, _USAGE)
+    except MessageError as error:
+        return _fail(error, _REFUSED)
+    except UoarmError as error:
+        return _fail(error, _BRIDGE)
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        return _INTERRUPTED
 
 
 @hookimpl
@@ -32,19 +49,140 @@ def uoarm_commands() -> list[Command]:
     return [Command("rtm", main, contract=1)]
 
 
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="uoarm rtm", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    nameserver = commands.add_parser("nameserver", help="run omniNames until it is interrupted")
+    nameserver.add_argument("--port", type=int, default=2809, help="0 for any that is free")
+    nameserver.add_argument("--address", default="127.0.0.1", help="interface to listen on")
+    nameserver.add_argument("--folder", type=Path, help="where names survive; default: nowhere")
+    asking = argparse.ArgumentParser(add_help=False)
+    asking.add_argument(
+        "--nameserver",
+        action="append",
+        metavar="HOST:PORT",
+        help="naming service, several times for several; default: that of the environment "
+        "variable UOARM_RTM_NAMESERVER, or localhost:2809",
+    )
+    asking.add_argument("--timeout", type=_seconds, default=2.0, help="seconds of each call")
+    asking.add_argument("--json", action="store_true", help="print JSON")
+    commands.add_parser("list", parents=[asking], help="list components, states and ports")
+    cat = commands.add_parser("cat", parents=[asking], help="show all of one component")
+    cat.add_argument("component")
+    connections = commands.add_parser("connections", parents=[asking], help="list connections")
+    connections.add_argument("--mine", action="store_true", help="only those uoarm made from here")
+    connections.add_argument(
+        "--remove", action="store_true", help="end those whose process runs no more"
+    )
+    for action in _ACTIONS:
+        each = commands.add_parser(action, parents=[asking], help=f"{action} components")
+        each.add_argument("component", nargs="+")
+    configure = commands.add_parser("configure", parents=[asking], help="read and write parameters")
+    configure.add_argument("component")
+    configure.add_argument("values", nargs="*", metavar="NAME=VALUE")
+    configure.add_argument("--set", help="configuration set; default: the active one")
+    configure.add_argument("--activate", action="store_true", help="put the set in force")
+    configure.add_argument("--create", action="store_true", help="make the set where there is none")
+    return parser
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds <= 60:  # noqa: PLR2004 - as for the bridge's calls
+        raise argparse.ArgumentTypeError("expected seconds above 0, up to 60")
+    return seconds
+
+
+def _ask(given: argparse.Namespace) -> int:
+    if given.command == "connections" and given.remove and not given.mine:
+        raise UsageError("--remove ends connections of ours only: say --mine, too")
+    from uoarm_rtm._commands import session  # noqa: PLC0415 - imports the middleware
+
+    usual = os.environ.get("UOARM_RTM_NAMESERVER") or "localhost:2809"
+    with session(given.nameserver or [usual], given.timeout) as now:
+        if given.command == "list":
+            return _print(given, now.components(), _component_lines)
+        if given.command == "cat":
+            return _print(given, now.component(given.component), _whole_component_lines)
+        if given.command == "connections":
+            found = now.connections(mine=given.mine, remove=given.remove)
+            return _print(given, found, _connection_lines)
+        if given.command in _ACTIONS:
+            return _print(given, now.change(given.component, given.command), _component_lines)
+        return _print(given, now.configure(given.component, _request(given)), _set_lines)
+
+
+def _request(given: argparse.Namespace) -> dict[str, object]:
+    values = {}
+    for each in given.values:
+        name, sign, value = each.partition("=")
+        if not name or not sign:
+            raise UsageError(f"expected NAME=VALUE, got {each!r}")
+        values[name] = value
+    request: dict[str, object] = {"activate": given.activate, "create": given.create}
+    return {
+        **request,
+        **({"values": values} if values else {}),
+        **({"set": given.set} if given.set else {}),
+    }
+
+
+def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
+    text = json.dumps(found, indent=2) if given.json else "\n".join(lines(found))
+    sys.stdout.write(text + "\n" if text else "")
+    sys.stdout.flush()
+    return 0
+
+
+def _component_lines(rows: list[Any]) -> Iterable[str]:
+    for row in rows:
+        yield f"{row['component']}  {row['state']}  {row.get('type', '')}".rstrip()
+        for port in row.get("ports", ()):
+            yield f"  {port['port']:<16} {port['kind']:<12} {port['type']}"
+
+
+def _whole_component_lines(row: Any) -> Iterable[str]:
+    yield from _component_lines([{**row, "ports": ()}])
+    for port in row["ports"]:
+        yield from list(_component_lines([{"component": "", "state": "", "ports": [port]}]))[1:]
+        for each in _connection_lines(port["connections"]):
+            yield f"    {each}"
+    yield from _set_lines(row["configuration"])
+
+
+def _connection_lines(rows: list[Any]) -> Iterable[str]:
+    for row in rows:
+        runs = {"yes": "runs", "no": "runs no more", "unknown": "may run"}.get(row["runs"], "")
+        made = f"  by {row['maker']} ({row['process']}, {runs})" if runs else ""
+        yield f"{row['id']}  {' - '.join(row['ports'])}  {row['subscription']}{made}".rstrip()
+
+
+def _set_lines(found: Any) -> Iterable[str]:
+    for name, values in found["sets"].items():
+        yield f"set {name}{' (active)' if name == found['active'] else ''}"
+        for parameter, value in values.items():
+            told = (found.get(about, {}).get(parameter) for about in ("types", "constraints"))
+            widget = found.get("widgets", {}).get(parameter, "")
+            said = "; ".join(each for each in (*told, widget) if each)
+            yield f"  {parameter:<20} {value}" + (f"  [{said}]" if said else "")
+
+
 def _nameserver(port: int, address: str, folder: Path | None) -> int:
+    from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415 - imports the middleware
+
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with NameServer(port, address, folder) as server:
-            sys.stdout.write(f"naming service {server.address}\n")
-            sys.stdout.flush()
-            try:
-                return server.process.wait()
-            except KeyboardInterrupt:
-                return 0
-    except BridgeError as error:
-        sys.stderr.write(f"{error}\n")
-        return 1
+    with NameServer(port, address, folder) as server:
+        sys.stdout.write(f"naming service {server.address}\n")
+        sys.stdout.flush()
+        try:
+            return server.process.wait()
+        except KeyboardInterrupt:
+            return 0
+
+
+def _fail(error: Exception, status: int) -> int:
+    sys.stderr.write(f"error: {error}\n")
+    return status
 
 
 if __name__ == "__main__":

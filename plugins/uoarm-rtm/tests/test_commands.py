@@ -1,0 +1,152 @@
+"""`uoarm rtm`: what there is and how it is connected, states and parameters changed by hand."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import endpoint, source
+from peers import Peer
+from test_leftovers import holding
+from uoarm_rtm.__main__ import main
+from uoarm_rtm._nameserver import NameServer
+
+from uoarm.bridge import Bridge
+from uoarm.model import Role
+
+Start = Callable[..., Peer]
+PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
+
+
+@pytest.fixture
+def names(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A naming service of this test alone, which the commands find by the environment."""
+    with NameServer() as server:
+        address = server.address.split(":", 2)[2].removesuffix("/NameService")
+        monkeypatch.setenv("UOARM_RTM_NAMESERVER", address)
+        yield server.address
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """Runs a command; returns its status, its output (of --json as values), its errors."""
+
+    def run_it(*words: str) -> tuple[int, Any, str]:
+        status = main(list(words))
+        told = capsys.readouterr()
+        return status, json.loads(told.out) if "--json" in words else told.out, told.err
+
+    return run_it
+
+
+def test_components_are_listed(names: str, peer: Start, run: Callable[..., Any]) -> None:
+    worker, dead = peer("Worker", at=names), peer("Dead", at=names)
+    worker.activate()
+    dead.kill()
+    status, rows, _ = run("list", "--json")
+    assert status == 0
+    assert [(row["component"], row["state"]) for row in rows] == [
+        ("Dead.rtc", "dead"), ("Worker.rtc", "active"),
+    ]  # fmt: skip
+    assert rows[1]["ports"][0] == {
+        "port": "in", "kind": "DataInPort", "type": "IDL:RTC/TimedLong:1.0",
+    }  # fmt: skip
+    lines = run("list")[1].splitlines()
+    assert lines[:2] == ["Dead.rtc  dead", "Worker.rtc  active  Uoarm"]
+    assert lines[2].split() == ["in", "DataInPort", "IDL:RTC/TimedLong:1.0"]
+
+
+def test_one_component_is_shown_whole(names: str, peer: Start, run: Callable[..., Any]) -> None:
+    worker = peer("Worker", at=names)
+    peer("Other", at=names)
+    worker.connect(names, "Other.rtc", "in", PUSH)
+    _, row, _ = run("cat", "Worker.rtc", "--json")
+    [out] = [each for each in row["ports"] if each["port"] == "out"]
+    assert out["properties"]["dataport.dataflow_type"] == "push, pull"
+    assert [each["name"] for each in out["connections"]] == ["tool"]
+    assert row["configuration"]["active"] == "default"
+    text = run("cat", "Worker.rtc")[1]
+    assert "  gain                 1  [0<=x<=150; slider.10]" in text.splitlines()
+    status, _, told = run("cat", "Wroker.rtc")
+    assert status == 4
+    assert "did you mean 'Worker.rtc'?" in told
+
+
+def test_states_are_changed(names: str, peer: Start, run: Callable[..., Any]) -> None:
+    worker, other = peer("Worker", at=names), peer("Other", at=names)
+    both = ("Worker.rtc", "Other.rtc")
+    assert run("activate", *both)[1] == "Worker.rtc  active\nOther.rtc  active\n"
+    assert run("activate", "Worker.rtc")[0] == 0  # it is active
+    worker.abort()
+    status, _, told = run("deactivate", "Worker.rtc")
+    assert (status, "PRECONDITION_NOT_MET, being error" in told) == (4, True)
+    assert run("reset", "Worker.rtc", "--json")[1] == [
+        {"component": "Worker.rtc", "state": "inactive"}
+    ]
+    assert run("deactivate", *both)[0] == 0
+    assert other.calls() == ["activated", "deactivated"]
+
+
+def test_parameters_are_written_and_checked(
+    names: str, peer: Start, run: Callable[..., Any]
+) -> None:
+    worker = peer("Worker", at=names)
+    status, found, _ = run("configure", "Worker.rtc", "gain=7", "--json")
+    assert (status, found["sets"]["default"]["gain"]) == (0, "7")
+    assert worker.configuration()["gain"] == "7"
+    for words, expected, told in (
+        (("gain=700",), 1, "error: $.values.gain: expected 0<=x<=150, got 700"),
+        (("gian=7",), 1, "there is no parameter 'gian'"),
+        (("gain",), 2, "expected NAME=VALUE, got 'gain'"),
+        (("gain=7", "--set", "x"), 1, "there is no configuration set 'x'"),
+    ):
+        status, _, error = run("configure", "Worker.rtc", *words)
+        assert (status, told in error) == (expected, True), error
+    assert worker.configuration()["gain"] == "7"
+    run("configure", "Worker.rtc", "--set", "fast", "gain=8", "--activate")
+    assert worker.configuration() == {"gain": "8"}
+    with pytest.raises(SystemExit):
+        run("configure", "Worker.rtc", "--sett", "fast", "gain=8")
+
+
+def test_connections_of_killed_processes_are_ended_and_no_others(
+    names: str, make_bridge: Callable[..., Bridge], peer: Start, run: Callable[..., Any]
+) -> None:
+    first, second = peer("From", at=names), peer("Into", at=names)
+    first.connect(names, "Into.rtc", "in", PUSH)
+    source(make_bridge(nameserver=names), endpoint(Role.OUTPUT, "From.rtc", "out"), lambda _: None)
+    with holding(names) as killed:
+        _, rows, _ = run("connections", "--json")
+        assert sorted(row["runs"] for row in rows) == ["elsewhere", *["yes"] * 4]
+        killed.kill()
+        killed.wait()
+    _, rows, _ = run("connections", "--mine", "--json")
+    assert sorted(row["runs"] for row in rows) == ["no", "no", "no", "yes"]
+    [native] = [row for row in rows if len(row["ports"]) == 2]
+    assert sorted(native["ports"]) == ["From.rtc:out", "Into.rtc:in"]
+    assert "runs no more" in run("connections", "--mine")[1]
+    status, _, told = run("connections", "--remove")
+    assert (status, "say --mine, too" in told) == (2, True)
+    _, removed, _ = run("connections", "--mine", "--remove", "--json")
+    assert len(removed) == 3
+    assert (first.connectors(), second.connectors()) == ([0, 2], [1, 0])
+    assert run("connections", "--mine", "--remove", "--json")[1] == []
+
+
+def test_a_naming_service_that_is_not_there_is_said(run: Callable[..., Any]) -> None:
+    status, _, told = run("list", "--nameserver", "127.0.0.1:1")
+    assert (status, told.startswith("error: naming service 127.0.0.1:1")) == (4, True)
+    status, _, told = run("list", "--nameserver", "no such thing")
+    assert (status, "--nameserver: expected corbaloc" in told) == (2, True)
+
+
+def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path) -> None:
+    peer("Worker", at=names)
+    command = [sys.executable, "-m", "uoarm", "rtm", "list", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert [row["component"] for row in json.loads(done.stdout)] == ["Worker.rtc"]
