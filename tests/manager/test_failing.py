@@ -255,3 +255,27 @@ def test_the_first_message_that_is_dropped_has_a_record_and_the_others_are_count
     assert [one.getMessage() for one in caplog.records if one.name == "uoarm"] == [
         "camera.default -> c1: a message was dropped: queue-full"
     ]
+
+
+def test_what_a_channel_has_lost_and_knows_stands_in_the_status(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with scene.robot.request("camera"):
+        [channel] = scene.camera.channels()
+        facts = {"lost_on_link": 3, "link_latency": 0.0123456, "peer": "camera 7"}
+        monkeypatch.setattr(channel, "facts", lambda: facts)
+        camera = scene.component("camera")
+        assert (camera.lost, camera.channels[0].lost) == (3, 3)
+        told = str(scene.robot.status())
+        assert (
+            "camera     output.default  lost_on_link 3, link_latency 0.0123, peer camera 7" in told
+        )
+
+
+def test_deaths_and_takeovers_are_counted_for_as_long_as_the_manager_lives(scene: Scene) -> None:
+    throwing.raises.add("first")
+    with scene.robot.request("filter"):
+        scene.emit(10, 0.6)
+        scene.events.wait_for(lambda one: one.change == "replaced")
+    status = scene.robot.status()
+    assert (status.deaths, status.takeovers) == ((("first", 1),), (("filter", 1),))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -29,7 +29,7 @@ from uoarm._control._live_edge import LiveEdge
 from uoarm._control._live_parts import LiveParts
 from uoarm._control._replacements import find_replacement
 from uoarm._control._revisions import Revisions, StagedRevision
-from uoarm._control._state import PORTS, Part, State, names
+from uoarm._control._state import PORTS, ComponentRecord, Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
 from uoarm._control._trace import write
@@ -69,6 +69,9 @@ class Executor:
         self.state = state
         self.live = LiveParts(bridges, lambda: self.state, clock, self._judged)
         self._bridges = bridges
+        self._announcements = events
+        self._deaths: Counter[str] = Counter()
+        self._takeovers: Counter[str] = Counter()
         self._revisions = revisions
         self._clock = clock
         self._events: deque[ev.Event] = deque()
@@ -80,7 +83,7 @@ class Executor:
         self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
         self._doers: dict[type[Any], Callable[[Any], None]] = {
             act.Publish: self._publish,
-            act.Announce: lambda one: events.post(one.subject, one.change, one.cause),
+            act.Announce: self._announce,
             act.Reply: lambda one: self._lanes.reply(one.waiter, one.error),
             act.HandOver: self._hand_over,
             act.Listen: self._listen,
@@ -224,19 +227,16 @@ class Executor:
         """Return what the status map shows of components."""
         state, objects = self.state, self.live.components.copy()
         return tuple(
-            ComponentStatus(
-                name=name,
-                function=state.components[one].step.component.function,
-                bridge=state.components[one].step.component.bridge,
-                health=state.components[one].health.health,
-                users=tuple(dict.fromkeys(map(connection_of, state.components[one].users))),
-                cause=state.components[one].health.cause,
-                channels=objects[one].channel_statuses() if one in objects else (),
-                failed=objects[one].failures.failed if one in objects else 0,
-                last_error=objects[one].failures.last_error if one in objects else "",
-            )
-            for name, one in state.serving.items()
+            _status(state.components[one], objects.get(one)) for one in state.serving.values()
         )
+
+    def deaths(self) -> tuple[tuple[str, int], ...]:
+        """Return how often each component was lost."""
+        return tuple(sorted(self._deaths.copy().items()))
+
+    def takeovers(self) -> tuple[tuple[str, int], ...]:
+        """Return how often a plan took over, by function."""
+        return tuple(sorted(self._takeovers.copy().items()))
 
     def close(self) -> None:
         """End every connection, take no more requests, and tell no more when times are reached."""
@@ -312,7 +312,14 @@ class Executor:
         if is_over:
             del self.live.runtimes[record.id]
 
+    def _announce(self, action: act.Announce) -> None:
+        kind, _, name = action.subject.partition(" ")
+        if kind == "component" and action.change == Health.LOST.value:
+            self._deaths[name] += 1
+        self._announcements.post(action.subject, action.change, action.cause)
+
     def _hand_over(self, action: act.HandOver) -> None:
+        self._takeovers[action.after.plan.function] += 1
         ports = self.live.ports[action.after.ports]
         runtime = self.live.runtimes[action.connection]
         if action.is_heard:
@@ -448,3 +455,20 @@ class Executor:
                 _log.exception("changing over failed")
             return ev.ChangedOver(action.returning, str(error))
         return ev.ChangedOver(action.returning)
+
+
+def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentStatus:
+    """Return what the status map shows of a component; its object is None while it opens."""
+    channels = () if live is None else live.channel_statuses()
+    return ComponentStatus(
+        name=record.name,
+        function=record.step.component.function,
+        bridge=record.step.component.bridge,
+        health=record.health.health,
+        users=tuple(dict.fromkeys(map(connection_of, record.users))),
+        cause=record.health.cause,
+        channels=channels,
+        failed=0 if live is None else live.failures.failed,
+        last_error="" if live is None else live.failures.last_error,
+        lost=sum(channel.lost for channel in channels),
+    )

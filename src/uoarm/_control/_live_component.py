@@ -199,4 +199,6 @@ def _lost(channel: Channel) -> int:
 def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
-        yield ChannelStatus(f"{direction}.{name}", facts_of(channel))
+        facts = facts_of(channel)
+        lost = dict(facts).get("lost_on_link", 0)
+        yield ChannelStatus(f"{direction}.{name}", facts, lost if isinstance(lost, int) else 0)

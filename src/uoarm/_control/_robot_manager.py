@@ -309,6 +309,8 @@ class RobotManager:
             connections=tuple(connection.status() for connection in connections),
             routes=(*(route for route in shared if route is not None), *own),
             machines=self._bridges.machines.statuses(),
+            deaths=self._executor.deaths(),
+            takeovers=self._executor.takeovers(),
         )
 
     def check_availability(self) -> tuple[FunctionStatus, ...]:

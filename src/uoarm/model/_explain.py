@@ -17,10 +17,12 @@ _MAX_EXAMPLE = 160
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
     "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
-    "components": ("name", "function", "health", "cause"),
+    "components": ("name", "function", "health", "failed", "lost", "cause"),
+    "channels": ("component", "port", "facts"),
     "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
 }
+_OFTEN_NONE = frozenset({"machines", "channels"})
 
 
 def tell_plan(plan: Plan) -> str:
@@ -82,15 +84,24 @@ def tell_status(status: Mapping[str, Any]) -> str:
     """Return a status map, as data or as JSON has it, as one table for each kind of thing."""
     lines: list[str] = []
     for name, columns in _COLUMNS.items():
-        rows = [
-            [_shown(one.get(column), column) for column in columns] for one in status.get(name, ())
-        ]
-        if name == "machines" and not rows:
+        found = _channels(status) if name == "channels" else status.get(name, ())
+        rows = [[_shown(one.get(column), column) for column in columns] for one in found]
+        if name in _OFTEN_NONE and not rows:
             continue
         lines.append(f"{name}: {len(rows) or 'none'}")
         if rows:
             lines.extend(_table(columns, rows))
     return "\n".join(lines)
+
+
+def _channels(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the channels of which anything is known, with the names of their components."""
+    return [
+        {"component": component["name"], **channel}
+        for component in status.get("components", ())
+        for channel in component.get("channels", ())
+        if channel["facts"]
+    ]
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -107,5 +118,9 @@ def _shown(value: object, column: str) -> str:
     if isinstance(value, float):
         return f"{1000 * value:.3f} ms" if column.startswith("clock_") else f"{value:.1f}"
     if isinstance(value, list | tuple):
-        return ", ".join(f"{reason} {count}" for reason, count in value)
+        return ", ".join(f"{one} {_fact(other)}" for one, other in value)
     return "" if value is None else str(value)
+
+
+def _fact(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -102,10 +102,12 @@ class ChannelStatus:
     Attributes:
         port: `output.default` or the like.
         facts: what the framework knows of the link, by name: matched peers, policies, losses.
+        lost: messages that it knows will never arrive, its fact `lost_on_link`.
     """
 
     port: str
     facts: tuple[tuple[str, object], ...] = ()
+    lost: int = 0
 
 
 @frozen
@@ -117,6 +119,8 @@ class ComponentStatus:
     Attributes:
         failed: how many messages or calls it raised on.
         last_error: what it raised last.
+        lost: what its open channels have lost. A connection's `lost` has it when they are closed
+            because the component died.
     """
 
     name: str
@@ -128,6 +132,7 @@ class ComponentStatus:
     channels: tuple[ChannelStatus, ...] = ()
     failed: int = 0
     last_error: str = ""
+    lost: int = 0
 
 
 @frozen
@@ -217,6 +222,10 @@ class ConnectionStatus:
 class StatusMap:
     """The whole system at one moment.
 
+    Attributes:
+        deaths: how often each component was lost, since the manager began.
+        takeovers: how often another plan took over for each function, returns included.
+
     As text (`str`, `print`) it is what `uoarm status --url` shows.
     """
 
@@ -225,6 +234,8 @@ class StatusMap:
     connections: tuple[ConnectionStatus, ...] = ()
     routes: tuple[RouteStatus, ...] = ()
     machines: tuple[MachineStatus, ...] = ()
+    deaths: tuple[tuple[str, int], ...] = ()
+    takeovers: tuple[tuple[str, int], ...] = ()
 
     def __str__(self) -> str:
         return tell_status(asdict(self))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from attrs import define
@@ -12,7 +13,7 @@ from uoarm.model import StatusMap
 from uoarm.server.session import Client, SessionStore
 from uoarm.server.streams import FeedRegistry
 
-__all__ = ["Metrics", "Totals"]
+__all__ = ["Metrics", "Totals", "status_metrics"]
 
 
 @define
@@ -99,7 +100,14 @@ class Metrics:
         yield _gauge("feeds", "functions that clients have open", len(feeds))
         lost = sum(feed.lost for feed in feeds)
         yield _gauge("feed_lost", "messages lost before the loop got to them", lost)
-        yield from _routes(self._registry.robot.status())
+        yield from status_metrics(self._registry.robot.status())
+
+
+def status_metrics(status: StatusMap) -> Iterator[Metric]:
+    """Yield the figures of a status map."""
+    yield from _routes(status)
+    yield from _health(status)
+    yield from _channels(status)
 
 
 def _routes(status: StatusMap) -> Iterator[Metric]:
@@ -116,6 +124,57 @@ def _routes(status: StatusMap) -> Iterator[Metric]:
         for reason, count in route.dropped:
             dropped.add_metric([*ends, reason], count)
     yield from (received, delivered, dropped)
+
+
+def _health(status: StatusMap) -> Iterator[Metric]:
+    """Yield who is how, 1 for the health of this moment, and what has failed so far."""
+    bridges = GaugeMetricFamily("uoarm_bridge_health", "how it is", labels=["bridge", "health"])
+    for bridge in status.bridges:
+        bridges.add_metric([bridge.name, bridge.health.value], 1)
+    labels = ["component", "function"]
+    components = GaugeMetricFamily(
+        "uoarm_component_health", "how it is", labels=[*labels, "health"]
+    )
+    failed = CounterMetricFamily(
+        "uoarm_component_failed", "messages and calls that it raised on", labels=labels
+    )
+    for component in status.components:
+        names = [component.name, component.function]
+        components.add_metric([*names, component.health.value], 1)
+        failed.add_metric(names, component.failed)
+    deaths = CounterMetricFamily(
+        "uoarm_component_deaths", "how often it was lost", labels=["component"]
+    )
+    for name, count in status.deaths:
+        deaths.add_metric([name], count)
+    takeovers = CounterMetricFamily(
+        "uoarm_takeovers", "how often another plan took over", labels=["function"]
+    )
+    for name, count in status.takeovers:
+        takeovers.add_metric([name], count)
+    states = GaugeMetricFamily("uoarm_connections", "connections, by state", labels=["state"])
+    for state, count in Counter(one.state.value for one in status.connections).items():
+        states.add_metric([state], count)
+    yield from (bridges, components, failed, deaths, takeovers, states)
+
+
+def _channels(status: StatusMap) -> Iterator[Metric]:
+    """Yield what is known of open channels: each fact that is a number."""
+    labels = ["component", "port"]
+    lost = CounterMetricFamily(
+        "uoarm_channel_lost", "messages that will never arrive", labels=labels
+    )
+    facts = GaugeMetricFamily(
+        "uoarm_channel_fact", "what its framework tells", labels=[*labels, "fact"]
+    )
+    for component in status.components:
+        for channel in component.channels:
+            ends = [component.name, channel.port]
+            lost.add_metric(ends, channel.lost)
+            for fact, value in channel.facts:
+                if isinstance(value, int | float):
+                    facts.add_metric([*ends, fact], value)
+    yield from (lost, facts)
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:

@@ -1,0 +1,63 @@
+"""What `/metrics` says of components, bridges and channels."""
+
+from __future__ import annotations
+
+from prometheus_client import CollectorRegistry, generate_latest
+
+from uoarm.model import (
+    BridgeStatus,
+    ChannelStatus,
+    ComponentStatus,
+    ConnectionState,
+    ConnectionStatus,
+    Health,
+    StatusMap,
+)
+from uoarm.server.http._metrics import status_metrics
+
+STATUS = StatusMap(
+    bridges=(BridgeStatus("ros", "ros2", Health.LOST, 0),),
+    components=(
+        ComponentStatus(
+            "cam",
+            "camera",
+            "ros",
+            Health.DEGRADED,
+            ("c1",),
+            channels=(
+                ChannelStatus(
+                    "output.default",
+                    (("lost_on_link", 4), ("matched", True), ("latency", 0.5), ("peer", "cam7")),
+                    4,
+                ),
+            ),
+            failed=7,
+        ),
+    ),
+    connections=(ConnectionStatus("c1", "camera", ConnectionState.RUNNING, ("cam",)),),
+    deaths=(("cam", 2),),
+    takeovers=(("camera", 1),),
+)
+
+
+class _Collector:
+    def collect(self) -> object:
+        return status_metrics(STATUS)
+
+
+def test_health_failures_and_facts_of_channels_are_figures() -> None:
+    registry = CollectorRegistry(auto_describe=False)
+    registry.register(_Collector())  # type: ignore[arg-type] # it has what is used of one
+    lines = generate_latest(registry).decode().splitlines()
+    assert {
+        'uoarm_bridge_health{bridge="ros",health="lost"} 1.0',
+        'uoarm_component_health{component="cam",function="camera",health="degraded"} 1.0',
+        'uoarm_component_failed_total{component="cam",function="camera"} 7.0',
+        'uoarm_component_deaths_total{component="cam"} 2.0',
+        'uoarm_takeovers_total{function="camera"} 1.0',
+        'uoarm_connections{state="running"} 1.0',
+        'uoarm_channel_lost_total{component="cam",port="output.default"} 4.0',
+        'uoarm_channel_fact{component="cam",fact="latency",port="output.default"} 0.5',
+        'uoarm_channel_fact{component="cam",fact="matched",port="output.default"} 1.0',
+    } <= set(lines)
+    assert "cam7" not in "".join(lines), "only numbers are figures"
