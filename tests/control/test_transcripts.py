@@ -36,7 +36,13 @@ POLICIES: dict[str, Callable[[str], object]] = {
     "limit": int,
 }
 
-WHOLE = {"do", "fail", "late", "configure"}  # moves of which the rest of the line is one word
+WHOLE = {
+    "do",
+    "open",
+    "fail",
+    "late",
+    "configure",
+}  # moves of which the rest of the line is one word
 
 
 class Player(World):
@@ -122,6 +128,11 @@ class Player(World):
         """What a lane does first; of an opening, `at` and the number of the part that fails."""
         lane, _, at = told.partition(" at ")
         self.do(self._lane(lane), fails_at=int(at or 0))
+
+    def play_open(self, lane: str) -> None:
+        """Let a batch open as a whole, although it was cancelled: that came too late."""
+        self.cancelled = frozenset()
+        self.do(self._lane(lane))
 
     def play_late(self, lane: str) -> None:
         """Let a search end that was made with the configuration before."""

@@ -23,7 +23,7 @@ from uoarm._control._state import (
     recently,
 )
 from uoarm.errors import ResolutionError
-from uoarm.model import Edge, Plan, Step, ValidationMode
+from uoarm.model import ConnectionState, Edge, Plan, Step, ValidationMode
 
 __all__ = ["Draft", "connection_of", "strictest"]
 
@@ -43,7 +43,6 @@ class Draft:
     """
 
     def __init__(self, state: State, now: float) -> None:
-        self.before = state
         self.now = now
         self.actions: list[Action] = []
         self.policy = state.policy
@@ -99,8 +98,7 @@ class Draft:
 
     def put(self, record: ConnectionRecord, **changes: Any) -> ConnectionRecord:
         """Keep a connection with some changes, and return it."""
-        changed = record._replace(**changes) if changes else record
-        self.connections[record.id] = changed
+        changed = self.connections[record.id] = record._replace(**changes)
         return changed
 
     def place(
@@ -367,7 +365,9 @@ class Draft:
         if part.kind in _OF_COMPONENTS:
             return part.id in self.components
         record = self.connections.get(connection)
-        plans = () if record is None else (record.current, record.next)
+        if record is None or record.state is ConnectionState.CLOSING:
+            return False
+        plans = (record.current, record.next)
         return any(plan is not None and plan.ports == part.id for plan in plans)
 
 
@@ -378,4 +378,4 @@ def connection_of(user: str) -> str:
 
 def strictest(users: Mapping[str, ValidationMode]) -> ValidationMode:
     """Return the mode that satisfies every user of an edge."""
-    return max(users.values(), key=_STRICTNESS.index, default=ValidationMode.OFF)
+    return max(users.values(), key=_STRICTNESS.index)

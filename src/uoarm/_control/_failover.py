@@ -181,6 +181,8 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
         end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
         return
     record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
+    ids = record.placement.components
+    runs = {name for name, one in ids.items() if one not in failure.lost}  # again, and well
     draft.actions.append(
         FindReplacement(
             lane=f"{record.id}#{record.attempt}",
@@ -189,7 +191,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
             plan=record.placement.plan,
             output=record.output,
             excluded=failure.excluded,
-            failed=draft.failed_lately(),
+            failed=tuple(name for name in draft.failed_lately() if name not in runs),
             avoided=recently(draft.stale, draft.now),
         )
     )
