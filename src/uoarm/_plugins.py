@@ -8,9 +8,10 @@ from typing import TypeVar
 import pluggy
 from attrs import frozen
 
+from uoarm._origin import install_command
 from uoarm.errors import PluginError
 
-__all__ = ["PluginProblem", "hookimpl", "hookspec", "values_of"]
+__all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "values_of"]
 
 hookspec = pluggy.HookspecMarker("uoarm")
 hookimpl = pluggy.HookimplMarker("uoarm")
@@ -24,6 +25,18 @@ class PluginProblem:
 
     name: str
     cause: str
+
+
+def cause_of(error: Exception, point: EntryPoint | None) -> str:
+    """Return why a plugin cannot be used, from what its code raised.
+
+    Where a package that it needs is missing, the text says what installs that: the plugin itself,
+    once more, since its metadata name what it needs.
+    """
+    cause = f"{type(error).__name__}: {error}"
+    if isinstance(error, ImportError) and point is not None and point.dist is not None:
+        cause += f": `{install_command(point.dist.name)}` brings what it needs"
+    return cause
 
 
 def values_of(point: EntryPoint, specification: type, hook: str, kind: type[T]) -> list[T]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 
 import pytest
+from attrs import evolve
 
 from uoarm.bridge import Registry
 from uoarm.cli import _checks
@@ -32,13 +34,31 @@ def uoarm_checks() -> list[Check]:
     ]
 
 
+def _without_its_package() -> dict[str, str]:
+    return {"usable": import_module("no_such_module").__name__}
+
+
+def test_what_a_plugin_lacks_is_told_with_the_command_that_brings_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (python,) = (one for one in entry_points(group="uoarm.bridges") if one.name == "python")
+    registry = Registry([python])
+    kind = evolve(registry.types["python"], doctor=_without_its_package)
+    monkeypatch.setattr(registry, "_types", {"python": kind})
+    told = plugin_facts(registry)["python"]["usable"]
+    assert told.startswith(
+        "no: ModuleNotFoundError: No module named 'no_such_module': `pip install"
+    )
+    assert told.endswith("` brings what it needs")
+
+
 def test_their_findings_are_shown_and_failures_named(monkeypatch: pytest.MonkeyPatch) -> None:
     points = [
         EntryPoint("mine", __name__, "uoarm.checks"),
         EntryPoint("gone", "no_such_module", "uoarm.checks"),
         EntryPoint("silent", "json", "uoarm.checks"),
     ]
-    monkeypatch.setattr(_checks, "entry_points", lambda group: points)
+    monkeypatch.setattr(_checks, "entry_points", lambda group: points if "checks" in group else [])
     facts = plugin_facts(Registry([EntryPoint("python", "uoarm.local", "uoarm.bridges")]))
     assert facts["camera"] == {"usable": "yes", "lens": "clean"}
     assert facts["microphone"] == {"usable": "no: no camera: plug one in"}

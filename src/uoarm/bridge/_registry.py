@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
-from uoarm._plugins import PluginProblem, values_of
+from uoarm._plugins import PluginProblem, cause_of, values_of
 from uoarm._spelling import Speller
 from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
@@ -46,7 +46,7 @@ class Registry:
             try:
                 types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
             except Exception as error:  # noqa: BLE001 - a broken plugin may raise anything
-                self._problems.append(PluginProblem(point.name, f"{type(error).__name__}: {error}"))
+                self._problems.append(PluginProblem(point.name, cause_of(error, point)))
                 continue
             for kind in types:
                 self._admit(point.name, kind)
