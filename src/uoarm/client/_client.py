@@ -25,6 +25,7 @@ __all__ = ["Client", "ServerError", "connect"]
 _HELD = 1024
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
 _ERRORS: Mapping[str, type[errors.UoarmError]] = {
+    "configuration": errors.ConfigurationError,
     "resolution": errors.ResolutionError,
     "bridge": errors.BridgeError,
     "timeout": errors.BridgeTimeoutError,
@@ -202,6 +203,41 @@ class Client:
         """Return the plan of a function as data, and as text; raises ResolutionError."""
         plan: Mapping[str, Any] = await self._ask("Resolve", name)
         return plan
+
+    async def configure(
+        self,
+        text: str,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+    ) -> Mapping[str, Any]:
+        """Change the configuration of the robot; needs the right `configure`.
+
+        Args:
+            text: the whole configuration, YAML.
+            dry_run: whether to say only what would happen.
+            force: whether connections may end for it.
+            revision: of the configuration that the change was made for; None: any.
+
+        Returns:
+            `revision`, `differences`, `connections`, `is_applied`, `time`, and `text` for people.
+
+        Raises:
+            ConfigurationError: it has mistakes, or would end connections.
+            UsageError: another revision is in force.
+            ServerError: the role may not.
+        """
+        wanted: dict[str, Any] = {"text": text, "dry_run": dry_run, "force": force}
+        if revision is not None:
+            wanted["revision"] = revision
+        change: Mapping[str, Any] = await self._ask("Configure", jsonMessage=wanted)
+        return change
+
+    async def revisions(self) -> list[Mapping[str, Any]]:
+        """Return the revisions of the configuration, the one in force last; needs `configure`."""
+        told: Mapping[str, Any] = await self._ask("Configure")
+        return list(told["revisions"])
 
     async def status(self) -> Mapping[str, Any]:
         """Return the status map, and `own`: what this client received and lost."""

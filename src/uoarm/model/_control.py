@@ -24,6 +24,7 @@ class Op(Enum):
     LIST = "List"
     RESOLVE = "Resolve"
     RESUME = "Resume"
+    CONFIGURE = "Configure"
 
 
 @frozen

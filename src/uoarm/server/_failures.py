@@ -33,6 +33,7 @@ _CODES: _Kinds = {
     errors.ControlMessageError: "unreadable",
     UnknownError: "unknown",
     DeniedError: "denied",
+    errors.ConfigurationError: "configuration",
     errors.ResolutionError: "resolution",
     errors.BridgeTimeoutError: "timeout",
     errors.BridgeError: "bridge",

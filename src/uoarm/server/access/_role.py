@@ -22,7 +22,8 @@ class Operation(Enum):
 
     SEE names functions and their status, REQUEST opens and receives, SEND publishes to an input,
     CALL calls a service, KILL ends what other clients hold. One's own connections may always be
-    killed.
+    killed. CONFIGURE changes the configuration, which can name any code: it is of no function, so
+    that only the pattern `*` gives it, and nobody has it without an access file.
     """
 
     SEE = "see"
@@ -30,6 +31,7 @@ class Operation(Enum):
     SEND = "send"
     CALL = "call"
     KILL = "kill"
+    CONFIGURE = "configure"
 
 
 @frozen
@@ -54,4 +56,4 @@ class Role:
             raise DeniedError(f"role {self.name!r} may not {operation.value} {function[:100]!r}")
 
 
-EVERYTHING = Role("local", dict.fromkeys(Operation, ("*",)))
+EVERYTHING = Role("local", dict.fromkeys(set(Operation) - {Operation.CONFIGURE}, ("*",)))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
+
+from attrs import evolve
 
 from uoarm._control import Connection
 from uoarm._resolve import NoPlanError
@@ -15,6 +17,7 @@ from uoarm._version import __version__
 from uoarm._wire import Form, check_asked, salvage_id, write_or_tell
 from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError, UsageError
 from uoarm.model import (
+    ConfigurationChange,
     ControlMessage,
     Message,
     Op,
@@ -73,6 +76,7 @@ class NativeSession:
             Op.REQUEST: self._request,
             Op.CALL: self._call,
             Op.RESOLVE: self._resolve,
+            Op.CONFIGURE: self._configure,
         }
         self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
@@ -187,6 +191,15 @@ class NativeSession:
             return self._written(asked, show_plan(plan, self._form))
 
         self._tell_frame(asked.id, await self._registry.resolve_and(act, name))
+
+    async def _configure(self, asked: ControlMessage) -> None:
+        self._client.require(Operation.CONFIGURE, "*")
+        wanted = asked.jsonMessage
+        if wanted is None:
+            self._reply(asked, {"revisions": _told(self._registry.robot.history())})
+            return
+        changed = await self._registry.configure(wanted["text"], wanted)
+        self._reply(asked, _told((changed,))[0])
 
     def _list(self, asked: ControlMessage) -> None:
         functions = list_functions(self._registry.robot.config, self._client.role)
@@ -315,6 +328,10 @@ class NativeSession:
         if self._replies is not None and identity is not None:
             self._replies.add(identity, frame)
         self._client.outbox.tell(frame, text=self._form.text)
+
+
+def _told(changes: Iterable[ConfigurationChange]) -> list[Message]:
+    return [{**to_json(evolve(one, robot=None)), "text": str(one)} for one in changes]
 
 
 def _reply_of(asked: ControlMessage, message: Message) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 export type Code =
   | "unreadable" | "unknown" | "denied" | "resolution" | "bridge" | "timeout" | "message"
-  | "usage" | "closed" | "limit" | "busy" | "internal";
+  | "usage" | "closed" | "limit" | "busy" | "configuration" | "internal";
 
 /** A JSON value, and with `binary` also octets, typed arrays and BigInt. */
 export type Message = unknown;
@@ -64,6 +64,10 @@ export class Robot {
   call<T = Message>(name: string, message: Message, options?: { timeout?: number }): Promise<T>;
   functions(): Promise<FunctionInfo[]>;
   resolve(name: string): Promise<{ plan: Record<string, unknown>; text: string }>;
+  configure(
+    text: string,
+    options?: { dry_run?: boolean; force?: boolean; revision?: number },
+  ): Promise<Record<string, unknown>>;
   status(): Promise<Record<string, unknown>>;
   watch(): Promise<AsyncIterable<Change>>;
   close(): void;

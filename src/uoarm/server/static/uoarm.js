@@ -147,6 +147,11 @@ export class Robot {
     return this.#ask({ op: "Resolve", type: name });
   }
 
+  /** Change the configuration to this YAML: `dry_run`, `force`, `revision`; needs `configure`. */
+  async configure(text, options = {}) {
+    return this.#ask({ op: "Configure", jsonMessage: { text, ...options } });
+  }
+
   /** The status map, and in `own` what this client received and lost. */
   async status() {
     return this.#ask({ op: "Status" });

@@ -8,14 +8,22 @@ import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from attrs import frozen
 
 from uoarm._control import Connection, RobotManager
 from uoarm._wire import TEXT_FORM
+from uoarm.config import loads
 from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
-from uoarm.model import Message, MessageStructure, Plan, StatusEvent, ValidationMode
+from uoarm.model import (
+    ConfigurationChange,
+    Message,
+    MessageStructure,
+    Plan,
+    StatusEvent,
+    ValidationMode,
+)
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
@@ -221,6 +229,29 @@ class FeedRegistry:
             UoarmError: as `RobotManager.resolve`, and BusyError.
         """
         return await self.workers.start(lambda: act(self.robot.resolve(name)))
+
+    async def configure(self, text: str, options: Mapping[str, Any]) -> ConfigurationChange:
+        """Change the configuration of the robot to this text, in a worker.
+
+        Args:
+            text: the whole configuration.
+            options: `dry_run`, `force` and `revision`, as `RobotManager.apply` has them.
+
+        Raises:
+            UoarmError: as `RobotManager.apply`, and BusyError.
+        """
+        robot = self.robot
+
+        def apply() -> ConfigurationChange:
+            wanted = loads(text, robot.config.origin, robot.registry.types)
+            return robot.apply(
+                wanted,
+                dry_run=options.get("dry_run", False),
+                force=options.get("force", False),
+                revision=options.get("revision"),
+            )
+
+        return await self.workers.start(apply)
 
     async def structures(self, function: str) -> Mapping[str, MessageStructure]:
         """Return the structures of a function's ports; of one that nothing provides, none."""

@@ -1,0 +1,130 @@
+"""Changing the configuration from outside: who may, what is told, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from tests.server.conftest import Serve
+from tests.server.robot import CONFIGURATION
+from tests.server.talk import Talk
+
+from uoarm.cli import main
+from uoarm.client import ServerError, connect
+from uoarm.errors import ConfigurationError, UsageError
+from uoarm.server import Server, hash_token, make_token
+
+TOKENS = {"keeper": make_token(), "viewer": make_token()}
+ACCESS = """
+version: 1
+roles:
+  keeper: {{see: ["*"], request: ["*"], configure: ["*"]}}
+  viewer: {{see: ["*"], request: ["*"], configure: ["numbers"]}}
+tokens:
+  - {{name: keeper, role: keeper, sha256: {keeper}}}
+  - {{name: viewer, role: viewer, sha256: {viewer}}}
+"""
+TORCH = "{name: torch, bridge: python, output: {endpoint: ['tests.server.robot:numbers']}}"
+MORE = f"{CONFIGURATION}\n  torch:\n    components: [{TORCH}]\n"
+NO_NUMBERS = (
+    f"version: 1\nbridges: {{python: {{}}}}\nfunctions:\n  torch:\n    components: [{TORCH}]\n"
+)
+
+
+@pytest.fixture
+def guarded(serve: Serve, tmp_path: Path) -> Server:
+    access = tmp_path / "access.yaml"
+    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
+    access.write_text(ACCESS.format(**hashes), encoding="utf-8")
+    return serve(access=access)
+
+
+def url(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+def enter(server: Server, name: str) -> Talk:
+    return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
+
+
+def test_who_has_the_right_changes_it_and_sees_the_revisions(guarded: Server) -> None:
+    with enter(guarded, "keeper") as keeper:
+        change = keeper.ask("Configure", message={"text": MORE, "dry_run": True})
+        assert (change["revision"], change["is_applied"]) == (1, False)
+        assert "+ function torch" in change["text"]
+        change = keeper.ask("Configure", message={"text": MORE, "revision": 0})
+        assert change["is_applied"]
+        keeper.open("torch")
+        revisions = keeper.ask("Configure")["revisions"]
+        assert [one["revision"] for one in revisions] == [0, 1]
+
+
+def test_who_has_not_is_denied_and_learns_nothing(guarded: Server) -> None:
+    with enter(guarded, "viewer") as viewer:  # a pattern of functions is not enough
+        for asked in ({"text": MORE}, {"text": "no: configuration"}, None):
+            assert viewer.refused("Configure", message=asked)["code"] == "denied"
+
+
+def test_without_an_access_file_nobody_may(serve: Serve) -> None:
+    with Talk(url(serve())) as local:
+        refused = local.refused("Configure", message={"text": MORE})
+        assert refused["code"] == "denied"
+        assert "may not configure" in refused["text"]
+
+
+def test_what_is_wrong_or_in_the_way_is_told_and_nothing_changes(guarded: Server) -> None:
+    with enter(guarded, "keeper") as keeper:
+        numbers = keeper.open("numbers")
+        refused = keeper.refused("Configure", message={"text": "version: 1\nfunktions: {}\n"})
+        assert refused["code"] == "configuration"
+        assert "funktions" in refused["text"]
+        refused = keeper.refused("Configure", message={"text": NO_NUMBERS})
+        assert refused["code"] == "configuration"
+        assert "(numbers) ends" in refused["text"]
+        refused = keeper.refused("Configure", message={"text": MORE, "revision": 3})
+        assert refused["code"] == "usage"
+        assert [one["revision"] for one in keeper.ask("Configure")["revisions"]] == [0]
+
+        keeper.ask("Configure", message={"text": NO_NUMBERS, "force": True})
+        told = keeper.next("connection")["jsonMessage"]
+        assert (told["connection"], told["state"]) == (numbers, "failed")
+
+
+def test_the_python_client(guarded: Server) -> None:
+    async def work() -> None:
+        async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
+            assert (await keeper.configure(MORE))["is_applied"]
+            assert [one["revision"] for one in await keeper.revisions()] == [0, 1]
+            with pytest.raises(ConfigurationError, match="funktions"):
+                await keeper.configure("version: 1\nfunktions: {}\n")
+            with pytest.raises(UsageError, match="revision 7"):
+                await keeper.configure(MORE, revision=7)
+        async with connect(url(guarded), token=TOKENS["viewer"]) as viewer:
+            with pytest.raises(ServerError, match="may not configure"):
+                await viewer.configure(MORE)
+
+    asyncio.run(work())
+
+
+def apply(server: Server, path: Path, *arguments: str, who: str = "keeper") -> Result:
+    given = ["apply", str(path), "--url", url(server), "--token", TOKENS[who], *arguments]
+    return CliRunner().invoke(main, given)
+
+
+def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(MORE, encoding="utf-8")
+    done = apply(guarded, path, "--dry-run")
+    assert (done.exit_code, done.output.splitlines()[0]) == (0, "revision 1, not applied")
+    assert json.loads(apply(guarded, path, "--json").output)["is_applied"]
+    assert apply(guarded, path, "--revision", "0").exit_code == 1
+    assert apply(guarded, path, who="viewer").exit_code == 4
+    path.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")
+    done = apply(guarded, path)
+    assert (done.exit_code, "funktions" in done.output) == (3, True)
+    assert apply(guarded, tmp_path / "none.yaml").exit_code == 3
+    gone = ["apply", str(path), "--url", "ws://127.0.0.1:1/"]
+    assert CliRunner().invoke(main, gone).exit_code == 4
