@@ -43,7 +43,7 @@ test-core: $(VENV)/.core  ## what needs no framework, no browser and no camera
 	$(BIN)/python -m tests.tiers core
 
 test-long: $(VENV)/.dev mutation  ## the rest: properties at length, another order, a soak, mutations
-	$(BIN)/python -m tests.tiers long
+	$(BIN)/python -m tests.tiers long bugs
 	$(BIN)/python -m bench.soak --minutes 10
 
 coverage: $(VENV)/.core  ## lines and branches that the core's tests reach

@@ -1,6 +1,6 @@
 """Runs every tier of tests that this machine can run, and tells in a table what it ran.
 
-    python -m tests.tiers [TIER ...]     run these tiers, or all but `long`
+    python -m tests.tiers [TIER ...]     run these tiers, or all but `long` and `bugs`
     python -m tests.tiers --install      install what the tiers need, as far as it can be had
 
 The exit status is 0 when no test failed and nothing is missing that automation (CI) must have.
@@ -49,7 +49,12 @@ SHORT, LONG = "not needs and not long", "not needs"
 TIERS = (
     Tier("core", "nothing but .[dev]", ("tests", "-m", SHORT)),
     *(
-        Tier(name, f"plugins/uoarm-{name}", (f"plugins/uoarm-{name}/tests",), (name,))
+        Tier(
+            name,
+            f"plugins/uoarm-{name}",
+            (f"plugins/uoarm-{name}/tests", "-m", "not long"),
+            (name,),
+        )
         for name in PLUGINS
     ),
     Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", "needs")),
@@ -59,8 +64,14 @@ TIERS = (
         ("tests", "-m", LONG),
         variables=(("HYPOTHESIS_PROFILE", "long"), ("UOARM_TEST_ORDER", str(time.time_ns()))),
     ),
+    Tier(
+        "bugs",
+        "the conformance kit against deliberate bugs with a real broker",
+        ("plugins/uoarm-mqtt/tests", "-m", "long"),
+        ("mqtt", "mosquitto"),
+    ),
 )
-BY_DEFAULT = tuple(tier.name for tier in TIERS if tier.name != "long")
+BY_DEFAULT = tuple(tier.name for tier in TIERS if tier.name not in {"long", "bugs"})
 GROUPS = (
     "-e .[vision-lbph,vision-dlib]",
     "-e .[healthbot]",

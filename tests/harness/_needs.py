@@ -67,6 +67,7 @@ NEEDS = {
         "pip install -e 'plugins/uoarm-mqtt[dev]'", packages=("uoarm_mqtt", "paho", "trustme")
     ),
     "mosquitto": Need("apt install mosquitto", programs=("mosquitto", "/usr/sbin/mosquitto")),
+    "mosquitto-clients": Need("apt install mosquitto-clients", programs=("mosquitto_sub",)),
     "rosbridge": Need(
         "pip install -e 'plugins/uoarm-rosbridge[dev]'", packages=("uoarm_rosbridge", "roslibpy")
     ),

@@ -641,6 +641,30 @@ def describes_no_reply(world: BadWorld, bridge: MemoryBridge, describe: Any) -> 
     return lambda endpoint: evolve(describe(endpoint), reply=None)
 
 
+def answers_others(world: BadWorld, bridge: MemoryBridge, call: Any) -> Any:
+    """Give every caller the first reply."""
+    kept: list[Message] = []
+
+    def called(*given: Any) -> Message:
+        kept.append(call(*given))
+        return kept[0]
+
+    return called
+
+
+def serves_errors(world: BadWorld, bridge: MemoryBridge, serve: Any) -> Any:
+    def served(endpoint: Endpoint, structures: Any, handler: Any) -> Any:
+        def handle(request: Message) -> Message:
+            try:
+                return handler(request)
+            except ArithmeticError:
+                return {}
+
+        return serve(endpoint, structures, handle)
+
+    return served
+
+
 def serves_on(world: BadWorld, bridge: MemoryBridge, serve: Any) -> Any:
     def served(*given: Any) -> Channel:
         serve(*given)
@@ -929,6 +953,13 @@ BUGS: tuple[Bug, ...] = (
         "is described by",
     ),
     Bug(
+        WORDS,
+        "has an attribute with the name of a step",
+        step("_link", lambda *_: "a link"),
+        Declaring.test_no_attribute_hides_a_step,
+        "hide what `Bridge` has under these names: ['_link']",
+    ),
+    Bug(
         CLOSING,
         "waits in closing for a delivery that lasts",
         joins_its_delivery,
@@ -1186,6 +1217,20 @@ BUGS: tuple[Bug, ...] = (
         step("_describe", describes_no_reply),
         Services.test_a_service_is_described_by_request_and_reply,
         "it is described without a reply",
+    ),
+    Bug(
+        SERVICES,
+        "gives a caller the reply to another request",
+        step("_call", answers_others),
+        Services.test_several_threads_may_call_at_once,
+        "the reply to {'value'",
+    ),
+    Bug(
+        SERVICES,
+        "answers with nothing when a served function raises",
+        step("_serve", serves_errors),
+        Services.test_a_served_function_that_raises_fails_its_caller,
+        "DID NOT RAISE",
     ),
     Bug(
         SERVICES,

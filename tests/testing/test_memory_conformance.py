@@ -123,7 +123,8 @@ class MemoryWorld(World):
 
     def served(self) -> Served:
         services = [at(name, Role.SERVICE) for name in ("double", "broken", "silent")]
-        return Served(services[0], {"value": 21}, {"value": 42}, services[1], services[2])
+        more = [({"value": n}, {"value": 2 * n}) for n in range(3)]
+        return Served(services[0], {"value": 21}, {"value": 42}, services[1], services[2], more)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
         return at("offered", Role.SERVICE), at("offered", Role.SERVICE)

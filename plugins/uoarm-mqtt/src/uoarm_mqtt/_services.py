@@ -9,7 +9,7 @@ from typing import Any
 from attrs import define, field
 
 from uoarm.bridge import Channel, Handler, ServiceStructures
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_mqtt._channels import Backlog, content_type
 from uoarm_mqtt._codec import CONTENT_TYPES, Codec
@@ -92,7 +92,11 @@ class Calls:
         if _FAILED in said:
             raise BridgeError(f"{endpoint}: the service failed: {said[_FAILED][:1000]}")
         codec = Codec.of(port.content, structures.reply, budget)
-        return codec.decode(call.reply.payload, content_type(call.reply))
+        try:
+            return codec.decode(call.reply.payload, content_type(call.reply))
+        except MessageError as error:
+            text = f"{endpoint}: the reply cannot be read: {error}"
+            raise BridgeError(text, FailureReason.BAD_MESSAGE) from error
 
     def _take(self, incoming: Incoming) -> None:
         correlation = getattr(incoming.properties, "CorrelationData", b"")

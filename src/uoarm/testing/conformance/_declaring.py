@@ -44,6 +44,13 @@ class Declaring:
         assert declared.summary
         Draft202012Validator.check_schema(declared.options_schema)
 
+    def test_no_attribute_hides_a_step(self, bridge: Bridge) -> None:
+        steps = {name for name in dir(Bridge) if callable(getattr(Bridge, name))}
+        hidden = [
+            name for name in vars(bridge) if name in steps and not callable(vars(bridge)[name])
+        ]
+        assert not hidden, f"attributes hide what `Bridge` has under these names: {hidden}"
+
     def test_the_options_reach_the_bridge(self, world: World, spec: BridgeSpec) -> None:
         made = world.registry().create(spec)
         try:

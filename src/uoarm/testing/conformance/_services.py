@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
 from uoarm.bridge import Bridge
@@ -17,6 +19,7 @@ __all__ = ["Services"]
 
 _CALLERS = 8
 _SHORT_SECONDS = 0.5
+_FAILING_SECONDS = 2.0  # a framework without a form for failures lets the caller wait
 
 
 @rules("the-steps")
@@ -45,11 +48,13 @@ class Services:
     def test_several_threads_may_call_at_once(
         self, world: World, bridge: Bridge, served: Served
     ) -> None:
-        calls = [
-            Background(lambda: bridge.call(served.endpoint, served.request))
-            for _ in range(_CALLERS)
-        ]
-        assert all(same(call.result(world.patience), served.reply) for call in calls)
+        """Each gets the reply to its own request."""
+        wanted = [*served.more, (served.request, served.reply)]
+        pairs = [wanted[number % len(wanted)] for number in range(_CALLERS)]
+        calls = [Background(partial(bridge.call, served.endpoint, request)) for request, _ in pairs]
+        for call, (request, reply) in zip(calls, pairs, strict=True):
+            came = call.result(world.patience)
+            assert same(came, reply), f"the reply to {request!r} is {came!r}, expected {reply!r}"
 
     def test_a_service_that_fails_is_a_bridge_error(self, bridge: Bridge, served: Served) -> None:
         if served.failing is None:
@@ -107,6 +112,32 @@ class Services:
         channel.close()
         with pytest.raises(BridgeError):
             bridge.call(called, request, timeout=_SHORT_SECONDS)
+
+    def test_a_served_function_that_raises_fails_its_caller(
+        self, world: World, bridge: Bridge
+    ) -> None:
+        places = world.servable()
+        if places is None:
+            pytest.skip("the bridge does not serve")
+        offered, called = places
+        replies: list[Message] = []
+
+        def answer(_: Message) -> Message:
+            if replies:
+                return replies[0]
+            raise ArithmeticError("the handler raises")
+
+        channel = bridge.serve(offered, answer)
+        description = bridge.describe(called)
+        assert description.request is not None
+        assert description.reply is not None
+        request = example_of(description.request)
+        with pytest.raises(BridgeError):
+            bridge.call(called, request, timeout=_FAILING_SECONDS)
+        replies.append(example_of(description.reply))
+        again = Background(lambda: bridge.call(called, request)).result(world.patience)
+        assert same(again, replies[0])
+        channel.close()
 
     def test_a_link_carries_messages_without_the_manager(
         self, world: World, bridge: Bridge

@@ -48,6 +48,7 @@ class Served:
         reply: its answer.
         failing: a service that fails on every request; None where there is no such thing.
         silent: a service that answers no request in time; None where there is no such thing.
+        more: further requests to the first service, each with a reply of its own.
     """
 
     endpoint: Endpoint
@@ -55,6 +56,7 @@ class Served:
     reply: Message
     failing: Endpoint | None = None
     silent: Endpoint | None = None
+    more: Sequence[tuple[Message, Message]] = ()
 
 
 class World(ABC):

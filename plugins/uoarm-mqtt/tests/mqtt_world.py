@@ -1,0 +1,165 @@
+"""The world of the conformance kit: topics on a real Mosquitto, and peers."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from brokers import Broker, Peer
+
+from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing.conformance import (
+    Pair,
+    Retained,
+    Served,
+    Victim,
+    World,
+)
+
+OCTETS = {
+    "type": "array",
+    "items": {"type": "integer", "minimum": 0, "maximum": 255},
+    "x-octets": True,
+}
+POINT: Any = {
+    "type": "object",
+    "properties": {"x": {"type": "number"}, "on": {"type": "boolean"}, "n": {"type": "integer"}},
+    "required": ["x", "n"],
+    "additionalProperties": False,
+}
+KINDS: dict[str, Any] = {
+    "nested": {
+        "type": "object",
+        "properties": {
+            "points": {"type": "array", "items": {"$ref": "#/$defs/point"}},
+            "name": {"type": "string"},
+            "image": OCTETS,
+        },
+        "required": ["points"],
+        "additionalProperties": False,
+        "$defs": {"point": POINT},
+    },
+    "text": {"type": "string"},
+    "octets": OCTETS,
+}
+VALUE = {
+    "type": "object",
+    "properties": {"value": {"type": "integer"}},
+    "required": ["value"],
+    "additionalProperties": False,
+}
+NAMES = itertools.count()
+
+
+class MqttWorld(World):
+    """Topics of its own on a broker that lasts longer than a test."""
+
+    def __init__(self, broker: Broker) -> None:
+        self.broker = broker
+        self.at = f"world{next(NAMES)}"
+        self.peers: list[Peer] = []
+        self.peer().publish(f"{self.at}/schemas/{self.at}/found", json.dumps(VALUE), retain=True)
+
+    def spec(self) -> BridgeSpec:
+        services = {f"{self.at}/{name}": {"request": VALUE, "reply": VALUE} for name in SERVICES}
+        options = {
+            "url": self.broker.url,
+            "structures": {
+                f"{self.at}/nested": KINDS["nested"],
+                f"{self.at}/retained": VALUE,
+                f"{self.at}/victim/+": VALUE,
+            },
+            "services": services,
+            "schemas": f"{self.at}/schemas/{{topic}}",
+            "retained_wait": 0,
+        }
+        return BridgeSpec("mqtt", "mqtt", options)
+
+    def endpoint(self, name: str, role: Role = Role.OUTPUT, **options: object) -> Endpoint:
+        topic = f"{self.at}/{name}"
+        return Endpoint("mqtt", f"{name} component", role, (topic,), options=options)
+
+    def pair(self, kind: str) -> Pair:
+        content = "json" if kind == "nested" else kind
+        return Pair(
+            self.endpoint(kind, Role.INPUT, content=content), self.endpoint(kind, content=content)
+        )
+
+    def missing(self) -> Endpoint:
+        return self.endpoint("nowhere")
+
+    def samples(self, kind: str) -> Sequence[Message]:
+        if kind == "octets":
+            return [b"", bytes(range(256)), b"\xff" * 100_000]
+        if kind == "text":
+            return ["", "Kia ora \u2192 \U0001f916\r\n\t\0", "{" * 1000]
+        return [
+            {"points": [{"x": -0.0, "n": 2**80}, {"x": 5e-324, "n": 0}], "image": b"\0\xff"},
+            {"points": [], "name": "Kia ora \u2192 \U0001f916"},
+            {"points": [], "name": '[[["{{{,,,:::' * 100},
+        ]
+
+    def victims(self) -> Sequence[Victim]:
+        return [self._victim(name) for name in ("victim/a", "victim/b")]
+
+    def victim(self) -> Victim:
+        return self._victim("victim/a")
+
+    def _victim(self, name: str) -> Victim:
+        topic = f"{self.at}/{name}/presence"
+        peer = self.peer(will=(topic, "gone"))
+        peer.publish(topic, "online", retain=True)
+        return Victim(self.endpoint(name, presence={"topic": topic}), peer.die)
+
+    def broken(self) -> bool:
+        self.broker.kill()
+        return True
+
+    def mended(self) -> None:
+        self.broker.start()
+
+    def unreadable(self, kind: str) -> Callable[[], object] | None:
+        bad = {"nested": b'{"points": [', "text": b"\xff\xfe"}.get(kind)
+        if bad is None:
+            return None
+        peer = self.peer()
+        return lambda: peer.publish(f"{self.at}/{kind}", bad)
+
+    def retained(self) -> Retained:
+        peer, message = self.peer(), {"value": 7}
+
+        def emit() -> Message:
+            peer.publish(f"{self.at}/retained", json.dumps(message), retain=True)
+            return message
+
+        return Retained(self.endpoint("retained", retain=True), emit)
+
+    def served(self) -> Served:
+        peer = self.peer()
+        peer.serve(f"{self.at}/double", double)
+        peer.serve(f"{self.at}/failing", lambda _: ValueError("the service is broken"))
+        peer.serve(f"{self.at}/silent", lambda _: None)
+        made = [self.endpoint(name, Role.SERVICE) for name in SERVICES[:3]]
+        more = [({"value": n}, {"value": 2 * n}) for n in range(3)]
+        return Served(made[0], {"value": 21}, {"value": 42}, made[1], made[2], more)
+
+    def servable(self) -> tuple[Endpoint, Endpoint]:
+        endpoint = self.endpoint("served", Role.SERVICE)
+        return endpoint, endpoint
+
+    def peer(self, will: tuple[str, str] | None = None) -> Peer:
+        self.peers.append(Peer(self.broker, will))
+        return self.peers[-1]
+
+    def close(self) -> None:
+        for peer in self.peers:
+            peer.close()
+
+
+SERVICES = ("double", "failing", "silent", "served")
+
+
+def double(request: bytes) -> bytes:
+    return json.dumps({"value": 2 * json.loads(request)["value"]}).encode()

@@ -1,0 +1,87 @@
+"""The conformance kit against a real broker: each deliberate bug makes a test of it fail."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from contextlib import nullcontext, suppress
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from brokers import Broker, running
+from bugs import BUGS, Bug, table
+from mqtt_world import KINDS, MqttWorld
+from uoarm_mqtt import _channels, _link
+
+from uoarm.errors import BridgeError
+from uoarm.testing._limits import default_limits
+from uoarm.testing.conformance._rules import PAGE, rule_of
+
+PAGES = Path(__file__).parents[3] / "docs"
+
+
+class ImpatientWorld(MqttWorld):
+    """A world in which most bugs show by what does not come: that is not waited for long.
+
+    Connecting again takes its time: in a world that breaks, nothing is to be missed for it.
+    """
+
+    is_lasting = True
+
+    @property
+    def patience(self) -> float:
+        return 1.5 if self.is_lasting else 10.0
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Close in the end what some of the bugs leave open."""
+    opened: list[Any] = []
+
+    def noting(init: Any) -> Any:
+        def noted(one: Any, *given: Any, **named: Any) -> None:
+            opened.append(one)
+            init(one, *given, **named)
+
+        return noted
+
+    for owner in (_link.Link, _channels.Backlog):
+        monkeypatch.setattr(owner, "__init__", noting(owner.__init__))
+    yield
+    for one in opened:
+        one.close()
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("made")
+@pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name.replace(" ", "-"))
+def test_a_bad_bridge_is_found_out(bug: Bug, broker: Broker, tmp_path: Path) -> None:
+    wanted = inspect.signature(bug.caught).parameters
+    breaks = bug.caught.__qualname__.startswith("Breaking.")
+    with running(tmp_path / "broker") if breaks else nullcontext(broker) as used:
+        world = ImpatientWorld(used)
+        world.is_lasting = not breaks
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(bug.owner, bug.part, bug.replace(getattr(bug.owner, bug.part)))
+            bridge = world.bridge()
+            given: dict[str, Any] = {"world": world, "bridge": bridge, "kind": "nested"}
+            given["self"] = SimpleNamespace(kinds=tuple(KINDS))
+            if "served" in wanted:
+                given["served"] = world.served()
+            try:
+                with pytest.raises(AssertionError) as caught, default_limits(5.0):
+                    bug.caught(**{name: given[name] for name in wanted})
+            finally:
+                with suppress(BridgeError):  # one of the bugs
+                    bridge.close()
+        world.close()
+    told = str(caught.value)
+    assert bug.says in told, told
+    assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in told
+
+
+def test_the_page_has_the_table() -> None:
+    page = (PAGES / "conformance.md").read_text(encoding="utf-8")
+    assert table() in page, f"put this into docs/conformance.md:\n{table()}"

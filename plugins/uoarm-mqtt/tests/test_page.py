@@ -1,0 +1,62 @@
+"""The page's example runs as printed, with Mosquitto's own programs as peers."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from brokers import Broker, Peer
+
+from uoarm.testing import patience, wait
+
+PAGE = Path(__file__).parents[3] / "docs" / "mqtt.md"
+
+
+@pytest.mark.needs("mosquitto-clients")
+def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    _, peers, robot, commands, printed, program, *_ = (
+        found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
+    )
+    (tmp_path / "robot.yaml").write_text(robot.replace("127.0.0.1", broker.host))
+    environment = {**os.environ, "HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+    for name in ("mosquitto_pub", "mosquitto_sub"):  # where they find the broker of the test
+        (tmp_path / name).write_text(f"-h {broker.host}\n")
+    watcher = Peer(broker)
+    lamp = watcher.collect("lab/lamp")
+    shell = subprocess.Popen(
+        ["bash", "-c", peers], cwd=tmp_path, env=environment, start_new_session=True
+    )
+    try:
+        said: list[str] = []
+
+        def answered() -> bool:
+            done = [_run(["-m", *shlex.split(line)], tmp_path) for line in commands.splitlines()]
+            said[:] = [one.stdout + one.stderr for one in done]
+            return not any(one.returncode for one in done)
+
+        wait(answered, "the peers of the page did not come up", patience())
+        assert "".join(said) == printed
+        assert _run(["-c", program], tmp_path).returncode == 0
+        wait(lambda: lamp, "the lamp was not told", patience())
+        assert lamp[0].payload == b'"on"'
+    finally:
+        os.killpg(shell.pid, 15)
+        shell.wait()
+        watcher.close()
+
+
+def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=patience(),
+        check=False,
+    )
