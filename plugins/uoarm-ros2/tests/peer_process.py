@@ -17,7 +17,13 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from redefinition import redefine
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64, String
@@ -34,6 +40,7 @@ def profile(
     depth: int = 100,
     deadline: float | None = None,
     history: str = "keep_last",
+    lease: float | None = None,
 ) -> Any:
     made = QoSProfile(
         reliability=ReliabilityPolicy[reliability.upper()],
@@ -41,6 +48,9 @@ def profile(
         history=HistoryPolicy[history.upper()],
         depth=depth,
     )
+    if lease is not None:
+        made.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
+        made.liveliness_lease_duration = Duration(nanoseconds=round(lease * 1e9))
     if deadline is not None:
         made.deadline = Duration(nanoseconds=round(deadline * 1e9))
     return made

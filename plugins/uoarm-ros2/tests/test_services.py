@@ -125,7 +125,7 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
     answer = client.do("call", name="/switch", value=False)
     assert answer == {"success": False, "message": "off is not possible"}
     assert events.event(Health.DEGRADED, "off is not possible").channel is channel
-    assert channel.facts() == {"requests": 2, "failures": 1}
+    assert channel.facts() == {"requests": 2, "waiting": 0, "failures": 1}
     assert client.do("call", name="/switch", value=True)["success"]
     assert events.event(Health.OK, "serving /switch works again").channel is channel
 
@@ -158,6 +158,32 @@ def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start)
     bridge.serve(service("/switch", SET_BOOL), lambda _: {"success": True, "message": str(ask(40))})
     answer = client.do("call", name="/switch", value=True)
     assert answer["message"] == "41"
+
+
+def test_requests_are_handled_at_once_as_many_as_the_option_says(
+    bridge: Bridge, peer: Start
+) -> None:
+    """Each handler waits for the other one: one after the other, neither would ever answer."""
+    together = threading.Barrier(2, timeout=patience())
+    most, inside, lock = 0, 0, threading.Lock()
+
+    def handle(_: object) -> dict[str, Any]:
+        nonlocal most, inside
+        with lock:
+            inside += 1
+            most = max(most, inside)
+        together.wait()
+        with lock:
+            inside -= 1
+        return {"success": True, "message": "met"}
+
+    channel = bridge.serve(service("/meet", SET_BOOL, at_once=2), handle)
+    clients = [peer(f"client_{number}") for number in range(4)]
+    for client in clients:
+        client.start("call", name="/meet", value=True)
+    assert [client.answer()["message"] for client in clients] == ["met"] * 4
+    assert most == 2
+    assert channel.facts() == {"requests": 4, "waiting": 0, "failures": 0}
 
 
 def test_an_action_is_a_call(make_bridge: Make, peer: Start) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from uoarm_ros2._middleware import Station
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Health, Role
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -125,6 +126,44 @@ def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer:
     assert "this subscription asks (reliable" in text
     assert "clash on reliability" in text
     assert bridge.open_channels == 0
+
+
+@pytest.mark.parametrize("role", [Role.OUTPUT, Role.INPUT])
+def test_a_clash_that_is_known_is_not_waited_for(bridge: Bridge, peer: Start, role: Role) -> None:
+    other = peer("other")
+    if role is Role.OUTPUT:
+        other.do("advertise", topic="/stern", reliability="best_effort")
+        asked = {"reliability": "reliable"}
+    else:
+        other.do("subscribe", topic="/stern", durability="transient_local")
+        asked = {"durability": "volatile"}
+    at = endpoint(role, "/stern", INT64, qos=asked, wait=60.0)
+    structure = bridge.describe(at, timeout=patience()).message
+    assert structure is not None
+    limit = min(30.0, patience())  # to wait longer is another error
+    opening: Callable[[], object]
+    if role is Role.OUTPUT:
+        opening = partial(bridge.open_source, at, structure, print, timeout=limit)
+    else:
+        opening = partial(bridge.open_sink, at, structure, timeout=limit)
+    with pytest.raises(BridgeError, match="clash on") as caught:
+        opening()
+    assert caught.value.reason is FailureReason.UNAVAILABLE
+
+
+def test_a_publisher_that_no_longer_says_that_it_is_alive_is_lost(
+    bridge: Bridge, peer: Start
+) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    talker = peer("talker")
+    talker.do("advertise", topic="/alive", lease=0.5)
+    channel = source(bridge, endpoint(Role.OUTPUT, "/alive", INT64), inbox)
+    talker.do("publish", topic="/alive", count=1)
+    event = events.event(Health.LOST, "no longer says that it is alive")
+    assert event.channel is channel
+    talker.do("publish", topic="/alive", count=1)
+    events.event(Health.OK, "says again that it is alive")
 
 
 def test_a_clash_that_comes_later_is_an_event(make_bridge: Make, peer: Start) -> None:

@@ -46,8 +46,8 @@ class Ros2Bridge(Bridge):
     """One participant in one DDS domain, with a context of its own.
 
     Messages are delivered in one thread; replies, results and feedback arrive in a second one, so
-    that whoever takes a message may call a service through the same bridge; each served service
-    has a third kind of its own.
+    that whoever takes a message may call a service through the same bridge; requests to services
+    that it offers are handled in threads of their own.
     """
 
     capabilities = Capabilities(discover=True, call=True, serve=True, link=True)
@@ -161,7 +161,7 @@ class Ros2Bridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
         del structures
-        address = address_of(endpoint)
+        address, settings = address_of(endpoint), settings_of(endpoint)
         if address.kind == ACTION:
             text = f"{endpoint}: an action can be called and followed, not served; serve a service"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
@@ -169,7 +169,8 @@ class Ros2Bridge(Bridge):
             text = f"{endpoint}: serving needs a type package/srv/Name in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._station.node.resolve_service_name(address.name)
-        return Server(self._participant, endpoint, name, address.type, handler, self._told)
+        station, at_once = self._reply_station(), settings.at_once
+        return Server(station, endpoint, name, address.type, handler, at_once, self._told)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         wanted = [(each, address_of(each), settings_of(each)) for each in (source, sink)]
@@ -246,9 +247,10 @@ class Ros2Bridge(Bridge):
             return action
 
     def _reply_station(self) -> Station:
-        if self._replies is None:
-            self._replies = self._participant.station(f"{self._settings.node}_replies")
-        return self._replies
+        with self._making:
+            if self._replies is None:
+                self._replies = self._participant.station(f"{self._settings.node}_replies")
+            return self._replies
 
     def _told(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -21,6 +23,7 @@ __all__ = ["End", "Place"]
 
 _ANSWER_TICKS = 5
 _NAME_SECONDS = 0.5
+_CLASH_SECONDS = 0.5  # as long as it may take to hear of another peer that has just started
 _UNNAMED = "NAME_UNKNOWN"  # what the graph says of an end whose node it has not heard of yet
 Events = dict[str, Callable[[Any], None]]
 
@@ -56,6 +59,7 @@ class End(ABC):
         self._place = place
         self._pulse = pulse
         self._unanswered = 0
+        self._clashes_since = math.inf
         self._clashing = False
         self._unlooked = False
         self._strange = False
@@ -91,6 +95,16 @@ class End(ABC):
         """Return the peers of our type that are on the graph, matched or not."""
         topic = self._place.topic
         return [peer for peer in self.peers_on(topic.name) if peer.type == topic.type]
+
+    def cannot_match(self) -> bool:
+        """Whether whoever is on the graph has clashed for so long that waiting will not help."""
+        peers = self.peers()
+        if not peers or not all(self.clashes_with(peer.policies) for peer in peers):
+            self._clashes_since = math.inf
+            return False
+        now = time.monotonic()
+        self._clashes_since = min(self._clashes_since, now)
+        return now - self._clashes_since > _CLASH_SECONDS
 
     def require(self, limit: float) -> None:
         """Raise BridgeError when a peer must be there and none is matched or speaks our language.

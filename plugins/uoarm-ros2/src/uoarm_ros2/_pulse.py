@@ -73,6 +73,15 @@ class Pulse:
         self.deadlines_missed = total
         self._degrade(f"the deadline passed {total} times without a message on {what}")
 
+    def liveliness(self, alive: int, silent: int, what: str, *, required: bool) -> None:
+        """Note how many publishers say that they are alive, and how many ceased to."""
+        if silent and not alive:
+            health = Health.LOST if required else Health.DEGRADED
+            cause = f"the publisher of {what} no longer says that it is alive (liveliness)"
+            self.tell(health, cause, "liveliness")
+        elif alive and self._why == "liveliness":
+            self.tell(Health.OK, f"the publisher of {what} says again that it is alive")
+
     def tick(self) -> None:
         """Look at the clock: go stale, or recover once messages flow again."""
         age = self._clock() - self.last

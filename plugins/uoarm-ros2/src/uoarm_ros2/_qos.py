@@ -104,7 +104,11 @@ def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
         asked = evolve(asked, reliability="best_effort")
     if seen and all(offer.durability == "transient_local" for offer in seen):
         asked = evolve(asked, durability="transient_local")
-    return _settled(asked, wish, deadline=None, lease=None)
+    if seen and all(offer.liveliness == "manual_by_topic" for offer in seen):
+        asked = evolve(asked, liveliness="manual_by_topic")
+    leases = [offer.lease_duration for offer in seen if offer.lease_duration is not None]
+    lease = max(leases) if leases and len(leases) == len(seen) else None
+    return _settled(asked, wish, deadline=None, lease=lease)
 
 
 def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ from uoarm.bridge import Channel, Description, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._graph import Graph
-from uoarm_ros2._middleware import Participant, Station
+from uoarm_ros2._middleware import Station
 from uoarm_ros2._read import reader
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import Record, shape_of
@@ -22,7 +23,8 @@ from uoarm_ros2._write import writer
 __all__ = ["Caller", "Server", "answered", "described"]
 
 _GLANCE_SECONDS = 0.25
-_STOP_SECONDS = 2.0
+_MOST_WAITING = 256
+_Request = tuple[Any, Callable[[Any], None]]
 _log = logging.getLogger("uoarm.ros2")
 
 
@@ -100,19 +102,30 @@ class Caller:
 
 
 class Server(Channel):
-    """A service offered to ROS, with a station of its own so that a slow handler holds up nobody.
+    """A service offered to ROS; several requests are handled at once, in threads of their own.
 
     When the handler fails, a reply type with `success` and `message` says so; any other client is
-    left without a reply, since ROS 2 has no other way to refuse, and the channel is degraded.
+    left without a reply, since ROS 2 has no other way to refuse, and the channel is degraded. The
+    same happens to requests for which there is no room.
+
+    Args:
+        station: where it is offered.
+        endpoint: as it was configured.
+        name: the full name.
+        type_name: the service's type.
+        handler: called by `at_once` threads at most.
+        at_once: how many.
+        report: takes changes of health.
     """
 
     def __init__(
         self,
-        participant: Participant,
+        station: Station,
         endpoint: Endpoint,
         name: str,
         type_name: str,
         handler: Handler,
+        at_once: int,
         report: Callable[[Channel, Health, str], None],
     ) -> None:
         super().__init__(endpoint)
@@ -124,45 +137,73 @@ class Server(Channel):
         self._write = writer(reply)
         self._refusable = {"success", "message"} <= {each.name for each in reply.fields}
         self._handler = handler
+        self._at_once = at_once
         self._report = report
-        self._participant = participant
-        self._answering = False
+        self._lock = threading.Lock()
+        self._waiting: deque[_Request] = deque()
+        self._working = 0
         self._failing = False
         self.failures = 0
         self.count = 0
-        self._station = participant.station(f"uoarm_serves_{name.strip('/').replace('/', '_')}")
-        try:
-            self._station.server(native, name, self._answer)
-        except BaseException:
-            participant.dismiss(self._station, _STOP_SECONDS)
-            raise
+        self._station = station
+        self._service = station.server(native, name, self._take)
 
     def facts(self) -> dict[str, object]:
-        """Return how many requests came and how many the handler failed."""
-        return {"requests": self.count, "failures": self.failures}
+        """Return how many requests came, how many wait, and how many the handler failed."""
+        waiting = len(self._waiting)
+        return {"requests": self.count, "waiting": waiting, "failures": self.failures}
 
     def _close(self) -> None:
-        # The handler that is at work may be what asked for the close.
-        self._participant.dismiss(self._station, 0.0 if self._answering else _STOP_SECONDS)
+        # A handler that is at work may be what asked for the close: nobody waits for it.
+        self._waiting.clear()
+        self._station.discard(self._service)
 
-    def _answer(self, request: Any, reply: Callable[[Any], None]) -> None:
-        self._answering = True
-        self.count += 1
-        try:
-            answer = self._write(self._handler(self._read(request)))
-        except Exception as error:
-            self.failures += 1
-            self._failing = True
-            cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
-            self._report(self, Health.DEGRADED, cause)
-            if not self._refusable:
-                raise
-            _log.warning("%s", cause)
-            answer = self._native.Response(success=False, message=str(error))
-        else:
+    def _take(self, request: Any, reply: Callable[[Any], None]) -> None:
+        """Have a request handled; in the station's thread."""
+        with self._lock:
+            self.count += 1
+            is_full = len(self._waiting) >= _MOST_WAITING
+            if not is_full:
+                self._waiting.append((request, reply))
+            starts = not is_full and self._working < self._at_once
+            self._working += starts
+        if is_full:
+            self._failed(RuntimeError(f"{_MOST_WAITING} requests wait already"), reply)
+        elif starts:
+            threading.Thread(target=self._work, name=f"serves {self._name}", daemon=True).start()
+
+    def _work(self) -> None:
+        """Handle requests until none waits."""
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._working -= 1
+                    return
+                request, reply = self._waiting.popleft()
+            try:
+                answer = self._write(self._handler(self._read(request)))
+            except Exception as error:  # noqa: BLE001 - reported, and told to the client if it can be
+                self._failed(error, reply)
+                continue
+            self._send(reply, answer)
             if self._failing:
                 self._failing = False
                 self._report(self, Health.OK, f"serving {self._name} works again")
-        finally:
-            self._answering = False
-        reply(answer)
+
+    def _failed(self, error: Exception, reply: Callable[[Any], None]) -> None:
+        with self._lock:
+            self.failures += 1
+            self._failing = True
+        cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
+        _log.warning("%s", cause)
+        self._report(self, Health.DEGRADED, cause)
+        if self._refusable:
+            self._send(reply, self._native.Response(success=False, message=str(error)))
+
+    def _send(self, reply: Callable[[Any], None], answer: Any) -> None:
+        """Send a reply; a client that is gone, or a channel that was closed, gets none."""
+        try:
+            reply(answer)
+        except Exception as error:  # noqa: BLE001 - rclpy's, of several kinds
+            if not self._closed:
+                _log.warning("a reply of %s could not be sent: %s", self._name, error)

@@ -27,6 +27,7 @@ _PARTS = {Role.OUTPUT: ("feedback", "result", "status"), Role.INPUT: ("goal", "c
 # Fast DDS announces a participant every 3 s: who starts beside us may be unseen that long.
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
+_MOST_AT_ONCE = 64
 
 _SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 BRIDGE_OPTIONS: Schema = {
@@ -96,12 +97,14 @@ class Settings:
         peer_required: whether an endpoint without another end counts as unavailable.
         wait: seconds to wait for the other end; None: as the bridge says.
         stale_after: seconds without a message after which the channel is lost; None: never.
+        at_once: requests to a service that is offered that are handled at the same time.
     """
 
     qos: QosWish = field(factory=QosWish)
     peer_required: bool = True
     wait: float | None = None
     stale_after: float | None = None
+    at_once: int = 8
 
 
 def address_of(endpoint: Endpoint) -> Address:
@@ -179,7 +182,7 @@ def _default_part(endpoint: Endpoint) -> str:
 
 
 def _settings(options: Options) -> Settings:
-    known = ("peer", "qos", "stale_after", "wait")
+    known = ("at_once", "peer", "qos", "stale_after", "wait")
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
@@ -191,7 +194,15 @@ def _settings(options: Options) -> Settings:
         peer == "required",
         _seconds(options, "wait", zero=True),
         _seconds(options, "stale_after", zero=False),
+        _at_once(options),
     )
+
+
+def _at_once(options: Mapping[str, object]) -> int:
+    value = options.get("at_once", 8)
+    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= _MOST_AT_ONCE:
+        raise ValueError(f"at_once must be 1 to {_MOST_AT_ONCE}, got {value!r}")
+    return value
 
 
 def _seconds(options: Mapping[str, object], name: str, *, zero: bool) -> float | None:

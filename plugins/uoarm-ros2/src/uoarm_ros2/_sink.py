@@ -101,7 +101,7 @@ class TopicSink(Sink):
         place, end = self._place, self._end
         expects_peers = place.settings.peer_required or bool(end.peers())
         limit = place.graph.limit(place.settings) if expects_peers else 0.0
-        place.graph.until(lambda: self.closed or end.all_matched(), limit)
+        place.graph.until(lambda: self.closed or end.all_matched() or end.cannot_match(), limit)
         end.require(limit)
         if end.count() and any(peer.policies.reliability == "best_effort" for peer in end.peers()):
             # A reader that does not ask for repeats must have matched us before the first message.

@@ -48,6 +48,10 @@ class _Subscription(End):
         place, pulse = self._place, self._pulse
         where = f"topic {place.topic.name}"
         events = self.events()
+        required = place.settings.peer_required
+        events["liveliness"] = lambda info: pulse.liveliness(
+            info.alive_count, info.not_alive_count, where, required=required
+        )
         events["message_lost"] = lambda info: pulse.missed(info.total_count, where)
         return place.station.subscribe(
             place.native, place.topic.name, self.policies, self._take, raw=self._raw, events=events
@@ -83,7 +87,9 @@ class TopicSource(Source):
         """
         place = self._place
         limit = place.graph.limit(place.settings)
-        matched = place.graph.until(lambda: self.closed or self._end.count() > 0, limit)
+        end = self._end
+        place.graph.until(lambda: self.closed or end.count() > 0 or end.cannot_match(), limit)
+        matched = end.count() > 0
         self._end.require(limit)
         self.latched = self._end.policies.durability == "transient_local"
         if matched and not self.latched:

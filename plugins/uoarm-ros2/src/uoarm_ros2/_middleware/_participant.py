@@ -53,12 +53,6 @@ class Participant:
         """Return the full names that the participant's nodes have, or had."""
         return frozenset(self._names)
 
-    def dismiss(self, station: Station, limit: float) -> None:
-        """Stop one station."""
-        with self._lock:
-            self._stations.remove(station)
-        station.stop(limit)
-
     def close(self, limit: float) -> None:
         """Stop every station; a thread that a callback holds ends when the callback does.
 

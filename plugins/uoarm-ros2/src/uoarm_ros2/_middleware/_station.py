@@ -16,6 +16,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 
 from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
@@ -36,6 +37,7 @@ _TICK_SECONDS = 0.2
 _SUBSCRIPTION_EVENTS = {
     "deadline": "RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED",
     "incompatible_qos": "RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS",
+    "liveliness": "RCL_SUBSCRIPTION_LIVELINESS_CHANGED",
     "matched": "RCL_SUBSCRIPTION_MATCHED",
     "message_lost": "RCL_SUBSCRIPTION_MESSAGE_LOST",
 }
@@ -124,10 +126,12 @@ class Station:
         return native
 
     def discard(self, native: Any) -> None:
-        """Destroy a publisher or subscription; does not wait for a thread that is held up."""
+        """Destroy a publisher, subscription or service; waits for no thread that is held up."""
         self._loop.remove(*self._entities.pop(native, ()))
         if isinstance(native, Publisher):
             self.node.destroy_publisher(native)
+        elif isinstance(native, Service):
+            self.node.destroy_service(native)
         else:
             self.node.destroy_subscription(native)
 
