@@ -9,14 +9,16 @@ from peers import DOMAIN, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.testing import patience
+from uoarm.model import ConnectionState
+from uoarm.testing import patience, wait
 
 Start = Callable[..., Peer]
 
 
-def robot(functions: str) -> RobotManager:
+def robot(functions: str, more: str = "") -> RobotManager:
     text = f"""
 version: 1
+{more}
 bridges:
   ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
 functions:
@@ -45,3 +47,27 @@ def test_of_what_is_sent_at_once_keep_all_loses_nothing(peer: Start) -> None:
         assert connection.flush(patience())
         seen = listener.do("report", topic="/kept", expected=2000)["seen"]
     assert seen == list(range(2000))
+
+
+OUT = """
+  numbers:
+    components:
+      - name: numbers
+        bridge: ros
+        output: {endpoint: [/mortal, std_msgs/msg/Int64]}
+"""
+
+
+def test_a_publisher_that_starts_again_is_waited_for(peer: Start) -> None:
+    first = peer("first")
+    first.do("advertise", topic="/mortal")
+    waits = f"failover: {{wait: {patience()}}}"
+    with robot(OUT, waits) as manager, manager.request("numbers") as connection:
+        first.kill()
+        wait(lambda: connection.state is ConnectionState.WAITING)
+        second = peer("second")
+        second.do("advertise", topic="/mortal")
+        wait(lambda: connection.state is ConnectionState.RUNNING)
+        assert second.do("subscriptions", topic="/mortal", expected=1)["count"] == 1
+        second.do("publish", topic="/mortal", count=1)
+        assert connection.get(patience()) == {"data": 1}

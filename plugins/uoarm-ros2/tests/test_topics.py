@@ -301,6 +301,44 @@ def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> Non
     events.event(Health.DEGRADED, "carries other types than std_msgs/msg/Int64")
 
 
+def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    first, second = peer("first"), peer("second")
+    first.do("advertise", topic="/joined")
+    channel = source(bridge, endpoint(Role.OUTPUT, "/joined", INT64), print)
+    second.do("subscribe", topic="/joined", kind="String")
+    event = events.event(Health.DEGRADED, "other types than std_msgs/msg/Int64 too: std_msgs/msg/S")
+    assert event.channel is channel
+    assert "/second" in event.cause
+    second.kill()
+    events.event(Health.OK, "carries std_msgs/msg/Int64 only")
+
+
+def test_what_was_latched_beside_one_who_does_not_latch_is_told_and_can_be_had(
+    bridge: Bridge, peer: Start
+) -> None:
+    events, inbox = Inbox(), Inbox()
+    bridge.watch(events)
+    latched, volatile = peer("latched"), peer("volatile")
+    latched.do("advertise", topic="/static", durability="transient_local")
+    latched.do("publish", topic="/static", count=1)
+    volatile.do("advertise", topic="/static")
+    known(bridge, "/latched", "/volatile")
+    wait(lambda: len(_publishers(bridge, "/static")) == 2)
+    channel = source(bridge, endpoint(Role.OUTPUT, "/static", INT64), print)
+    event = events.event(Health.DEGRADED, "does not come since /volatile latch nothing")
+    assert event.channel is channel
+    asked = endpoint(Role.OUTPUT, "/static", INT64, qos={"durability": "transient_local"})
+    source(bridge, asked, inbox)
+    assert inbox.wait_for(1) == [{"data": 1}]
+
+
+def _publishers(bridge: Bridge, topic: str) -> list[str]:
+    found = bridge.discover()
+    return [each.name for each in found for at, _ in each.endpoints if at.address[0] == topic]
+
+
 def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
     talker = peer("talker")
     talker.do("advertise", topic="/there")

@@ -63,6 +63,8 @@ class End(ABC):
         self._clashing = False
         self._unlooked = False
         self._strange = False
+        self._shared = False
+        self._shadowed = ""
         self._closed = False
         self.policies = self._fitting()
         self.native = self._create()
@@ -134,6 +136,9 @@ class End(ABC):
         if self._unlooked:
             self._unlooked = False
             self._look_for_strangers()
+            self._look_for_shadows()
+        if self._place.graph.has_other_types(self._place.topic) is not self._shared:
+            self._look_for_other_types()
 
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched peers and the policies in force."""
@@ -191,6 +196,32 @@ class End(ABC):
             self._unlooked = _UNNAMED in text  # the graph learns of an end, then of its node
         elif before and self.count():
             self._pulse.tell(Health.OK, "every peer has our definition of the type")
+
+    def shadowed(self) -> str:
+        """Return what of the peers is not reached although all fit, in words; mostly nothing."""
+        return ""
+
+    def _look_for_shadows(self) -> None:
+        before, self._shadowed = self._shadowed, self.shadowed()
+        if _UNNAMED in self._shadowed:
+            self._shadowed, self._unlooked = before, True
+        elif self._shadowed and self._shadowed != before:
+            self._pulse.tell(Health.DEGRADED, self._shadowed)
+        elif before and not self._shadowed and self.count():
+            self._pulse.tell(Health.OK, "all that the peers offer is reached")
+
+    def _look_for_other_types(self) -> None:
+        """Tell of a node that talks another type on our topic: ROS 2 itself is silent about it."""
+        topic = self._place.topic
+        others = self._place.graph.other_types(topic)
+        if _UNNAMED in others:
+            return  # its node is heard of a moment later
+        self._shared = bool(others)
+        if others:
+            text = f"topic {topic.name} carries other types than {topic.type} too: {others}"
+            self._pulse.tell(Health.DEGRADED, text)
+        elif self.count():
+            self._pulse.tell(Health.OK, f"topic {topic.name} carries {topic.type} only")
 
     def _clash(self, total: int) -> None:
         """Take note of a peer that does not fit; in the station's thread, as messages are."""

@@ -19,6 +19,7 @@ _GLANCE_SECONDS = 0.004
 _GRACE_SECONDS = 0.5
 _FRESH_SECONDS = 0.5
 _NEWCOMER_SECONDS = 1.0
+_TYPES_SECONDS = 1.0
 _EVERY_NODE_PUBLISHES = "/parameter_events"
 _MOST_PARTICIPANTS = 10_000
 
@@ -46,6 +47,8 @@ class Graph:
         self._wait = wait
         self._formed_at = time.monotonic() + wait
         self._met: dict[bytes, float] = {}
+        self._types: dict[str, list[str]] = {}
+        self._types_due = 0.0
 
     def limit(self, settings: Settings) -> float:
         """Return how many seconds an opening channel waits for its other end."""
@@ -61,8 +64,21 @@ class Graph:
         return True
 
     def tick(self) -> None:
-        """Take note of the participants that are there."""
+        """Take note of the participants that are there, and of the types of all topics."""
         self._meet(self._station.publishers(_EVERY_NODE_PUBLISHES))
+        now = time.monotonic()
+        if now >= self._types_due:
+            self._types_due = now + _TYPES_SECONDS
+            self._types = dict(self._station.node.get_topic_names_and_types())
+
+    def has_other_types(self, topic: Topic) -> bool:
+        """Whether a topic carried other types, too, at the last look, a second ago at most."""
+        return any(kind != topic.type for kind in self._types.get(topic.name, ()))
+
+    def other_types(self, topic: Topic) -> str:
+        """Return the other types that a topic carries now, with their nodes; empty: none."""
+        types = self._types_of(topic.name)
+        return _listed({kind: nodes for kind, nodes in types.items() if kind != topic.type})
 
     def settle(self, peers: Iterable[Peer], seconds: float, given_up: Callable[[], bool]) -> None:
         """Give matched peers the time to match us in turn, which DDS does not tell.
@@ -106,13 +122,16 @@ class Graph:
 
         if needed and not self.until(there, self._patience(settings)):
             raise self._nobody(name, wanted, role, peers(name))
-        types = _types((*self._station.publishers(name), *self._station.subscriptions(name)))
+        types = self._types_of(name)
         if not wanted and len(types) > 1:
             text = f"topic {name} carries several types: {_listed(types)}; name one in the address"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         chosen = wanted or next(iter(types))
         others = {kind: nodes for kind, nodes in types.items() if kind != chosen}
         return Topic(name, chosen, _listed(others))
+
+    def _types_of(self, name: str) -> dict[str, list[str]]:
+        return _types((*self._station.publishers(name), *self._station.subscriptions(name)))
 
     def service(self, address: Address, *, action: bool) -> tuple[str, str]:
         """Return the full name and the type of a service or action on the graph.

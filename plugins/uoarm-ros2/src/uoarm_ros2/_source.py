@@ -41,6 +41,21 @@ class _Subscription(End):
             f"this subscription asks ({self.policies})"
         )
 
+    def shadowed(self) -> str:
+        """Return whose latched messages of the past do not come since others latch none."""
+        place = self._place
+        latched = [each for each in self.peers() if each.policies.durability == "transient_local"]
+        if not latched or self.policies.durability == "transient_local":
+            return ""
+        if place.settings.qos.durability != "auto":
+            return ""
+        volatile = [each.node for each in self.peers() if each not in latched]
+        return (
+            f"topic {place.topic.name}: {', '.join(each.node for each in latched)} latched what "
+            f"they published, which does not come since {', '.join(volatile)} latch nothing; with "
+            "qos: {durability: transient_local} it comes, and nothing of those that latch nothing"
+        )
+
     def _fitting(self) -> Policies:
         return for_reading(self._place.settings.qos, [peer.policies for peer in self.peers()])
 
