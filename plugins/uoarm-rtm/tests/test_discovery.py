@@ -58,6 +58,17 @@ def test_components_are_discovered_with_ports_types_and_state(
     assert not found["some.host_cxt/Odd.rtc"].endpoints
 
 
+@pytest.mark.parametrize("name", ["Kühler.rtc", "腕.host_cxt/カメラ.rtc", "Latin-é.rtc"])
+def test_names_outside_ascii_are_readable(
+    make_bridge: Make, peer: Start, names: str, name: str
+) -> None:
+    sent = name if name.startswith("Latin") else name.encode().decode("latin-1")  # as C++ does
+    peer(sent, at=names)
+    bridge = make_bridge(nameserver=names)
+    assert [each.name for each in bridge.discover()] == [name]
+    assert bridge.describe(endpoint(Role.OUTPUT, name, "out")).message is not None
+
+
 def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, names: str) -> None:
     bridge = make_bridge(nameserver=names)
     events = Inbox()

@@ -57,8 +57,15 @@ def corbaloc(address: str) -> str:
 
 
 def path_of(name: Any) -> str:
-    """Return a CORBA name as text; dots and slashes inside a step are escaped."""
-    return str(URI.nameToString(name))
+    """Return a CORBA name as text; dots and slashes inside a step are escaped.
+
+    Components in C++ send the octets of UTF-8 as if each were a character of Latin-1.
+    """
+    text = str(URI.nameToString(name))
+    try:
+        return text.encode("latin-1").decode()
+    except UnicodeError:
+        return text
 
 
 def _afresh(ask: Callable[Asked, Answer]) -> Callable[Asked, Answer]:
@@ -120,6 +127,8 @@ class NamingService:
                 return limit(self._root().resolve(name), self._seconds)
             except (CosNaming.NamingContext.NotFound, CosNaming.NamingContext.CannotProceed):
                 return None
+            except CORBA.DATA_CONVERSION:
+                return None  # not a character of Latin-1: a name as it is shown, not as it is sent
             except CosNaming.NamingContext.InvalidName:
                 text = f"{self._what}: {path!r} is not a name"
                 raise BridgeError(text, FailureReason.BAD_ENDPOINT) from None
