@@ -224,6 +224,18 @@ class Process:
 
         setattr(self._in, "_publish", compare)  # noqa: B010 - of this instance alone
 
+    def ask_the_other_port(self) -> None:
+        """Answer for the OutPort's connectors with what the other port says, as Python does."""
+        usual = self._out.get_connector_profile
+
+        def asked(connector_id: str) -> Any:
+            profile = usual(connector_id)
+            for port in profile.ports[1:]:
+                port.get_port_profile()
+            return profile
+
+        setattr(self._out, "get_connector_profile", asked)  # noqa: B010 - of this instance alone
+
     def forget_sets(self) -> None:
         """Have no active set after a write, and forget new sets, as OpenRTM does."""
         servant = getattr(self._component, "_configuration")  # noqa: B009 - private

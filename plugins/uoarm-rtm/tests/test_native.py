@@ -26,8 +26,20 @@ def concerned(event: HealthEvent) -> str | None:
     return event.component if event.channel is None else event.channel.endpoint.component
 
 
+def asked_by_the_source(fault: str) -> Callable[[Peer, Peer], object]:
+    """Have the source's port ask the sink's, as in Python, before something becomes of the sink."""
+
+    def happen(out: Peer, into: Peer) -> None:
+        out.ask_the_other_port()
+        getattr(into, fault)()
+
+    return happen
+
+
 FAULTS: dict[str, tuple[Callable[[Peer, Peer], object], str, str]] = {
     "the sink dies": (lambda _, into: into.kill(), "Into", "gone"),
+    "the sink dies, and the source asks it": (asked_by_the_source("kill"), "Into", "gone"),
+    "the sink hangs, and the source asks it": (asked_by_the_source("freeze"), "Into", "it hangs"),
     "the source dies": (lambda out, _: out.kill(), "From", "gone"),
     "the sink hangs": (lambda _, into: into.freeze(), "Into", "it hangs"),
     "the source hangs": (lambda out, _: out.freeze(), "From", "it hangs"),
@@ -51,7 +63,7 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     link = linked(bridge, {}, {})
     assert link is not None
     happen(*ends.values())
-    if "dies" in fault and blamed == "Into":
+    if fault == "the sink dies":
         ends["From"].count(0, 1)  # at which the source drops the connection
     event = events.event(Health.LOST, words)
     assert concerned(event) == blamed

@@ -7,6 +7,7 @@ degraded: it takes data, and does nothing with it.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ from enum import IntEnum
 from attrs import field, frozen
 
 from uoarm.bridge import Channel
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm.model import Endpoint, Health
 from uoarm_rtm._codec import Codec
 from uoarm_rtm._connector import Connections, Connector
@@ -37,8 +38,9 @@ class Trouble(IntEnum):
     INACTIVE = 1
     ENDED = 2
     FAILED = 3
-    HANGS = 4
-    GONE = 5
+    STUCK = 4
+    HANGS = 5
+    GONE = 6
 
 
 @frozen
@@ -80,23 +82,30 @@ class Place:
             connector: the connection.
             end: which of its ports this one is.
         """
-        state = ""
         try:
             state = state_of(self.peer, self.seconds)
-            if state == "error":
-                text = f"component {self.peer.path!r} has failed: it is in state ERROR"
-                return Look(Trouble.FAILED, text, state)
-            if not connector.alive(end):
-                return Look(Trouble.ENDED, f"{self.where} has ended the connection", state)
-            if state == "active":
-                return Look(Trouble.NONE, "", state)
-            if self.settings.activate == "keep":
-                change(self.peer, "activate", self.seconds, there_is_fine=True)
         except BridgeTimeoutError:
-            return Look(Trouble.HANGS, f"{self.where} does not answer: it hangs", state)
+            return Look(Trouble.HANGS, f"{self.where} does not answer: it hangs", "")
         except BridgeError as error:
-            if state != "inactive" or error.reason is FailureReason.UNAVAILABLE:
-                return Look(Trouble.GONE, str(error), state)
+            return Look(Trouble.GONE, str(error), "")
+        if state == "error":
+            text = f"component {self.peer.path!r} has failed: it is in state ERROR"
+            return Look(Trouble.FAILED, text, state)
+        try:
+            is_connected = connector.alive(end)
+        except BridgeTimeoutError:
+            # A port may be asking the other one, which hangs; so that is the surer sign.
+            return Look(Trouble.STUCK, f"{self.where} does not answer: it hangs", state)
+        except BridgeError:
+            # Ports of OpenRTM in Python answer with what came of asking the other one (observed).
+            is_connected = False
+        if not is_connected:
+            return Look(Trouble.ENDED, f"{self.where} has ended the connection", state)
+        if state == "active":
+            return Look(Trouble.NONE, "", state)
+        if self.settings.activate == "keep":
+            with contextlib.suppress(BridgeError):  # it stays inactive, which is told
+                change(self.peer, "activate", self.seconds, there_is_fine=True)
         text = f"component {self.peer.path!r} is {_IDLE.get(state, state)}: it does nothing now"
         return Look(Trouble.INACTIVE, text, state)
 

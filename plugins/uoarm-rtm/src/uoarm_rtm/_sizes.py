@@ -40,7 +40,7 @@ class SizeLimit:
     def __init__(self, where: str, ours: int) -> None:
         self._where = where
         self._ours = ours
-        self._passed = _SURELY_FITS
+        self._passed = 0
         self._refused: int | None = None
 
     def refusal(self, size: int) -> str:
@@ -48,7 +48,7 @@ class SizeLimit:
         if self._refused is None or size < self._refused:
             return ""
         return (
-            f"{self._where} does not take a message of {size} octets: {self._passed} passed, "
+            f"{self._where} does not take a message of {size} octets: up to {self._passed} passed, "
             f"{self._refused} did not; {_HINT}"
         )
 
@@ -65,11 +65,11 @@ class SizeLimit:
             size: octets of the message.
         """
         if isinstance(error, CORBA.MARSHAL) and error.completed == CORBA.COMPLETED_NO:
-            if size <= self._passed:
+            if size <= max(self._passed, _SURELY_FITS):
                 return ""
             text = f"a message of {size} octets is larger than our own limit of {self._ours}"
             return f"{self._where}: {text}: the bridge's option `max_message` raises it"
-        if not isinstance(error, CORBA.COMM_FAILURE) or size <= self._passed:
+        if not isinstance(error, CORBA.COMM_FAILURE) or size <= max(self._passed, _SURELY_FITS):
             return ""
         if not is_there(target):
             return ""
