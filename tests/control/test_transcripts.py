@@ -188,7 +188,9 @@ def plain(value: Any) -> str:
             f"components{plain(value.components)}edges{plain(value.edges)}ports{plain(value.ports)}"
         )
     if isinstance(value, BaseException):
-        return f"{type(value).__name__}({plain(str(value))})"
+        reason = getattr(value, "reason", None)
+        told = f" {reason.value}" if isinstance(reason, Enum) else ""
+        return f"{type(value).__name__}({plain(str(value))}{told})"
     if isinstance(value, Enum):
         return str(value.value)
     if isinstance(value, frozenset):
