@@ -83,9 +83,10 @@ fuzz: $(VENV)/.dev  ## every decoder under random input, RUNS for each; guided b
 attack: $(VENV)/.dev  ## hostile clients against a server of its own, with a well-behaved one beside them
 	$(BIN)/python -m bench.attack
 
-mutation: $(VENV)/.dev  ## mutation tests of the schema checker, sampled
+mutation: $(VENV)/.dev  ## mutation tests of the schema checker and the reconciler, sampled
 	$(BIN)/python -m pip install --quiet 'mutmut>=3.8'
-	$(BIN)/python bench/mutation.py --sample 300
+	$(BIN)/python bench/mutation.py schema --sample 300
+	$(BIN)/python bench/mutation.py control --sample 300
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "$(PYTHON) is too old: choose Python 3.10 or later, make PYTHON=...")'
