@@ -11,7 +11,7 @@ from tests.host.hosted import Events, at, lives
 
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import patience, slowness, wait
 
 pytestmark = [
     pytest.mark.usefixtures("nothing_is_left"),
@@ -31,7 +31,7 @@ def test_a_component_that_asks_for_too_much_gets_an_error_and_the_host_goes_on(
 
 
 def test_a_host_that_leaks_till_it_can_do_nothing_is_ended(tmp_path: Path) -> None:
-    bridge = hosted.bridge(tmp_path, memory="256 MiB")
+    bridge = hosted.bridge(tmp_path, memory="256 MiB", silence=6 * slowness())
     process, events = bridge.process, Events()
     bridge.watch(events)
     with pytest.raises(BridgeError):

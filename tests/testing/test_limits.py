@@ -1,0 +1,34 @@
+"""Calls that are given no limit have that of the test, and only within it."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeTimeoutError
+from uoarm.model import Endpoint, Role
+from uoarm.testing import MemoryBridge, hanging, patience
+from uoarm.testing._limits import default_limits
+
+
+def test_a_call_without_a_limit_has_the_one_around_it() -> None:
+    bridge = MemoryBridge("one")
+    bridge.emitter("camera", {"type": "integer"})
+    endpoint = Endpoint("one", "camera", Role.OUTPUT, ("camera",))
+    with hanging(bridge, "_describe"), default_limits(0.05):
+        with pytest.raises(BridgeTimeoutError, match=r"within 0\.05 s"):
+            bridge.describe(endpoint)
+        with pytest.raises(BridgeTimeoutError, match=r"within 0\.02 s"):
+            bridge.describe(endpoint, timeout=0.02)
+    bridge.close()
+
+
+@pytest.mark.parametrize("call", [Bridge.describe, Bridge.close, RobotManager.call])
+def test_in_all_tests_it_is_as_long_as_the_machine_is_slow(call: object) -> None:
+    assert inspect.signature(call).parameters["timeout"].default == patience()  # type: ignore[arg-type]
+    with default_limits(1.0):
+        assert inspect.signature(call).parameters["timeout"].default == 1.0  # type: ignore[arg-type]
+    assert inspect.signature(call).parameters["timeout"].default == patience()  # type: ignore[arg-type]
