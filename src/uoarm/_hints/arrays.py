@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from attrs import frozen
 
-from uoarm._hints.annotations import HintError, Shape
+from uoarm._hints.annotations import HintError, Shape, is_class, unwrapped
 
 __all__ = ["NumpyArray", "NumpyScalar", "array_of", "scalar_of"]
 
@@ -102,7 +102,7 @@ class NumpyArray:
 def scalar_of(hint: Any) -> NumpyScalar | None:
     """Return what a hint of one of numpy's numbers says; None for any other hint."""
     numpy = sys.modules.get("numpy")
-    if numpy is None or not isinstance(hint, type) or not issubclass(hint, numpy.generic):
+    if numpy is None or not is_class(hint) or not issubclass(hint, numpy.generic):
         return None
     if hint not in _concrete():
         raise HintError(f"the type hint {hint!r} has no message structure: {_HOW}")
@@ -121,6 +121,7 @@ def array_of(hint: Any) -> NumpyArray | None:
     notes: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
         hint, *notes = get_args(hint)  # type: ignore[assignment] # a list of notes
+    hint = unwrapped(hint)  # `NDArray` is a `type` alias to newer versions of numpy
     if hint is not numpy.ndarray and get_origin(hint) is not numpy.ndarray:
         return None
     shape, dtype = get_args(hint) or (None, None)

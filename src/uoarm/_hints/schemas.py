@@ -11,7 +11,6 @@ from typing import (
     Annotated,
     Any,
     Literal,
-    NewType,
     Union,
     get_args,
     get_origin,
@@ -21,7 +20,7 @@ from typing import (
 import attrs
 from typing_extensions import NotRequired, Required, is_typeddict
 
-from uoarm._hints.annotations import HintError, OctetsMark, Range
+from uoarm._hints.annotations import HintError, OctetsMark, Range, is_class, unwrapped
 from uoarm._hints.arrays import array_of, scalar_of
 
 __all__ = ["is_enum", "is_model", "is_named_tuple", "is_plain", "is_record", "schema_of"]
@@ -57,7 +56,7 @@ def schema_of(hint: Any, depth: int = 0) -> Mapping[str, object]:
     Raises:
         HintError: the hint has no message structure; the text names it.
     """
-    hint = _unwrapped(hint)
+    hint = unwrapped(hint)
     if depth > _MAX_DEPTH:
         raise HintError(f"the type hint {hint!r} is nested too deep or recursive")
     if _hashable(hint) and hint in _SIMPLE:
@@ -81,7 +80,7 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
     So it is for everything that a hint says nothing of, too. A list of numbers may be a numeric
     buffer; who wants one kind of these hints `NDArray`.
     """
-    hint = _unwrapped(hint)
+    hint = unwrapped(hint)
     if is_enum(hint) or is_record(hint) or any(hint is one for one in _BUFFERS):
         return False
     if scalar_of(hint) is not None or array_of(hint) is not None:
@@ -102,7 +101,7 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
 
 def is_record(kind: Any) -> bool:
     """Say whether values of a type have named fields, and are no dicts."""
-    if not isinstance(kind, type) or get_origin(kind) is not None:
+    if not is_class(kind):
         return False
     return (
         dataclasses.is_dataclass(kind) or attrs.has(kind) or is_named_tuple(kind) or is_model(kind)
@@ -111,29 +110,18 @@ def is_record(kind: Any) -> bool:
 
 def is_named_tuple(kind: Any) -> bool:
     """Say whether a type is a NamedTuple: fields by name, as of every other record."""
-    return isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+    return is_class(kind) and issubclass(kind, tuple) and hasattr(kind, "_fields")
 
 
 def is_enum(kind: Any) -> bool:
     """Say whether a type is an enumeration."""
-    return isinstance(kind, type) and issubclass(kind, enum.Enum)
+    return is_class(kind) and issubclass(kind, enum.Enum)
 
 
 def is_model(kind: Any) -> bool:
     """Say whether a type is a model of pydantic, which its author must have imported."""
     pydantic = sys.modules.get("pydantic")
-    return pydantic is not None and isinstance(kind, type) and issubclass(kind, pydantic.BaseModel)
-
-
-def _unwrapped(hint: Any) -> Any:
-    """Return what a NewType or a `type` alias stands for."""
-    while True:
-        if isinstance(hint, NewType):
-            hint = hint.__supertype__
-        elif type(hint).__name__ == "TypeAliasType":  # of typing or of typing_extensions
-            hint = hint.__value__
-        else:
-            return hint
+    return pydantic is not None and is_class(kind) and issubclass(kind, pydantic.BaseModel)
 
 
 def _hashable(hint: Any) -> bool:
