@@ -57,6 +57,7 @@ from uoarm_rtm.errors import IdlError
 __all__ = ["RtmBridge"]
 
 _EXIT_SECONDS = 3.0
+_WATCH_SECONDS = 1.0
 _PORT_KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
 
 
@@ -216,7 +217,7 @@ class RtmBridge(Bridge):
 
     def _close(self) -> None:
         atexit.unregister(self._at_exit)
-        self._watch.close(_EXIT_SECONDS)
+        self._watch.close(0)
         with self._guard:
             self._ticking.clear()
         self._active.tick()
@@ -225,6 +226,7 @@ class RtmBridge(Bridge):
                 caller.close()
         if self._own is not None:
             self._own.close()
+        self._watch.close(_WATCH_SECONDS)
         self._orb.close()
 
     def let_go(self) -> None:
