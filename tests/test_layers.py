@@ -17,7 +17,7 @@ ROOT = Path(uoarm.__file__).parent
 
 # From the bottom up; a layer may import itself and everything before it.
 LAYERS = [
-    {"errors", "_version", "_origin", "_raised", "_spelling", "_whole_file", "_workers"},
+    {"errors", "_version", "_origin", "_raised", "_spans", "_spelling", "_whole_file", "_workers"},
     {"_plugins"},
     {"plugins"},
     {"_yaml"},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from uoarm._control._actions import HandOver
 from uoarm._control._application_ports import ApplicationPorts, OutputReceiver
@@ -31,6 +31,7 @@ class ConnectionRuntime:
         ports: where the application touches the plan that runs.
         losses: what is accounted for.
         handle: what the application holds.
+        context: of its request, to which spans of other threads belong.
     """
 
     def __init__(self, identity: str, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
@@ -40,6 +41,7 @@ class ConnectionRuntime:
         self.losses = LossAccount()
         self.ports: ApplicationPorts | None = None
         self.handle: Connection | None = None
+        self.context: Any = None
         self._uncounted: dict[str, Gap] = {}
 
     def publish(self, record: ConnectionRecord, *, is_over: bool) -> None:

@@ -13,12 +13,14 @@ import logging
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
 from uoarm import _bounded
 from uoarm._control import _actions as act
 from uoarm._control import _events as ev
+from uoarm._control._application_ports import ApplicationPorts
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._draft import connection_of
@@ -34,6 +36,7 @@ from uoarm._control._step import step
 from uoarm._control._timer import Timer
 from uoarm._control._trace import write
 from uoarm._dataplane import Clock
+from uoarm._spans import current, past_span, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeTimeoutError, UoarmError
@@ -127,6 +130,13 @@ class Executor:
             BridgeTimeoutError: it is not, in time; it is given up.
             UoarmError: it failed.
         """
+        with span("request", function=str(event.wanted), connection=runtime.id):
+            runtime.context = current()
+            self._request(runtime, event, step_name, timeout)
+
+    def _request(
+        self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
+    ) -> None:
         self.live.runtimes[runtime.id] = runtime
         self._lanes.reserve(event.waiter)
         self.post(event)
@@ -324,13 +334,11 @@ class Executor:
         runtime = self.live.runtimes[action.connection]
         if action.is_heard:
             runtime.hand_over(action, ports)
-            return
-
-        def hand_over() -> None:
-            with ports.letting_through():
-                runtime.hand_over(action, ports)
-
-        self._lanes.put(action.lane, hand_over)
+        else:
+            self._lanes.put(action.lane, lambda: _let_through(action, runtime, ports))
+        if runtime.context is not None:
+            # In a lane, as everything foreign: what takes a finished span may export it at once.
+            self._lanes.put(action.lane, lambda: _record_takeover(action, runtime))
 
     def _listen(self, action: act.Listen) -> None:
         ports = self.live.ports.get(action.ports)
@@ -398,20 +406,30 @@ class Executor:
         done: list[Part] = []
         open_parts = partial(self.live.open, action, state, done, self._cancelled)
         try:
-            if action.placement.user == action.connection:
-                open_parts()
-            else:
-                step_name = f"takeover of connection {action.connection}"
-                _bounded.run(step_name, _OPEN_SECONDS, open_parts)
+            components = " -> ".join(names(action.placement.plan))
+            with self._span("open", action.connection, components=components):
+                if action.placement.user == action.connection:
+                    open_parts()
+                else:
+                    step_name = f"takeover of connection {action.connection}"
+                    _bounded.run(step_name, _OPEN_SECONDS, open_parts)
         except BaseException as error:  # noqa: BLE001 - the state learns of it whatever it is
             self._cancelled.add(action.batch)  # a thread that hangs in it opens nothing more
             return ev.Opened(action.batch, tuple(done), error)
         return ev.Opened(action.batch, tuple(done))
 
+    def _span(
+        self, name: str, connection: str, **attributes: str
+    ) -> AbstractContextManager[object]:
+        runtime = self.live.runtimes.get(connection)
+        context = None if runtime is None else runtime.context
+        return span(name, context, connection=connection, **attributes)
+
     def _seek_plan(self, action: act.Resolve) -> ev.Event:
         revision = self._revisions.current
         try:
-            plan = revision.resolve(action.function, avoided=action.avoided)
+            with self._span("resolve", action.connection, function=action.function):
+                plan = revision.resolve(action.function, avoided=action.avoided)
         except BaseException as error:  # noqa: BLE001 - handed to who asked
             return ev.Resolved(action.connection, None, error, revision.number)
         return ev.Resolved(action.connection, plan, revision=revision.number)
@@ -455,6 +473,26 @@ class Executor:
                 _log.exception("changing over failed")
             return ev.ChangedOver(action.returning, str(error))
         return ev.ChangedOver(action.returning)
+
+
+def _let_through(action: act.HandOver, runtime: ConnectionRuntime, ports: ApplicationPorts) -> None:
+    """Have the application hear a plan that was open already, its retained message first."""
+    with ports.letting_through():
+        runtime.hand_over(action, ports)
+
+
+def _record_takeover(action: act.HandOver, runtime: ConnectionRuntime) -> None:
+    """Record a takeover, from when it was needed to when it was done."""
+    past_span(
+        "takeover",
+        action.time - action.since,
+        runtime.context,
+        connection=action.connection,
+        function=action.after.plan.function,
+        cause=action.cause,
+        before=" -> ".join(names(action.before.plan)),
+        after=" -> ".join(names(action.after.plan)),
+    )
 
 
 def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentStatus:

@@ -27,6 +27,7 @@ from uoarm._control._state import State, recently
 from uoarm._dataplane import Clock, make_check
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm._mistakes import choose
+from uoarm._spans import span
 from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
 from uoarm.config import assign, load
 from uoarm.errors import (
@@ -167,11 +168,12 @@ class RobotManager:
         if known is not None:
             return known
         avoided = recently(self._executor.state.stale, self._clock())
-        return _bounded.run(
-            f"resolving {function!r}",
-            timeout,
-            lambda: revision.resolve(function, avoided=avoided),
-        )
+        with span("resolve", function=function):
+            return _bounded.run(
+                f"resolving {function!r}",
+                timeout,
+                lambda: revision.resolve(function, avoided=avoided),
+            )
 
     @overload
     def request(
