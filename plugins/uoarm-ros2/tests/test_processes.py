@@ -113,6 +113,39 @@ def test_a_process_that_ends_without_close_ends_as_it_wants(
     assert (done.returncode, done.stderr) == (code, "")
 
 
+INTERRUPTED = """
+import os, signal, sys, time
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from uoarm.bridge import Registry
+from uoarm.model import BridgeSpec, Endpoint, Role
+
+if sys.argv[1] == "beside rclpy":
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
+options = {"peer": "optional", "wait": 0.0}
+into = Endpoint("ros", "c", Role.INPUT, ("/stop", "std_msgs/msg/Int64"), options=options)
+sink = bridge.open_sink(into, bridge.describe(into).message)
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(60)
+except KeyboardInterrupt:
+    sink.send({"data": 0})
+    print("sent")
+    bridge.close()
+"""
+
+
+@pytest.mark.parametrize("how", ["alone", "beside rclpy"])
+def test_a_last_message_can_be_sent_after_an_interrupt(tmp_path: Path, how: str) -> None:
+    script = tmp_path / "interrupted.py"
+    script.write_text(INTERRUPTED)
+    done = subprocess.run(
+        [sys.executable, str(script), how], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "sent\n", done.stderr
+
+
 def test_making_a_bridge_changes_nothing_global(make_bridge: Make) -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     was_enabled = faulthandler.is_enabled()

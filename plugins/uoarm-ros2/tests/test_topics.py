@@ -122,7 +122,7 @@ def test_a_clash_is_refused_with_both_sides_and_the_policy(bridge: Bridge, peer:
     with pytest.raises(BridgeError) as caught:
         source(bridge, asked, print)
     text = str(caught.value)
-    assert "publisher /talker offers (best_effort" in text
+    assert "publisher /talker offers (best_effort, volatile)" in text
     assert "this subscription asks (reliable" in text
     assert "clash on reliability" in text
     assert bridge.open_channels == 0
@@ -234,7 +234,9 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
     talker.kill()
     assert events.event(Health.LOST, "the last publisher of /mortal is gone").channel is channel
     before = inbox.numbers()
-    assert before == list(range(1, len(before) + 1))
+    # Each once and in order. A process that stands still for the lease's second, as under load, is
+    # forgotten and met again, and DDS never brings what was published meanwhile.
+    assert before == sorted(set(before))
     successor = peer("successor")
     successor.do("advertise", topic="/mortal")
     assert events.event(Health.OK, "a publisher of /mortal is there").channel is channel
@@ -360,6 +362,7 @@ def test_what_is_not_there_says_so(bridge: Bridge, peer: Start) -> None:
         ((), {}, r"expected \[name, type\]"),
         (("/a b", INT64), {}, "not a ROS 2 name"),
         (("/a", "Int64"), {}, "is not spelt package/msg/Name"),
+        (("/a", "std_msgs/Int64"), {}, r"action/Name; did you mean 'std_msgs/msg/Int64'\?"),
         (("/a", INT64, "goal"), {}, "only an action has parts"),
         (("/a", INT64), {"peers": "optional"}, "there is no option 'peers'"),
         (("/a", INT64), {"peer": "maybe"}, "peer must be required or optional"),

@@ -21,7 +21,10 @@ _SECONDS = ("deadline", "lifespan", "lease_duration")
 
 @frozen
 class Policies:
-    """The policies of one publisher or subscription; times in seconds, None for no limit."""
+    """The policies of one publisher or subscription; times in seconds, None for no limit.
+
+    The history of others is empty: DDS does not tell it.
+    """
 
     reliability: str = "reliable"
     durability: str = "volatile"
@@ -34,7 +37,8 @@ class Policies:
 
     def __str__(self) -> str:
         kept = "all" if self.history == "keep_all" else f"last {self.depth}"
-        words = [self.reliability, self.durability, f"keep {kept}"]
+        words = [self.reliability, self.durability]
+        words += [f"keep {kept}"] if self.history else []
         words += [f"deadline {self.deadline:g} s"] if self.deadline is not None else []
         words += [self.liveliness] if self.liveliness != "automatic" else []
         words += [f"lease {self.lease_duration:g} s"] if self.lease_duration is not None else []

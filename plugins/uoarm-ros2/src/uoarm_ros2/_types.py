@@ -17,7 +17,11 @@ def type_mistake(name: str) -> str:
     """Return what is wrong with the spelling of a type's name, or ""."""
     if _NAME.fullmatch(name):
         return ""
-    return f"type {name!r} is not spelt package/msg/Name, package/srv/Name or package/action/Name"
+    package, _, rest = name.partition("/")
+    meant = f"{package}/msg/{rest}"
+    hint = f"; did you mean {meant!r}?" if _NAME.fullmatch(meant) else ""
+    spelt = "package/msg/Name, package/srv/Name or package/action/Name"
+    return f"type {name!r} is not spelt {spelt}{hint}"
 
 
 def kind_of(name: str) -> str:

@@ -48,6 +48,7 @@ def read_profile(profile: Any) -> Policies:
         durability=(
             "transient_local" if profile.durability.name == "TRANSIENT_LOCAL" else "volatile"
         ),
+        history="",
         deadline=_seconds(profile.deadline),
         lifespan=_seconds(profile.lifespan),
         liveliness=(
