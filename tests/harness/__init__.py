@@ -45,7 +45,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.option.timeout is None:
         config.option.timeout = HANGING * patience()
     limits = ExitStack()
-    limits.enter_context(default_limits(patience()))
+    limits.enter_context(default_limits(patience(), closing=False))
     config.add_cleanup(limits.close)
 
 

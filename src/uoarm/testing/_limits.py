@@ -13,15 +13,21 @@ __all__ = ["default_limits"]
 
 
 @contextmanager
-def default_limits(seconds: float) -> Iterator[None]:
+def default_limits(seconds: float, *, closing: bool = True) -> Iterator[None]:
     """Have calls of bridges, channels and managers that are given no `timeout` last so long.
 
     What an application waits for a framework is nothing that a test is about, unless it says so.
+
+    Args:
+        seconds: the limit.
+        closing: whether it holds for closing, too. What hangs as it is closed is given up after its
+            limit, and nothing fails: a long one keeps whoever closes it.
     """
     methods = (
         method.__kwdefaults__ or {}
         for owner in (Bridge, Channel, RobotManager, AsyncRobotManager)
-        for _, method in inspect.getmembers(owner, inspect.isfunction)
+        for name, method in inspect.getmembers(owner, inspect.isfunction)
+        if closing or name != "close"
     )
     found = [(one, one["timeout"]) for one in methods if isinstance(one.get("timeout"), float)]
     for defaults, _ in found:
