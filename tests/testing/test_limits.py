@@ -26,7 +26,7 @@ def test_a_call_without_a_limit_has_the_one_around_it() -> None:
     bridge.close()
 
 
-@pytest.mark.parametrize("call", [Bridge.describe, Bridge.close, RobotManager.call])
+@pytest.mark.parametrize("call", [Bridge.describe, Bridge.open_sink, RobotManager.call])
 def test_in_all_tests_it_is_as_long_as_the_machine_is_slow(call: object) -> None:
     assert inspect.signature(call).parameters["timeout"].default == patience()  # type: ignore[arg-type]
     with default_limits(1.0):
