@@ -4,10 +4,27 @@ from __future__ import annotations
 
 import threading
 import time
+from functools import partial
+from typing import TypedDict
 
 from bench.tables import microseconds, print_table, row
-from uoarm._dataplane import Outlet, Route
-from uoarm.model import Message, OverflowPolicy, QueuePolicy
+from uoarm._dataplane import Outlet, Route, make_check
+from uoarm.local import schema_of
+from uoarm.model import Message, MessageStructure, OverflowPolicy, QueuePolicy, ValidationMode
+
+
+class _Header(TypedDict):
+    stamp: float
+    frame_id: str
+
+
+class _Pose(TypedDict):
+    header: _Header
+    x: float
+    y: float
+
+
+_POSE = MessageStructure(schema_of(_Pose))
 
 
 def main() -> None:
@@ -18,6 +35,13 @@ def main() -> None:
     direct = Outlet()
     direct.attach(Route("a", "b", _nothing, clock=time.monotonic))
     rows.append(row("one route, direct", microseconds(lambda: direct.deliver(message), batch=100)))
+
+    for mode in (ValidationMode.SAMPLED, ValidationMode.ALWAYS):
+        checked = Outlet()
+        check = make_check(_POSE, mode, "a")
+        checked.attach(Route("a", "b", _nothing, clock=time.monotonic, check=check))
+        samples = microseconds(partial(checked.deliver, message), batch=100)
+        rows.append(row(f"one route, checked: {mode.value}", samples))
 
     adapted = Outlet()
     adapted.attach(

@@ -11,8 +11,9 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
-from attrs import define, field, frozen
+from attrs import define, field
 
+from uoarm._dataplane._number_range import NumberRange
 from uoarm.model import Message, Schema
 
 __all__ = ["Accepts", "compile_check"]
@@ -56,71 +57,6 @@ def compile_check(schema: Schema, judge: Callable[[Schema], Accepts]) -> Accepts
         judge: gives the judgement of the whole validator on a part of the schema.
     """
     return _Compiler(schema, judge).root()
-
-
-@frozen
-class _Range:
-    """Which numbers: `low <= x <= high`, and perhaps those that are not finite."""
-
-    kinds: frozenset[type]
-    low: float
-    high: float
-    any_nonfinite: bool
-    bounded: bool
-
-    def accepts(self, value: Any) -> bool:
-        kind: Any = value.__class__
-        if kind not in self.kinds:
-            return False
-        return self.low <= value <= self.high or (
-            kind is float
-            and (not self.bounded or (self.any_nonfinite and not math.isfinite(value)))
-        )
-
-    def accepts_all(self, values: list[Any] | tuple[Any, ...]) -> bool:
-        """Judge a list at the speed of C, by its kinds and its extremes."""
-        if not self.kinds.issuperset(map(type, values)):
-            return False
-        if not self.bounded or not values:
-            return True
-        low, high = self.low, self.high
-        if self.any_nonfinite:
-            return not any(map(math.isfinite, [one for one in values if not low <= one <= high]))
-        if not (low <= min(values) and max(values) <= high):
-            return False
-        try:
-            return not math.isnan(sum(values))  # as it is wherever one of them is
-        except OverflowError:
-            return False
-
-    def accepts_buffer(self, buffer: Any) -> bool:
-        """Judge an array of numpy by what its type can hold, else by its extremes."""
-        kind = buffer.dtype.kind
-        if kind == "f":
-            if float not in self.kinds:
-                return False
-            if not self.bounded:
-                return True
-            limit = _float_limit(buffer.dtype)
-            if self.any_nonfinite:
-                return self.low <= -limit and limit <= self.high
-        elif kind in "iu":
-            bits = 8 * buffer.dtype.itemsize
-            low, high = (
-                (0, 2**bits - 1) if kind == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
-            )
-            if self.low <= low and high <= self.high:
-                return True
-        else:
-            return False
-        if not buffer.size:
-            return True
-        # NaN is the least and the greatest of an array that has one, and within no range.
-        return bool(self.low <= buffer.min().item() and buffer.max().item() <= self.high)
-
-
-def _float_limit(dtype: Any) -> float:
-    return 3.4028234663852886e38 if dtype.itemsize <= 4 else math.inf  # noqa: PLR2004 - float32
 
 
 @define(eq=False)
@@ -181,7 +117,7 @@ class _Compiler:
         judge = self.judge(schema)
         return lambda value: accepts(value) or (value.__class__ not in _PLAIN and judge(value))
 
-    def _range(self, schema: Any) -> _Range:
+    def _range(self, schema: Any) -> NumberRange:
         if not isinstance(schema, Mapping):
             raise _UnknownError
         names = _meaningful(schema)
@@ -189,7 +125,7 @@ class _Compiler:
             raise _UnknownError
         low, high = _limits(schema, "minimum", "maximum", -math.inf)
         nonfinite = schema.get("x-nonfinite") is True
-        return _Range(_KINDS[schema["type"]], low, high, nonfinite, len(names) > 1)
+        return NumberRange(_KINDS[schema["type"]], low, high, nonfinite, len(names) > 1)
 
     def _one_of(self, values: Sequence[Any], kind: Any) -> Accepts:
         if any(value.__class__ not in _LITERALS for value in values):
@@ -261,7 +197,7 @@ class _Compiler:
         part = self.part(schema["items"], depth + 1)
         return _list(part, lengths, lambda value: _is_grid(value, inner, numbers), judge)
 
-    def _grid(self, schema: Any) -> tuple[list[_Limits], _Range]:
+    def _grid(self, schema: Any) -> tuple[list[_Limits], NumberRange]:
         """Return the lengths of arrays in arrays, from the outside, and their numbers."""
         lengths: list[_Limits] = []
         while isinstance(schema, Mapping) and schema.get("type") == "array":
@@ -366,7 +302,7 @@ def _list(part: Accepts, lengths: _Limits, is_grid: Accepts | None, judge: Accep
     return accepts
 
 
-def _numbers(numbers: _Range, lengths: _Limits, judge: Accepts) -> Accepts:
+def _numbers(numbers: NumberRange, lengths: _Limits, judge: Accepts) -> Accepts:
     least, most = lengths
     any_octet = numbers.low <= 0 and numbers.high >= 255  # noqa: PLR2004 - an octet
 
@@ -390,7 +326,7 @@ def _numbers(numbers: _Range, lengths: _Limits, judge: Accepts) -> Accepts:
     return accepts
 
 
-def _is_grid(value: Any, lengths: Sequence[_Limits], numbers: _Range) -> bool:
+def _is_grid(value: Any, lengths: Sequence[_Limits], numbers: NumberRange) -> bool:
     """Judge an array of numpy in its dimensions and its numbers."""
     shape = getattr(value, "shape", None)
     if not hasattr(value, "dtype") or not isinstance(shape, tuple) or len(shape) != len(lengths):
