@@ -11,6 +11,7 @@ from paho.mqtt.client import topic_matches_sub
 __all__ = ["Incoming", "Receiver", "Subscriptions"]
 
 _FIRST_ID = 1
+_KEPT_IDS = 16  # of one filter: messages on their way carry the last, or one shortly before it
 
 
 @frozen
@@ -72,6 +73,9 @@ class Subscriptions:
         """Add a receiver, or give it a new identifier; return the QoS to be subscribed with."""
         receiver.id = next(self._ids)
         self._filters[receiver.id] = receiver.topic
+        known = [one for one, topic in self._filters.items() if topic == receiver.topic]
+        for old in known[:-_KEPT_IDS]:
+            del self._filters[old]
         several = self._receivers.setdefault(receiver.topic, [])
         if receiver not in several:
             several.append(receiver)

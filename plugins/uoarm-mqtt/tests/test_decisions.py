@@ -1,0 +1,65 @@
+"""What is decided without a connection: what to tell of an outage, and who gets a message."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from uoarm_mqtt._outage import Outage
+from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
+
+from uoarm.model import Health
+
+
+def test_an_outage_is_told_once_lost_once_and_over_once() -> None:
+    outage = Outage(grace=10.0)
+    assert outage.up() is None
+    told = [outage.down(now, final=False) for now in (0.0, 1.0, 9.9, 10.0, 11.0)]
+    assert told == [Health.DEGRADED, None, None, Health.LOST, None]
+    assert outage.is_over
+    assert [outage.up(), outage.up()] == [Health.OK, None]
+    assert outage.down(20.0, final=True) is Health.LOST
+
+
+def test_what_nobody_relied_upon_is_not_lost_and_its_coming_is_news() -> None:
+    outage = Outage(grace=10.0)
+    assert [outage.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
+    assert outage.up() is Health.OK
+
+
+def receiver(topic: str, *, retained: bool = False) -> Receiver:
+    return Receiver(topic, lambda _: None, retained=retained)
+
+
+def message(topic: str, *ids: int, retain: bool = False) -> Incoming:
+    return Incoming(topic, b"", retain, SimpleNamespace(SubscriptionIdentifier=[*ids]))
+
+
+def test_identifiers_are_bounded_and_the_last_one_serves_everybody() -> None:
+    table, lasting = Subscriptions(), receiver("a")
+    table.add(lasting)
+    for _ in range(1000):
+        passing = receiver("a")
+        table.add(passing)
+        assert not table.remove(passing)
+    assert table.route(message("a", passing.id)) == [lasting]
+    assert len(table._filters) < 20
+    assert table.remove(lasting)
+    assert table.route(message("a", passing.id)) == []
+
+
+def test_without_identifiers_filters_are_matched() -> None:
+    table, receivers = Subscriptions(), [receiver(one) for one in ("a/+", "$share/g/a/#", "b")]
+    for one in receivers:
+        table.add(one)
+    assert sorted(table.route(message("a/x")), key=lambda one: one.id) == receivers[:2]
+
+
+def test_what_is_retained_goes_to_who_has_just_subscribed_and_wants_it() -> None:
+    table = Subscriptions()
+    old, new, other = (receiver("a", retained=wanted) for wanted in (True, True, False))
+    for one in (old, new):
+        table.add(one)
+    assert table.route(message("a", new.id, retain=True)) == [new]
+    table.add(other)
+    assert table.route(message("a", other.id, retain=True)) == []
+    assert table.route(message("a", other.id)) == [old, new, other]
