@@ -15,7 +15,7 @@ from attrs import evolve
 from uoarm._adapt import check_edge
 from uoarm._control import _actions as act
 from uoarm._control import _events as ev
-from uoarm._control._replacements import find_replacement
+from uoarm._control._searches import find_replacement
 from uoarm._control._state import OPEN, Kind, Part, Parts, Placement, State, names
 from uoarm._control._step import step
 from uoarm._resolve import Resolver, StructureCache

@@ -29,8 +29,8 @@ from uoarm._control._lanes import Job, Lanes
 from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
 from uoarm._control._live_parts import LiveParts
-from uoarm._control._replacements import find_replacement
 from uoarm._control._revisions import Revisions, StagedRevision
+from uoarm._control._searches import check_preferred, seek_replacement
 from uoarm._control._state import PORTS, ComponentRecord, Part, State, names
 from uoarm._control._step import step
 from uoarm._control._timer import Timer
@@ -103,8 +103,8 @@ class Executor:
             act.Close: self._close,
             act.Finish: self._finish,
             act.Drain: self._drain,
-            act.FindReplacement: lambda one: self._call(one, lambda: self._seek_replacement(one)),
-            act.CheckPreferred: lambda one: self._call(one, lambda: self._check_preferred(one)),
+            act.FindReplacement: self._find_replacement,
+            act.CheckPreferred: self._check_preferred,
             act.ChangeOver: lambda one: self._call(one, lambda: self._change_over(one)),
             act.Release: lambda one: self._call(one, lambda: self.live.release(one.components)),
         }
@@ -425,6 +425,12 @@ class Executor:
         context = None if runtime is None else runtime.context
         return span(name, context, connection=connection, **attributes)
 
+    def _find_replacement(self, action: act.FindReplacement) -> None:
+        self._call(action, lambda: seek_replacement(action, self._revisions.current))
+
+    def _check_preferred(self, action: act.CheckPreferred) -> None:
+        self._call(action, lambda: check_preferred(action, self._revisions.current))
+
     def _seek_plan(self, action: act.Resolve) -> ev.Event:
         revision = self._revisions.current
         try:
@@ -433,36 +439,6 @@ class Executor:
         except BaseException as error:  # noqa: BLE001 - handed to who asked
             return ev.Resolved(action.connection, None, error, revision.number)
         return ev.Resolved(action.connection, plan, revision=revision.number)
-
-    def _seek_replacement(self, action: act.FindReplacement) -> ev.Event:
-        asked = action.connection, action.attempt
-        revision = self._revisions.current
-        try:
-            plan = find_replacement(
-                action.plan,
-                action.output,
-                action.excluded,
-                action.failed,
-                lambda name, excluded: revision.resolve(name, excluded, action.avoided),
-            )
-        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
-            if not isinstance(error, UoarmError):
-                _log.exception("looking for a replacement failed")
-            return ev.ReplacementSought(*asked, None, str(error), action.returning)
-        return ev.ReplacementSought(*asked, plan, returning=action.returning)
-
-    def _check_preferred(self, action: act.CheckPreferred) -> ev.Event:
-        wanted = names(action.plan)
-        revision = self._revisions.current
-        for name in wanted:
-            revision.forget(name)
-        try:
-            found = names(revision.resolve(action.plan.function, avoided=action.avoided))
-        except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
-            if not isinstance(error, UoarmError):
-                _log.exception("looking for a preferred plan failed")
-            found = ()
-        return ev.PreferredChecked(action.connection, found == wanted)
 
     def _change_over(self, action: act.ChangeOver) -> ev.Event:
         try:

@@ -12,7 +12,7 @@ from attrs import evolve, frozen
 
 from uoarm._adapt import check_edge
 from uoarm._control._bridges import BridgeSet, StagedBridges
-from uoarm._control._replacements import find_replacement
+from uoarm._control._searches import find_replacement
 from uoarm._control._state import ConnectionRecord, State, names, recently
 from uoarm._dataplane import Clock
 from uoarm._resolve import Resolver, StructureCache

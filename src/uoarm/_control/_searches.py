@@ -1,19 +1,72 @@
-"""Replacements: plans that can go on behind the handle of a plan whose component died."""
+"""Searches for plans of connections that run, and the events that answer them.
+
+Among them are replacements: plans that can go on behind the handle of one whose component died.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from typing import Protocol
 
 from uoarm._adapt import check_edge
-from uoarm.errors import ResolutionError
+from uoarm._control import _actions as act
+from uoarm._control import _events as ev
+from uoarm._control._state import names
+from uoarm.errors import ResolutionError, UoarmError
 from uoarm.model import MessageStructure, Plan
 
-__all__ = ["Resolve", "find_replacement"]
+__all__ = ["Resolve", "check_preferred", "find_replacement", "seek_replacement"]
 
 _TRIES = 50
+_log = logging.getLogger("uoarm")
 
 Resolve = Callable[[str, frozenset[str]], Plan]
 """Resolves a function without the components of these names, or raises ResolutionError."""
+
+
+class Resolving(Protocol):
+    """A revision of the configuration, in which plans are found."""
+
+    def resolve(
+        self, name: str, excluded: frozenset[str] = ..., avoided: frozenset[str] = ...
+    ) -> Plan:
+        """Return the best plan; raises ResolutionError."""
+
+    def forget(self, component: str) -> None:
+        """Ask for the structures of a component again the next time."""
+
+
+def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.ReplacementSought:
+    """Look for a plan that the application cannot tell from its own."""
+    asked = action.connection, action.attempt
+    try:
+        plan = find_replacement(
+            action.plan,
+            action.output,
+            action.excluded,
+            action.failed,
+            lambda name, excluded: revision.resolve(name, excluded, action.avoided),
+        )
+    except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+        if not isinstance(error, UoarmError):
+            _log.exception("looking for a replacement failed")
+        return ev.ReplacementSought(*asked, None, str(error), action.returning)
+    return ev.ReplacementSought(*asked, plan, returning=action.returning)
+
+
+def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
+    """See whether a plan is what a request would get now."""
+    wanted = names(action.plan)
+    for name in wanted:
+        revision.forget(name)
+    try:
+        found = names(revision.resolve(action.plan.function, avoided=action.avoided))
+    except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
+        if not isinstance(error, UoarmError):
+            _log.exception("looking for a preferred plan failed")
+        found = ()
+    return ev.PreferredChecked(action.connection, found == wanted)
 
 
 def find_replacement(
