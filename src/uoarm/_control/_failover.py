@@ -227,7 +227,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if runs:
         subject = f"connection {record.id}"
         draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
-    draft.actions += [Forget(tuple(failure.dead)), WakeAt(retry_at)]
+    draft.actions += [Forget(tuple(sorted(failure.dead))), WakeAt(retry_at)]
 
 
 def look_again(draft: Draft, record: ConnectionRecord) -> None:
