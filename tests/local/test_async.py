@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
+from collections.abc import Coroutine
+from concurrent.futures import Future
+from typing import Any
 
 import pytest
 from tests.local import talk
 from tests.local.typed_parts import Started
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.model import Role
 from uoarm.testing import Background, Collector, patience
 
@@ -91,3 +96,24 @@ def test_a_source_that_says_nothing_is_cancelled_with_its_bridge() -> None:
         made.open_source(talk.at("silent_source", Role.OUTPUT), talk.ANY, Collector().deliver)
         assert Started.begun.wait(patience())
     assert Started.cancelled.wait(patience())
+
+
+class _CancelsAtOnce(LoopThread):
+    """Lets the component be closed just after a coroutine was submitted."""
+
+    coroutines: Coroutines
+
+    def submit(self, coroutine: Coroutine[Any, Any, Any]) -> Future[Any]:
+        future = super().submit(coroutine)
+        self.coroutines.cancel()
+        return future
+
+
+def test_a_coroutine_that_was_just_submitted_is_cancelled_too() -> None:
+    loop = _CancelsAtOnce("cancels")
+    loop.coroutines = Coroutines(loop, patience())
+    try:
+        with pytest.raises(BridgeError, match="was cancelled: it closes"):
+            loop.coroutines.run("a wait", asyncio.Event().wait())
+    finally:
+        loop.close()

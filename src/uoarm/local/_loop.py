@@ -87,6 +87,7 @@ class Coroutines:
         self._loop = loop
         self._seconds = seconds
         self._running: set[Future[Any]] = set()
+        self._cancels = 0
 
     def run(
         self, what: str, coroutine: Coroutine[Any, Any, Any], seconds: float | None = None
@@ -98,9 +99,10 @@ class Coroutines:
             BridgeError: the component was closed meanwhile.
         """
         limit = self._seconds if seconds is None else seconds
+        cancels = self._cancels
         future = self._loop.submit(coroutine)
         try:
-            return self._wait(what, future, limit)
+            return self._wait(what, future, limit, cancels)
         except FutureTimeoutError:
             if future.done():
                 raise  # the component's own
@@ -112,8 +114,9 @@ class Coroutines:
         """Yield what an asynchronous iterator yields, each item as late as it likes."""
         try:
             while True:
+                cancels = self._cancels
                 try:
-                    item = self._wait(what, self._loop.submit(_next(messages)), None)
+                    item = self._wait(what, self._loop.submit(_next(messages)), None, cancels)
                 except StopAsyncIteration:
                     return
                 yield item
@@ -125,11 +128,14 @@ class Coroutines:
 
     def cancel(self) -> None:
         """Cancel what runs; whoever waits for it gets a BridgeError."""
+        self._cancels += 1
         for future in tuple(self._running):
             future.cancel()
 
-    def _wait(self, what: str, future: Future[Any], seconds: float | None) -> Any:
+    def _wait(self, what: str, future: Future[Any], seconds: float | None, cancels: int) -> Any:
         self._running.add(future)
+        if cancels != self._cancels:  # it was submitted before a cancel that did not see it yet
+            future.cancel()
         try:
             return future.result(seconds)
         except CancelledError:

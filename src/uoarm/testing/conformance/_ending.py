@@ -80,6 +80,7 @@ class Ending:
     ) -> None:
         with line(world, bridge, kind) as through:
             message, stop = through.example(), threading.Event()
+            closing = threading.Event()
 
             def stream() -> None:
                 while not stop.is_set():
@@ -87,10 +88,15 @@ class Ending:
                         through.send(message)
                     except UoarmError:
                         return
+                    except Exception:
+                        if closing.is_set():  # what a framework says of a channel that goes
+                            return
+                        raise
 
             flowing = Background(stream)
             try:
                 through.collector.wait(1, world.patience)
+                closing.set()
                 Background(through.source.close).result(world.patience)
                 Background(through.sink.close).result(world.patience)
             finally:
