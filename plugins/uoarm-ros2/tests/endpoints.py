@@ -28,9 +28,9 @@ def sink(bridge: Bridge, at: Endpoint) -> Any:
     return bridge.open_sink(at, structure)
 
 
-def known(bridge: Bridge, *nodes: str) -> None:
-    """Wait until the bridge sees these nodes with their endpoints."""
-    wait(lambda: {each.name for each in bridge.discover() if each.endpoints} >= set(nodes))
+def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:
+    """Wait until the bridge sees these nodes with their endpoints; bare ones have none."""
+    wait(lambda: {each.name for each in bridge.discover() if bare or each.endpoints} >= set(nodes))
 
 
 def matched(channel: Channel, count: int) -> None:

@@ -155,9 +155,21 @@ class Doer:
         return {}
 
     def echo(self, come: str, go: str) -> dict[str, Any]:
+        """Publish what comes; what comes before anybody listens waits for the first who does.
+
+        A reader may know of this writer, and have sent a message by way of it, before this writer
+        knows of the reader: the discovery of DDS goes both ways on its own.
+        """
         everything = profile(history="keep_all")
         publisher = self.node.create_publisher(PoseStamped, go, everything)
-        self.node.create_subscription(PoseStamped, come, publisher.publish, everything)
+
+        def pass_on(message: Any) -> None:
+            deadline = time.monotonic() + PATIENCE
+            while not publisher.get_subscription_count() and time.monotonic() < deadline:
+                time.sleep(0.001)
+            publisher.publish(message)
+
+        self.node.create_subscription(PoseStamped, come, pass_on, everything)
         return {}
 
     def call(self, name: str, value: bool) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def test_one_that_comes_later_is_an_event_and_so_is_its_end(bridge: Bridge, peer
     talker.do("advertise", topic="/mixed")
     source(bridge, endpoint(Role.OUTPUT, "/mixed", INT64), inbox)
     stranger = peer("stranger")
-    known(bridge, "/stranger")
+    known(bridge, "/stranger", bare=True)
     stranger.do("redefine")
     stranger.do("advertise", topic="/mixed")
     assert f"/stranger has {OTHER}" in events.event(Health.DEGRADED, "defined otherwise").cause
