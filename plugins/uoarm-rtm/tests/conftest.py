@@ -24,12 +24,11 @@ settings.load_profile(f"rtm-{os.environ.get('HYPOTHESIS_PROFILE', 'short')}")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where this run and its processes note their connectors: not at the user's."""
-    with pytest.MonkeyPatch.context() as patch:
-        folder = tmp_path_factory.mktemp("state")
-        patch.setenv("XDG_STATE_HOME", str(folder))
-        yield folder / "uoarm" / "rtm"
+    folder = tmp_path_factory.mktemp("state")
+    os.environ["XDG_STATE_HOME"] = str(folder)  # for good: a run ends within its last test
+    return folder / "uoarm" / "rtm"
 
 
 @pytest.fixture(scope="session")
