@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 from endpoints import Inbox, endpoint, sink, source, stamped
 from peers import Peer
+from uoarm_rtm import _orb
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason
@@ -52,6 +53,8 @@ def test_a_message_too_large_for_a_component_fails_alone(bridge: Bridge, usual: 
 def test_a_message_too_large_for_us_fails_alone(make_bridge: Make, peer: Start) -> None:
     component = peer("Large", OCTETS)
     component.activate()
+    # Bridges of earlier tests whose peers hung may be closing still, and a process has one ORB.
+    wait(lambda: _orb._shared.running is None, "a bridge of an earlier test still has the ORB")
     bridge, events = make_bridge(max_message=1 << 20), Inbox()
     bridge.watch(events)
     into = sink(bridge, endpoint(Role.INPUT, "Large.rtc", "in"))
