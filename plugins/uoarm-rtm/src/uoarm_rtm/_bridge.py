@@ -217,17 +217,19 @@ class RtmBridge(Bridge):
 
     def _close(self) -> None:
         atexit.unregister(self._at_exit)
-        self._watch.close(0)
-        with self._guard:
-            self._ticking.clear()
-        self._active.tick()
-        for caller in list(self._callers.values()):
-            with contextlib.suppress(BridgeError):
-                caller.close()
-        if self._own is not None:
-            self._own.close()
-        self._watch.close(_WATCH_SECONDS)
-        self._orb.close()
+        try:
+            self._watch.close(0)
+            with self._guard:
+                self._ticking.clear()
+            self._active.tick()
+            for caller in list(self._callers.values()):
+                with contextlib.suppress(BridgeError):
+                    caller.close()
+            if self._own is not None:
+                self._own.close()
+            self._watch.close(_WATCH_SECONDS)
+        finally:
+            self._orb.close()  # the process has one, which would have a user for ever
 
     def let_go(self) -> None:
         """End all connections, in a process that exits without closing the bridge.

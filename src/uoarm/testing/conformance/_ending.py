@@ -194,10 +194,12 @@ class Ending:
     def test_no_thread_and_no_descriptor_stays_behind(self, world: World) -> None:
         def cycle() -> None:
             bridge = world.bridge()
-            for kind in self.kinds:
-                with line(world, bridge, kind) as through:
-                    through.carries(through.example())
-            bridge.close()
+            try:
+                for kind in self.kinds:
+                    with line(world, bridge, kind) as through:
+                        through.carries(through.example())
+            finally:
+                bridge.close()
 
         cycle()
         census = Census()
