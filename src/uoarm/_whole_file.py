@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["write_whole"]
+__all__ = ["stamp_of", "write_whole"]
 
 
 def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
@@ -31,3 +31,12 @@ def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def stamp_of(path: Path) -> tuple[int, ...]:
+    """Return what tells a file from what it was before; () where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return ()
+    return found.st_mtime_ns, found.st_size, found.st_ino

@@ -7,7 +7,7 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._control._actions import Action, CancelBatch, Open, SetCheck
+from uoarm._control._actions import Action, CancelBatch, Open, Resolve, SetCheck
 from uoarm._control._state import (
     OPEN,
     PORTS,
@@ -100,6 +100,11 @@ class Draft:
         """Keep a connection with some changes, and return it."""
         changed = self.connections[record.id] = record._replace(**changes)
         return changed
+
+    def resolve(self, record: ConnectionRecord) -> None:
+        """Have the first plan of a request sought, without what was stale lately."""
+        avoided = recently(self.stale, self.now)
+        self.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
 
     def place(
         self, record: ConnectionRecord, plan: Plan, user: str, *, beside: bool = False

@@ -136,12 +136,11 @@ def changed_over(draft: Draft, event: ChangedOver) -> None:
             failure = failure or ComponentFailure(group.began, cause, (), frozenset(), frozenset())
             seek(draft, draft.put(record, failure=failure))
             continue
-        if group.is_reconfiguration:
-            hand_over(draft, record, group.began, _RECONFIGURED, returns=True)
-            record = draft.put(draft.connections[identity], moves=record.moves)
-        else:
-            hand_over(draft, record, group.began, _CAUSE, returns=True)
-            record = draft.connections[identity]
+        moves, cause = record.moves, _RECONFIGURED if group.is_reconfiguration else _CAUSE
+        hand_over(draft, record, group.began, cause, returns=True)
+        record = draft.connections[identity]
+        if group.is_reconfiguration:  # what somebody asked for is no sign of trouble
+            record = draft.put(record, moves=moves)
         ids = set(record.placement.components.values())
         if any(draft.components[one].is_lost for one in ids):
             lost = tuple(one for one in ids if draft.components[one].is_lost)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from attrs import evolve
 
-from uoarm._control._actions import Adopt, Announce, Release, Reply, Resolve
+from uoarm._control._actions import Adopt, Announce, Release, Reply
 from uoarm._control._draft import Draft
 from uoarm._control._endings import drop_next, end_return
 from uoarm._control._events import Configured
 from uoarm._control._failback import seek_for
 from uoarm._control._failover import replace, seek
-from uoarm._control._state import ComponentFailure, ConnectionRecord, Return, recently
+from uoarm._control._state import ComponentFailure, ConnectionRecord, Return
 from uoarm.model import ConnectionState
 
 __all__ = ["configured", "go_on"]
@@ -75,8 +75,7 @@ def go_on(draft: Draft) -> None:
     for identity in draft.postponed:
         record = draft.connections.get(identity)
         if record is not None and record.current is None:
-            avoided = recently(draft.stale, draft.now)
-            draft.actions.append(Resolve(record.waiter, identity, record.wanted.function, avoided))
+            draft.resolve(record)
     draft.actions += map(Reply, draft.configurers)
     draft.postponed, draft.configurers = (), ()
 

@@ -23,7 +23,6 @@ from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Rob
 __all__ = ["Revision", "Revisions", "StagedRevision"]
 
 _KEPT = 100
-_NONE = frozenset[str]()
 
 
 @frozen(eq=False)

@@ -12,7 +12,7 @@ from typing import Any
 from attrs import evolve
 
 from uoarm._control import _failback, _failover, _reconfiguration
-from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Reply, Resolve
+from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Reply
 from uoarm._control._draft import Draft
 from uoarm._control._endings import end, finish_if_asked
 from uoarm._control._events import (
@@ -31,7 +31,7 @@ from uoarm._control._events import (
     Stopped,
     TimeReached,
 )
-from uoarm._control._state import ConnectionRecord, State, names, recently
+from uoarm._control._state import ConnectionRecord, State, names
 from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
 from uoarm.model import ConnectionState, Plan, PortRef
 
@@ -66,12 +66,7 @@ def _requested(draft: Draft, event: Requested) -> None:
     if event.plan is not None and event.revision == draft.revision:
         _begin(draft, record, event.plan)
     else:
-        _resolve(draft, record)
-
-
-def _resolve(draft: Draft, record: ConnectionRecord) -> None:
-    avoided = recently(draft.stale, draft.now)
-    draft.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
+        draft.resolve(record)
 
 
 def _resolved(draft: Draft, event: Resolved) -> None:
@@ -79,7 +74,7 @@ def _resolved(draft: Draft, event: Resolved) -> None:
     if record is None or record.current is not None:
         return
     if event.revision != draft.revision:  # the configuration was changed meanwhile
-        _resolve(draft, record)
+        draft.resolve(record)
     elif event.plan is None:
         _refuse(draft, record, event.error)
     else:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import click
 
@@ -47,8 +48,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     Plugins that the file does not mention are asked too, with their default options. Exit code 4
     when no bridge could answer.
     """
-    registry = Registry()
-    with reporting(), RobotManager(_robot(file, registry), registry=registry) as robot:
+    with _looking(file) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:
             _print_json(findings, in_one_line=watch)
@@ -74,20 +74,27 @@ def suggest(file: str | None, *, timeout: float) -> None:
 
     Inputs are fed by what was proven to fit; where several would do, they are listed.
     """
-    registry = Registry()
-    with reporting(), RobotManager(_robot(file, registry), registry=registry) as robot:
+    with _looking(file) as (robot, given):
         findings = robot.discover(timeout=timeout)
         for one in findings:
             if one.cause:
                 click.echo(f"{one.bridge}: {one.cause}", err=True)
-        configured = () if file is None else load(file, registry.types).bridges
-        click.echo(suggestion_for(robot.config, findings, configured=configured), nl=False)
+        click.echo(suggestion_for(given, findings, configured=given.bridges), nl=False)
         sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
 
 
-def _robot(file: str | None, registry: Registry) -> Robot:
+@contextmanager
+def _looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
+    """Give a manager with a bridge for each plugin, and the configuration as the file has it."""
+    registry = Registry()
+    with reporting():
+        given = Robot({}, {}) if file is None else load(file, registry.types)
+        with RobotManager(_with_every_plugin(given, registry), registry=registry) as robot:
+            yield robot, given
+
+
+def _with_every_plugin(robot: Robot, registry: Registry) -> Robot:
     """Return the configuration, with a bridge for each plugin that it does not mention."""
-    robot = Robot({}, {}) if file is None else load(file, registry.types)
     plugins = {one.plugin for one in robot.bridges.values()}
     more = {
         name: BridgeSpec(name, name)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from uoarm import RobotManager
+from uoarm._whole_file import stamp_of
 from uoarm.cli._shared import configuration_option, needing, open_robot, reporting
 from uoarm.errors import UoarmError
 
@@ -119,14 +120,14 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
     path = Path(manager.config.origin)
 
     def run() -> None:
-        seen = before = _stamp(path)
+        seen = before = stamp_of(path)
         while not over.is_set():
             is_asked = asked.wait(_LOOK_SECONDS if watch else None)
             if over.is_set():
                 return
             asked.clear()
-            now = _stamp(path)
-            is_written = now is not None and now not in (seen, None) and now == before
+            now = stamp_of(path)
+            is_written = now == before and now not in {(), seen}
             before = now
             if is_asked or (watch and is_written):  # a file that still changes is being written
                 seen = now
@@ -165,15 +166,6 @@ def _reload(manager: RobotManager) -> None:
         click.echo(f"the configuration stays as it is: {error}", err=True)
         return
     click.echo(str(change), err=True)
-
-
-def _stamp(path: Path) -> tuple[int, ...] | None:
-    """Return what tells a file from what it was before; None: there is none."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_size, found.st_ino
 
 
 def _name_and_port(given: str) -> tuple[str, int]:

@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 
 from attrs import frozen
 
+from uoarm._whole_file import stamp_of
 from uoarm.errors import ConfigurationError
 from uoarm.server.access._access_file import read_access
 from uoarm.server.access._policy import AccessPolicy, Now, hash_token
@@ -123,11 +124,7 @@ class Admission:
             _log.error("the access file is not used, what it said before still holds: %s", error)
 
     def _look(self) -> tuple[int, ...] | None:
-        try:
-            found = None if self._path is None else self._path.stat()
-        except OSError:
-            return ()
-        return None if found is None else (found.st_mtime_ns, found.st_size, found.st_ino)
+        return None if self._path is None else stamp_of(self._path)
 
     def _is_ours(self, host: str) -> bool:
         try:
