@@ -26,7 +26,7 @@ from bench._soak_watch import Sample, look, sparkline
 from bench.tables import print_table
 from uoarm import Connection, RobotManager
 from uoarm.config import loads
-from uoarm.model import ConnectionState, FailoverPolicy
+from uoarm.model import FailoverPolicy
 from uoarm.testing import Census, losses, slowness
 
 HERE = Path(__file__).parent
@@ -73,24 +73,42 @@ class Soak:
 
 @click.command()
 @click.option("--minutes", type=click.FloatRange(min=0.05), default=30.0, show_default=True)
+@click.option("--deaths", default=0, help="Go on until this many hosts were meant to die.")
 @click.option("--seed", default=1, show_default=True, help="Of the choice of faults.")
-def main(minutes: float, seed: int) -> None:
+@click.option("--silence", default=SILENCE_SECONDS, help="Seconds after which a host is given up.")
+@click.option(
+    "--events",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write what the control plane was told: a test plays it again.",
+)
+def main(minutes: float, deaths: int, seed: int, silence: float, events: Path | None) -> None:
     """Harm hosts under a connection for some minutes."""
     logging.getLogger("uoarm").setLevel(logging.CRITICAL)  # every fault is told, in hundreds
+    if events is not None:
+        _write_events(events)
     with tempfile.TemporaryDirectory(prefix="uoarm-soak-") as folder:
-        with RobotManager(evolve(loads(_robot(Path(folder))), failover=POLICY)) as warm:
+        with RobotManager(evolve(loads(_robot(Path(folder), silence)), failover=POLICY)) as warm:
             warm.request("found", timeout=PATIENCE_SECONDS).get(PATIENCE_SECONDS)
         for left in Path(folder).glob("*.journal"):
             left.unlink()
         before = Census()
-        held = _soak(Path(folder), 60.0 * minutes, seed)
+        held = _soak(Path(folder), silence, 60.0 * minutes, deaths, seed)
         before.check()
     sys.exit(0 if held else 1)
 
 
-def _robot(folder: Path) -> str:
+def _write_events(path: Path) -> None:
+    handler = logging.FileHandler(path, mode="w")
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    log = logging.getLogger("uoarm.control")
+    log.setLevel(logging.DEBUG)
+    log.propagate = False
+    log.addHandler(handler)
+
+
+def _robot(folder: Path, silence: float) -> str:
     host = {
-        "silence": SILENCE_SECONDS,
+        "silence": silence,
         "restarts": 1_000_000,
         "variables": {"UOARM_SOAK": str(folder)},
     }
@@ -98,9 +116,9 @@ def _robot(folder: Path) -> str:
     return ROBOT.format(bridges=dict.fromkeys(("one", "two", "three", "four"), one))
 
 
-def _soak(folder: Path, seconds: float, seed: int) -> bool:
+def _soak(folder: Path, silence: float, seconds: float, deaths: int, seed: int) -> bool:
     soak = Soak()
-    with RobotManager(evolve(loads(_robot(folder)), failover=POLICY)) as robot:
+    with RobotManager(evolve(loads(_robot(folder, silence)), failover=POLICY)) as robot:
         connection = robot.request("found", on_message=soak.take, timeout=PATIENCE_SECONDS)
         faults = Faults(robot, folder, seed)
         begun = time.monotonic()
@@ -109,7 +127,7 @@ def _soak(folder: Path, seconds: float, seed: int) -> bool:
         ) as progress:
             bar = progress.add_task("soaking", total=seconds)
             first = list(FAULTS)
-            while (passed := time.monotonic() - begun) < seconds or first:
+            while (passed := time.monotonic() - begun) < seconds or first or faults.deaths < deaths:
                 progress.update(bar, completed=passed, description=_told(soak, faults))
                 faults.harm(first.pop(0) if first else None)
                 _wait_for_more(soak, connection)
@@ -134,7 +152,7 @@ def _wait_for_more(soak: Soak, connection: Connection) -> None:
     pause.wait(BETWEEN_SECONDS)
     seen, deadline = soak.arrived, time.monotonic() + PATIENCE_SECONDS
     while soak.arrived < seen + 20:
-        if connection.state is not ConnectionState.RUNNING or time.monotonic() > deadline:
+        if connection.ended or time.monotonic() > deadline:
             raise TimeoutError(f"nothing comes: {connection.status()}")
         pause.wait(0.01)
 

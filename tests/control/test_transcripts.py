@@ -109,7 +109,9 @@ class Player(World):
     def play_stale(self, name: str) -> None:
         """Let a component emit too little, and be there all the same."""
         bridge = self.state.bridges[name]
-        event = ev.HealthReported(bridge, Health.LOST, "too slow", name, "component", is_stale=True)
+        event = ev.HealthReported(
+            bridge, Health.LOST, "too slow", name, "component", is_avoided=True
+        )
         self.post(event)
 
     def play_report(self, subject: str, health: str, part: str, *spared: str) -> None:

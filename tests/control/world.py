@@ -254,7 +254,7 @@ class World:
                     )
             elif isinstance(first, act.Resolve) and self.state.revision:
                 yield f"late {lane}", lambda world, lane=lane: world.do(lane, is_late=True)  # type: ignore[misc]
-            elif isinstance(first, act.ChangeOver):
+            elif isinstance(first, act.SwitchInputs):
                 yield f"fail {lane}", lambda world, lane=lane: world.do(lane, fails_at=0)  # type: ignore[misc]
 
     def settle(self) -> None:
@@ -293,14 +293,14 @@ class World:
             assert state.components[number].name == name
             assert not state.components[number].is_lost
         for connection in state.connections.values():
-            if connection.returning:
-                assert connection.id in state.returns[connection.returning].members
+            if connection.switchover:
+                assert connection.id in state.switchovers[connection.switchover].members
 
     def check_at_rest(self) -> None:
         """Raise where something is open that nobody wants, or the other way round."""
         state = self.state
         assert not state.batches
-        assert not state.returns
+        assert not state.switchovers
         assert not state.outdated
         assert not state.postponed
         assert Counter(self.replies) == Counter(self.asked)
@@ -393,7 +393,7 @@ class World:
         if isinstance(action, act.CheckPreferred):
             there = self._is_there(names(action.plan))
             return ev.PreferredChecked(action.connection, there)
-        return ev.ChangedOver(action.returning, "" if fails_at is None else "no")
+        return ev.InputsSwitched(action.switchover, "" if fails_at is None else "no")
 
     def _resolve(self, action: act.Resolve, plans: Plans, revision: int) -> ev.Event:
         try:
@@ -413,8 +413,8 @@ class World:
                 self.plans,
             )
         except ResolutionError as error:
-            return ev.ReplacementSought(*asked, None, str(error), action.returning)
-        return ev.ReplacementSought(*asked, plan, returning=action.returning)
+            return ev.ReplacementSought(*asked, None, str(error), action.switchover)
+        return ev.ReplacementSought(*asked, plan, switchover=action.switchover)
 
     def _open(self, action: act.Open, fails_at: int | None) -> ev.Event:
         done: list[Part] = []

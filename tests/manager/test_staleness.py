@@ -183,9 +183,9 @@ class Chain:
     def pass_by(self, seconds: float) -> None:
         """Let time pass, and have what is stale then replaced before going on."""
         self.clock.advance(seconds)
-        stale = len(self.robot._executor.state.stale)
+        stale = len(self.robot._executor.state.avoided)
         self.robot._staleness.look()
-        if len(self.robot._executor.state.stale) > stale:
+        if len(self.robot._executor.state.avoided) > stale:
             before = self.face.gaps
             wait(lambda: self.face.gaps != before)
 

@@ -19,7 +19,6 @@ __all__ = [
     "Announce",
     "CallAction",
     "CancelBatch",
-    "ChangeOver",
     "CheckPreferred",
     "Close",
     "Drain",
@@ -37,6 +36,7 @@ __all__ = [
     "RetireBridge",
     "SetCheck",
     "Stop",
+    "SwitchInputs",
     "WakeAt",
     "Warn",
 ]
@@ -129,7 +129,7 @@ class FindReplacement:
     excluded: frozenset[str]
     failed: tuple[str, ...]
     avoided: frozenset[str]
-    returning: int = 0
+    switchover: int = 0
 
 
 @frozen
@@ -143,15 +143,15 @@ class CheckPreferred:
 
 
 @frozen
-class ChangeOver:
-    """Let edges that are held feed their inputs in place of others; `ChangedOver`.
+class SwitchInputs:
+    """Let edges that are held feed their inputs in place of others; `InputsSwitched`.
 
     Attributes:
         edges: ids, each with the one whose place it takes, if there is one.
     """
 
     lane: str
-    returning: int
+    switchover: int
     edges: tuple[tuple[int, int | None], ...]
 
 
@@ -286,7 +286,7 @@ CallAction: TypeAlias = (
     | Drain
     | FindReplacement
     | CheckPreferred
-    | ChangeOver
+    | SwitchInputs
     | Release
 )
 LocalAction: TypeAlias = (

@@ -55,9 +55,9 @@ class Draft:
         self.feeding = dict(state.feeding)
         self.beside = dict(state.beside)
         self.batches = dict(state.batches)
-        self.returns = dict(state.returns)
+        self.switchovers = dict(state.switchovers)
         self.failed = dict(state.failed)
-        self.stale = dict(state.stale)
+        self.avoided = dict(state.avoided)
         self.number = state.number
         self.is_closing = state.is_closing
         self.closers = state.closers
@@ -79,9 +79,9 @@ class Draft:
             feeding=self.feeding,
             beside=self.beside,
             batches=self.batches,
-            returns=self.returns,
+            switchovers=self.switchovers,
             failed=self.failed,
-            stale=self.stale,
+            avoided=self.avoided,
             number=self.number,
             is_closing=self.is_closing,
             closers=self.closers,
@@ -102,8 +102,8 @@ class Draft:
         return changed
 
     def resolve(self, record: ConnectionRecord) -> None:
-        """Have the first plan of a request sought, without what was stale lately."""
-        avoided = recently(self.stale, self.now)
+        """Have the first plan of a request sought, without what is avoided now."""
+        avoided = recently(self.avoided, self.now)
         self.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
 
     def place(
@@ -115,7 +115,7 @@ class Draft:
             record: the connection; its application ports stay where the provider does.
             plan: the plan.
             user: the name under which its parts are used.
-            beside: whether its inputs may be fed by another edge until a change-over.
+            beside: whether its inputs may be fed by another edge until a switchover.
 
         Raises:
             ResolutionError: an input is in use, fed by another component. Nothing has changed.
@@ -187,7 +187,7 @@ class Draft:
     def supersede(self, names: Iterable[str]) -> None:
         """Share components no more that are others in the configuration from now on.
 
-        They go on for those who use them; other edges may feed their consumers after a change-over.
+        They go on for those who use them; other edges may feed their consumers after a switchover.
         """
         for name in names:
             one = self.serving.pop(name, None)
@@ -252,7 +252,7 @@ class Draft:
                 found.update(map(connection_of, self.edges[standing].users))
         return found
 
-    def change_over(self, edges: Iterable[int]) -> tuple[tuple[int, int | None], ...]:
+    def switch_inputs(self, edges: Iterable[int]) -> tuple[tuple[int, int | None], ...]:
         """Let edges that are held take the places of others; return each with the other one.
 
         Raises:

@@ -7,7 +7,7 @@ from uoarm._control._draft import Draft
 from uoarm._control._state import ConnectionRecord
 from uoarm.model import ConnectionState
 
-__all__ = ["drop_next", "end", "end_return", "finish_if_asked", "look_later"]
+__all__ = ["cancel_switchover", "drop_next", "end", "finish_if_asked", "look_later"]
 
 _LEAST_LOOK_SECONDS = 0.05
 
@@ -31,14 +31,14 @@ def end(
     if record.state is ConnectionState.CLOSING:
         return
     record = drop_next(draft, record)
-    if record.returning and not draft.returns[record.returning].is_changing:
-        end_return(draft, record.returning)
+    if record.switchover and not draft.switchovers[record.switchover].is_switching:
+        cancel_switchover(draft, record.switchover)
         record = draft.connections[record.id]
     placement = record.placement
     parts = draft.unplace(placement)
     lost = record.failure.lost if record.failure is not None else ()
     record = draft.put(
-        record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause, returning=0
+        record, state=ConnectionState.CLOSING, outcome=outcome, cause=cause, switchover=0
     )
     draft.actions += [
         Publish(record),
@@ -61,7 +61,7 @@ def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
     return record
 
 
-def end_return(draft: Draft, number: int, *, is_vain: bool = False) -> None:
+def cancel_switchover(draft: Draft, number: int, *, is_vain: bool = False) -> None:
     """Leave the members of a return where they are; each looks for its plan again later.
 
     Args:
@@ -69,7 +69,7 @@ def end_return(draft: Draft, number: int, *, is_vain: bool = False) -> None:
         number: of the return.
         is_vain: whether members of a reconfiguration should not try it together once more.
     """
-    group = draft.returns.pop(number)
+    group = draft.switchovers.pop(number)
     if group.is_reconfiguration and not is_vain:
         draft.outdated |= frozenset(group.members)
     for identity in group.members:
@@ -77,7 +77,7 @@ def end_return(draft: Draft, number: int, *, is_vain: bool = False) -> None:
         if record is None or record.state is ConnectionState.CLOSING:
             continue
         record = drop_next(draft, record)
-        record = draft.put(record, returning=0, available_since=None, look_at=None)
+        record = draft.put(record, switchover=0, available_since=None, look_at=None)
         if record.preferred is not None:
             look_later(draft, record)
 

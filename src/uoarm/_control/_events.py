@@ -14,12 +14,12 @@ from uoarm._control._state import Part
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 __all__ = [
-    "ChangedOver",
     "Configured",
     "Drained",
     "Ended",
     "Event",
     "HealthReported",
+    "InputsSwitched",
     "Killed",
     "Opened",
     "PreferredChecked",
@@ -125,7 +125,7 @@ class HealthReported:
         part: what of it: `bridge`, `component`, role and port of a channel, or `messages`: what
             it raises, which the manager watches itself.
         spared: instances that were opened since then, at the bridge that followed.
-        is_stale: whether it emits too little or raises too often, which no bridge would notice:
+        is_avoided: whether it emits too little or raises too often, which no bridge would notice:
             it is avoided for a while.
     """
 
@@ -135,7 +135,7 @@ class HealthReported:
     component: str | None = None
     part: Hashable = "bridge"
     spared: frozenset[int] = frozenset()
-    is_stale: bool = False
+    is_avoided: bool = False
 
 
 @frozen
@@ -158,14 +158,14 @@ class ReplacementSought:
 
     Attributes:
         attempt: of the connection, as it was when the search began.
-        returning: id of the return that it is for; 0: it is for a failover.
+        switchover: id of the switchover that it is for; 0: it is for a failover.
     """
 
     connection: str
     attempt: int
     plan: Plan | None
     error: str = ""
-    returning: int = 0
+    switchover: int = 0
 
 
 @frozen
@@ -177,10 +177,10 @@ class PreferredChecked:
 
 
 @frozen
-class ChangedOver:
+class InputsSwitched:
     """The inputs of a return changed hands; with an error they did not."""
 
-    returning: int
+    switchover: int
     error: str = ""
 
 
@@ -210,7 +210,7 @@ Event: TypeAlias = (
     | Ended
     | ReplacementSought
     | PreferredChecked
-    | ChangedOver
+    | InputsSwitched
     | TimeReached
     | Stopped
     | Configured

@@ -19,7 +19,7 @@ from uoarm._control._actions import (
     Warn,
 )
 from uoarm._control._draft import Draft
-from uoarm._control._endings import drop_next, end, end_return, finish_if_asked, look_later
+from uoarm._control._endings import cancel_switchover, drop_next, end, finish_if_asked, look_later
 from uoarm._control._events import HealthReported, ReplacementSought
 from uoarm._control._state import (
     ComponentFailure,
@@ -81,9 +81,9 @@ def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
     """Note that a service, of which nothing is open, raises or answers again."""
     draft.actions.append(Announce(f"component {name}", event.health.value, event.cause))
     if event.health is Health.LOST:
-        draft.stale[name] = draft.now
+        draft.avoided[name] = draft.now
     elif event.health is Health.OK:
-        draft.stale.pop(name, None)
+        draft.avoided.pop(name, None)
 
 
 def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
@@ -112,8 +112,8 @@ def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: Healt
     for name in dead:
         draft.failed.pop(name, None)
         draft.failed[name] = draft.now
-        if event.is_stale:
-            draft.stale[name] = draft.now
+        if event.is_avoided:
+            draft.avoided[name] = draft.now
     were = f"component {dead[0]!r} was"
     if len(dead) > 1:
         were = f"components {', '.join(map(repr, dead))} were"
@@ -151,10 +151,10 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
         record = draft.put(record, error=BridgeError(text, FailureReason.UNAVAILABLE))
     if not draft.policy.enabled or not record.goes_on:
         end(draft, record, ConnectionState.FAILED, failure.cause)
-    elif record.returning and draft.returns[record.returning].is_changing:
+    elif record.switchover and draft.switchovers[record.switchover].is_switching:
         return  # looked at when the inputs have changed hands
-    elif record.returning:
-        end_return(draft, record.returning)
+    elif record.switchover:
+        cancel_switchover(draft, record.switchover)
         seek(draft, draft.connections[record.id])
     elif _uses(record.next, failure.lost):
         seek(draft, drop_next(draft, record))
@@ -164,9 +164,9 @@ def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFail
 
 def _lose_next(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
     """Do without the plan that was to take over."""
-    if record.returning:
-        if not draft.returns[record.returning].is_changing:
-            end_return(draft, record.returning)
+    if record.switchover:
+        if not draft.switchovers[record.switchover].is_switching:
+            cancel_switchover(draft, record.switchover)
         return
     _seek_without(draft, drop_next(draft, record), failure.excluded)
 
@@ -192,7 +192,7 @@ def seek(draft: Draft, record: ConnectionRecord) -> None:
             output=record.output,
             excluded=failure.excluded,
             failed=tuple(name for name in draft.failed_lately() if name not in runs),
-            avoided=recently(draft.stale, draft.now),
+            avoided=recently(draft.avoided, draft.now),
         )
     )
 
@@ -260,7 +260,7 @@ def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
 
 
 def hand_over(
-    draft: Draft, record: ConnectionRecord, since: float, cause: str, *, returns: bool = False
+    draft: Draft, record: ConnectionRecord, since: float, cause: str, *, is_planned: bool = False
 ) -> None:
     """Let the next plan be the one that runs, and the one so far run out."""
     before, after = record.placement, record.next
@@ -268,7 +268,7 @@ def hand_over(
     lost = record.failure.lost if record.failure is not None else ()
     waited = record.state is ConnectionState.WAITING
     preferred = None
-    if draft.policy.return_after is not None and not returns:
+    if draft.policy.return_after is not None and not is_planned:
         preferred = record.preferred or before.plan
         if names(after.plan) == names(preferred):
             preferred = None
@@ -282,11 +282,11 @@ def hand_over(
         preferred=preferred,
         available_since=None,
         look_at=None,
-        returning=0,
+        switchover=0,
         moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
     )
     subject = f"connection {record.id}"
-    lane, is_heard = f"{after.user}>", not returns or before.ports == after.ports
+    lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
     draft.actions += [
         HandOver(lane, record.id, before, after, is_heard, since, draft.now, cause),
         Publish(record),

@@ -214,7 +214,7 @@ class LiveParts:
                 joined.route.drain(_DRAIN_SECONDS)
                 joined.consumer.drain(_DRAIN_SECONDS)
 
-    def change_over(self, edges: Iterable[tuple[int, int | None]]) -> None:
+    def switch_inputs(self, edges: Iterable[tuple[int, int | None]]) -> None:
         """Let edges that were held feed their inputs in place of others.
 
         What waits in a queue passes first, five seconds for each edge at most.

@@ -11,11 +11,11 @@ from attrs import evolve
 
 from uoarm._control._actions import Adopt, Announce, Release, Reply
 from uoarm._control._draft import Draft
-from uoarm._control._endings import drop_next, end_return
+from uoarm._control._endings import cancel_switchover, drop_next
 from uoarm._control._events import Configured
-from uoarm._control._failback import seek_for
 from uoarm._control._failover import replace, seek
-from uoarm._control._state import ComponentFailure, ConnectionRecord, Return
+from uoarm._control._state import ComponentFailure, ConnectionRecord
+from uoarm._control._switchover import begin
 from uoarm.model import ConnectionState
 
 __all__ = ["configured", "go_on"]
@@ -28,7 +28,7 @@ def configured(draft: Draft, event: Configured) -> None:
     draft.supersede(event.superseded)
     for name in event.superseded:
         draft.failed.pop(name, None)
-        draft.stale.pop(name, None)
+        draft.avoided.pop(name, None)
     told = Announce("configuration", f"revision {event.revision}")
     draft.actions += [Adopt(event.revision), told]
     for identity in tuple(draft.connections):
@@ -40,11 +40,11 @@ def configured(draft: Draft, event: Configured) -> None:
 
 
 def _outdate(draft: Draft, record: ConnectionRecord) -> None:
-    if record.returning and not draft.returns[record.returning].is_changing:
-        end_return(draft, record.returning)
+    if record.switchover and not draft.switchovers[record.switchover].is_switching:
+        cancel_switchover(draft, record.switchover)
         record = draft.connections[record.id]
     record = draft.put(record, preferred=None, available_since=None, look_at=None)
-    if record.failure is not None and record.goes_on and not record.returning:
+    if record.failure is not None and record.goes_on and not record.switchover:
         failure = evolve(record.failure, excluded=frozenset())
         seek(draft, draft.put(drop_next(draft, record), failure=failure))
     else:
@@ -59,17 +59,13 @@ def go_on(draft: Draft) -> None:
     records = [one for one in records if one.state is not ConnectionState.CLOSING]
     draft.outdated = frozenset(one.id for one in records)
     if _moves(draft) or any(
-        one.state is ConnectionState.OPENING or one.returning for one in records
+        one.state is ConnectionState.OPENING or one.switchover for one in records
     ):
         return
     draft.outdated = frozenset()
     members = [one for one in records if one.failure is None and not one.finished]
     if members:
-        number = draft.new_id()
-        plans = {one.id: None for one in members}
-        draft.returns[number] = Return(number, plans, draft.now, is_reconfiguration=True)
-        members = [draft.put(one, returning=number) for one in members]
-        seek_for(draft, members[0])
+        begin(draft, members, is_reconfiguration=True)
         return
     _replace_what_is_left(draft)
     for identity in draft.postponed:
@@ -81,7 +77,7 @@ def go_on(draft: Draft) -> None:
 
 
 def _moves(draft: Draft) -> bool:
-    return any(group.is_reconfiguration for group in draft.returns.values())
+    return any(group.is_reconfiguration for group in draft.switchovers.values())
 
 
 def _superseded(draft: Draft, record: ConnectionRecord) -> tuple[int, ...]:

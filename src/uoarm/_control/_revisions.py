@@ -157,7 +157,7 @@ class Revisions:
     def _effects(
         self, revision: Revision, difference: Difference, state: State
     ) -> list[ConnectionEffect]:
-        avoided = recently(state.stale, self._clock()) - difference.superseded
+        avoided = recently(state.avoided, self._clock()) - difference.superseded
         failed = recently(state.failed, self._clock()) - difference.superseded
         last = tuple(name for name in state.failed if name in failed)
         effects = (

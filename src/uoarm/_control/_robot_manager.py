@@ -21,21 +21,18 @@ from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
 from uoarm._control._revisions import Revision, Revisions, StagedRevision
-from uoarm._control._services import ServiceFailures
+from uoarm._control._services import Services
 from uoarm._control._staleness import StalenessWatch
 from uoarm._control._state import State, recently
-from uoarm._dataplane import Clock, make_check
-from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._dataplane import Clock
+from uoarm._hints.applications import MessageType, T
 from uoarm._mistakes import choose
 from uoarm._spans import span
-from uoarm.bridge import Bridge, HealthEvent, Registry, ServiceStructures
+from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.config import assign, load
 from uoarm.errors import (
-    BridgeError,
     ConfigurationError,
     ConnectionClosedError,
-    FailureReason,
-    MessageError,
     UsageError,
 )
 from uoarm.model import (
@@ -43,7 +40,6 @@ from uoarm.model import (
     ConfigurationChange,
     Deliver,
     Effect,
-    Endpoint,
     FunctionStatus,
     Health,
     Message,
@@ -54,7 +50,6 @@ from uoarm.model import (
     Robot,
     StatusEvent,
     StatusMap,
-    Step,
     ValidationMode,
 )
 
@@ -110,16 +105,17 @@ class RobotManager:
             revisions=self._revisions,
             clock=clock,
         )
-        self._services = ServiceFailures(
+        self._services = Services(
+            self._bridges.get,
             lambda: self._executor.state.policy.failing,
             clock,
             self._executor.judge_service,
-            lambda name: name in recently(self._executor.state.stale, clock()),
+            lambda name: name in recently(self._executor.state.avoided, clock()),
         )
         self._staleness = StalenessWatch(
             self._executor.components,
             self._executor.edges,
-            lambda event: self._executor.report(event, is_stale=True),
+            lambda event: self._executor.report(event, is_avoided=True),
             clock,
         )
         self._watch_rates(robot)
@@ -167,7 +163,7 @@ class RobotManager:
         known = self._known(function, revision)
         if known is not None:
             return known
-        avoided = recently(self._executor.state.stale, self._clock())
+        avoided = recently(self._executor.state.avoided, self._clock())
         with span("resolve", function=function):
             return _bounded.run(
                 f"resolving {function!r}",
@@ -292,7 +288,11 @@ class RobotManager:
         """
         wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
         return _bounded.run(
-            f"call of {name!r}", timeout, lambda: self._call(name, message, wanted, timeout)
+            f"call of {name!r}",
+            timeout,
+            lambda: self._services.call(
+                name, self.resolve(name, timeout=timeout).provider, message, wanted, timeout
+            ),
         )
 
     def connections(self) -> tuple[Connection, ...]:
@@ -437,33 +437,10 @@ class RobotManager:
         wanted.require(_given(plan, reference.port, name).schema)
         return wanted
 
-    def _call(
-        self, name: str, message: Message, wanted: MessageType[Any] | None, timeout: float
-    ) -> Message:
-        step = self.resolve(name, timeout=timeout).provider
-        service = step.component.service
-        if service is None:
-            raise UsageError(f"function {name!r} is a stream: use request, not call")
-        place = f"request to {step.component.name}"
-        if wanted is not None:
-            wanted.require(step.structures["reply"].schema)
-        message = as_message(message, place)
-        check = make_check(step.structures["request"], ValidationMode.ALWAYS, place)
-        if check is not None:
-            check(message)
-        bridge = self._bridges.get(step.component.bridge)
-        try:
-            reply = _answer(bridge, step, service.endpoint, message, timeout)
-        except Exception as error:
-            self._services.failed(step.component, error)
-            raise
-        self._services.answered(step.component)
-        return reply if wanted is None else wanted.read(reply)
-
     def _known(self, function: str, revision: Revision) -> Plan | None:
-        """Return the plan that was found before, unless it may use what was stale lately."""
-        stale = recently(self._executor.state.stale, self._clock())
-        return None if stale else revision.resolver.known(function)
+        """Return the plan that was found before, unless it may use what is avoided now."""
+        avoided = recently(self._executor.state.avoided, self._clock())
+        return None if avoided else revision.resolver.known(function)
 
     def _stage(self, robot: Robot) -> StagedRevision:
         robot = assign(robot, self.registry.types)
@@ -514,19 +491,3 @@ def _reference(name: str) -> PortRef:
     """Read `function` or `function.output`."""
     function, dot, port = name.partition(".")
     return PortRef(function, port if dot else None)
-
-
-def _answer(
-    bridge: Bridge, step: Step, endpoint: Endpoint, message: Message, timeout: float
-) -> Message:
-    """Call a service; what raises here is the service, or its bridge."""
-    structures = ServiceStructures(step.structures["request"], step.structures["reply"])
-    reply = bridge.call(endpoint, message, structures, timeout=timeout)
-    place = f"the reply of the service {step.component.name}"
-    check = make_check(step.structures["reply"], ValidationMode.ALWAYS, place)
-    try:
-        if check is not None:
-            check(reply)
-    except MessageError as error:
-        raise BridgeError(str(error), FailureReason.BAD_MESSAGE) from error
-    return reply

@@ -51,8 +51,8 @@ def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.Rep
     except Exception as error:  # noqa: BLE001 - the state learns of it whatever it is
         if not isinstance(error, UoarmError):
             _log.exception("looking for a replacement failed")
-        return ev.ReplacementSought(*asked, None, str(error), action.returning)
-    return ev.ReplacementSought(*asked, plan, returning=action.returning)
+        return ev.ReplacementSought(*asked, None, str(error), action.switchover)
+    return ev.ReplacementSought(*asked, plan, switchover=action.switchover)
 
 
 def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:

@@ -35,8 +35,8 @@ __all__ = [
     "Part",
     "Parts",
     "Placement",
-    "Return",
     "State",
+    "Switchover",
     "names",
     "recently",
 ]
@@ -131,7 +131,7 @@ class EdgeRecord:
     """One edge between two instances, with what each of its users wishes to be checked.
 
     Attributes:
-        is_held: whether messages wait for a change-over, since another edge feeds the input.
+        is_held: whether messages wait for a switchover, since another edge feeds the input.
     """
 
     id: int
@@ -234,7 +234,7 @@ class ConnectionRecord(NamedTuple):
         available_since: when that was seen first without a break; None: it is not there.
         look_at: when to look for it.
         is_looking: whether somebody is looking.
-        returning: id of the return that it takes part in; 0: none.
+        switchover: id of the switchover that it takes part in; 0: none.
         moves: when its plan changed within the last minute.
         finished: why it ends when all that is under way has arrived; empty: it does not.
     """
@@ -258,7 +258,7 @@ class ConnectionRecord(NamedTuple):
     available_since: float | None = None
     look_at: float | None = None
     is_looking: bool = False
-    returning: int = 0
+    switchover: int = 0
     moves: tuple[float, ...] = ()
     finished: str = ""
 
@@ -290,20 +290,20 @@ class ConnectionRecord(NamedTuple):
 
 
 @frozen
-class Return:
+class Switchover:
     """Connections that change to better plans at once, since an input has one producer.
 
     Attributes:
         members: connections by id, with the plan found for each, None while it is sought.
         began: when the messages of the plans so far are counted to.
-        is_changing: whether the inputs are changing hands, which nothing interrupts.
+        is_switching: whether the inputs are changing hands, which nothing interrupts.
         is_reconfiguration: whether the plans are better since the configuration is another.
     """
 
     id: int
     members: Mapping[str, Plan | None]
     began: float
-    is_changing: bool = False
+    is_switching: bool = False
     is_reconfiguration: bool = False
 
 
@@ -317,10 +317,10 @@ class State:
         parts: open (`OPEN`), or the number of the batch that is opening it.
         serving: the instance of each component that new users share.
         feeding: the edge that feeds each input.
-        beside: the edge that will, after a change-over.
+        beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
         failed: when a component died last, longest ago first.
-        stale: the same for those that emitted too little or raised too often.
+        avoided: the same for those that emitted too little or raised too often.
         number: the last id given.
         is_closing: whether no request is taken any more.
         closers: who waits until every connection has ended.
@@ -340,9 +340,9 @@ class State:
     feeding: Mapping[tuple[str, str], int] = field(factory=dict)
     beside: Mapping[tuple[str, str], int] = field(factory=dict)
     batches: Mapping[int, Batch] = field(factory=dict)
-    returns: Mapping[int, Return] = field(factory=dict)
+    switchovers: Mapping[int, Switchover] = field(factory=dict)
     failed: Mapping[str, float] = field(factory=dict)
-    stale: Mapping[str, float] = field(factory=dict)
+    avoided: Mapping[str, float] = field(factory=dict)
     number: int = 0
     is_closing: bool = False
     closers: tuple[str, ...] = ()

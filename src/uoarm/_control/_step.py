@@ -1,7 +1,8 @@
 """The reconciler: one event and the state before it give the state after it, and what to do.
 
 `step` touches no thread, clock, lock, log or bridge. Requests, sharing, kills and ends are here;
-`_failover` and `_failback` have what happens when components die and come back.
+`_failover` and `_failback` have what happens when components die and come back, `_switchover` how
+connections change to better plans.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._control import _failback, _failover, _reconfiguration
+from uoarm._control import _failback, _failover, _reconfiguration, _switchover
 from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Reply
 from uoarm._control._draft import Draft
 from uoarm._control._endings import end, finish_if_asked
 from uoarm._control._events import (
-    ChangedOver,
     Configured,
     Drained,
     Ended,
     Event,
     HealthReported,
+    InputsSwitched,
     Killed,
     Opened,
     PreferredChecked,
@@ -132,8 +133,8 @@ def _advance(draft: Draft, record: ConnectionRecord) -> None:
             draft.put(record, current=placement)
         elif not placement.batch and not draft.missing(placement):
             _run(draft, record)
-    elif record.next is not None and record.returning:
-        _failback.advance(draft, draft.returns[record.returning])
+    elif record.next is not None and record.switchover:
+        _switchover.advance(draft, draft.switchovers[record.switchover])
     elif record.next is not None:
         _failover.advance(draft, record)
 
@@ -179,8 +180,8 @@ def _failed_to_open(draft: Draft, record: ConnectionRecord, error: BaseException
         draft.actions.append(Forget(names(record.placement.plan)))
         record = draft.put(record, error=error)
         end(draft, record, ConnectionState.FAILED, str(error), lane=record.waiter)
-    elif record.returning:
-        _failback.abandon(draft, draft.returns[record.returning], str(error))
+    elif record.switchover:
+        _switchover.abandon(draft, draft.switchovers[record.switchover], str(error))
     elif record.next is not None:
         _failover.try_another(draft, record, str(error))
 
@@ -252,8 +253,8 @@ def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
     record = draft.connections.get(event.connection)
     if record is None or record.attempt != event.attempt or not record.goes_on:
         return
-    if event.returning:
-        _failback.found(draft, record, event)
+    if event.switchover:
+        _switchover.found(draft, record, event)
     else:
         _failover.found(draft, record, event)
 
@@ -268,7 +269,7 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     Ended: _ended,
     ReplacementSought: _replacement_sought,
     PreferredChecked: _failback.checked,
-    ChangedOver: _failback.changed_over,
+    InputsSwitched: _switchover.inputs_switched,
     TimeReached: _time_reached,
     Stopped: _stopped,
     Configured: _reconfiguration.configured,
