@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import time
@@ -23,6 +24,9 @@ __all__ = ["Scheduler"]
 # Now, as other conftests read the environment when they are imported.
 _places.isolate()
 
+# Half of the time a worker waits, for processes and for silence: so there are more of them than
+# cores, by as many at most.
+SPARE_WORKERS = 4
 # One worker runs all tests of these, so that the scene is started once.
 TOGETHER = {"tests/examples/test_healthbot.py"}
 # The last resort against a test that hangs where nothing limits its wait.
@@ -93,6 +97,12 @@ def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
     _needs.check(item)
 
 
+def pytest_collection_finish() -> None:
+    """Leave what collecting made out of every later collection of garbage, as it stays anyway."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
     item.stash[_HELD] = _leaks.Holdings()
@@ -148,6 +158,14 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         _leaks.end_processes()
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
         print(f"\nprocesses left behind by this run: {left}")  # noqa: T201 - after the reports
+
+
+@pytest.hookimpl(wrapper=True, optionalhook=True)
+def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
+    """Answer `-n auto`, unless xdist's own variable of the environment does."""
+    count = yield
+    given = "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ
+    return count if given else count + min(count, SPARE_WORKERS)
 
 
 def _path(config: pytest.Config, path: Path) -> str:

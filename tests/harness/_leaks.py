@@ -18,7 +18,7 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 __all__ = ["Holdings", "end_processes", "maker", "processes_of"]
 
@@ -138,6 +138,8 @@ def end_processes(name: str = "") -> None:
             os.kill(pid, signal.SIGKILL)
         with suppress(OSError):
             os.waitpid(pid, 0)
+    with suppress(AssertionError):  # what hangs in the system is told of at the end of the run
+        wait(lambda: not processes_of(name))  # those of other parents end when they come to run
 
 
 def _descriptors() -> Counter[str]:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import xdist.plugin
+from tests.harness import SPARE_WORKERS
 from tests.harness._needs import MODULES, NEEDS
 from tests.tiers import TIERS
 
@@ -38,7 +40,7 @@ LEAKS = {
     ),
     "subprocess.Popen(['sleep', '1000']).returncode = 0": "process *: sleep 1000",
     "subprocess.run('sleep 1000 & sleep 1000 & exit', shell=True)": "process *: sleep 1000",
-    "subprocess.run(['setsid', '-f', 'sleep', '1000'])": "process *: sleep 1000",
+    "subprocess.run(['setsid', '-f', 'sleep', '1000'])": "process *sleep 1000",
     "kept.append(socket.socket())": "descriptor of socket:*",
     "os.pipe()": "descriptor of pipe:*",
     "tempfile.mkdtemp(prefix='stray')": "temporary *stray*",
@@ -271,6 +273,17 @@ NEEDS["elsewhere"] = Need("pip install it", packages=("no_such_package",), syste
     found.stdout.fnmatch_lines(["*needs no_such_package: pip install dream*"])
     found.stdout.fnmatch_lines(["*needs no-such-program: apt install engine*"])
     found.stdout.fnmatch_lines(["*no_such_package: not there for *"])
+
+
+def test_there_are_more_workers_than_cores_unless_their_number_is_given(
+    pytestconfig: pytest.Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ask = pytestconfig.hook.pytest_xdist_auto_num_workers
+    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "3")
+    assert ask(config=pytestconfig) == 3
+    monkeypatch.delenv("PYTEST_XDIST_AUTO_NUM_WORKERS")
+    cores = xdist.plugin.pytest_xdist_auto_num_workers(pytestconfig)
+    assert ask(config=pytestconfig) == cores + min(cores, SPARE_WORKERS)
 
 
 def test_whatever_a_tier_or_a_module_needs_is_known() -> None:
