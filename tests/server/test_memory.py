@@ -155,7 +155,7 @@ def test_what_waits_is_told_and_let_go_with_the_client_though_the_component_hang
         gates[len(taken) - 1].wait(patience())
 
     async def work() -> None:
-        workers = Workers(4, LoopMailbox(asyncio.get_running_loop()))
+        workers = Workers(4, 4, LoopMailbox(asyncio.get_running_loop()))
         account = Memory(MANY, MANY).open()
         one = sending(SimpleNamespace(send=take), workers, account)
         told: list[BaseException | None] = []
@@ -188,7 +188,7 @@ def test_many_wait_for_one_flush() -> None:
         return True
 
     async def work() -> None:
-        workers = Workers(4, LoopMailbox(asyncio.get_running_loop()))
+        workers = Workers(4, 4, LoopMailbox(asyncio.get_running_loop()))
         one = sending(SimpleNamespace(flush=flush), workers, Memory(MANY, MANY).open())
         done: list[int] = []
         for number in range(100):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.server import robot as components
 from tests.server.conftest import Connect, Serve
 from tests.server.robot import END, script
 from tests.server.talk import Talk, eventually
@@ -280,6 +281,37 @@ def test_workers_of_all_clients_are_limited(serve: Serve) -> None:
         assert two.refused("Call", "add", {"a": 1, "b": 1})["code"] == "busy"
         script.gate.set()
         assert one.answer(waiting)["op"] == "Reply"
+
+
+def test_a_function_that_cannot_be_had_is_waited_for_where_asked(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = serve()
+    with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
+        assert client.refused("Request", "missing")["code"] == "resolution"
+        waiting = client.send("Request", "missing", {"wait": 600})
+        told = client.next("waiting")
+        assert (told["id"], told["jsonMessage"]["function"]) == (waiting, "missing")
+        assert "nothing" in told["jsonMessage"]["cause"]
+        monkeypatch.setattr(components, "nothing", components.numbers, raising=False)
+        opened = client.answer(waiting)
+        assert (opened["op"], opened["jsonMessage"]["function"]) == ("Reply", "missing")
+
+
+def test_waiting_ends_with_the_cause(serve: Serve) -> None:
+    server = serve()
+    with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
+        refused = client.refused("Request", "missing", {"wait": 0.001})
+        assert refused["code"] == "timeout"
+        assert "could not be had within 0.001 s: " in refused["text"]
+
+
+def test_functions_that_are_opened_wait_for_threads_and_are_no_calls(serve: Serve) -> None:
+    server = serve(Limits(calls=1, workers=1, openings=1))
+    with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as client:
+        names = ("numbers", "picture", "doubled", "echo")
+        asked = [client.send("Request", name) for name in names]
+        assert [client.answer(one)["op"] for one in asked] == ["Reply"] * len(names)
 
 
 def test_open_connections_are_limited(serve: Serve) -> None:

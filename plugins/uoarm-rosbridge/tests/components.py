@@ -42,6 +42,15 @@ functions:
   broken:
     components:
       - {name: broken, bridge: python, service: {endpoint: ["components:broken"]}}
+  late:
+    components:
+      - {name: late, bridge: python, output: {endpoint: ["components:late"]}}
+  typed:
+    components:
+      - name: typed
+        bridge: python
+        input: {endpoint: ["components:typed"]}
+        output: {endpoint: ["components:typed"]}
   navigate:
     components:
       - name: walker
@@ -74,6 +83,13 @@ class Picture(TypedDict):
 class Pair(TypedDict):
     a: float
     b: float
+
+
+class Typed(TypedDict):
+    data: int
+
+
+Typed.__name__ = "std_msgs/msg/Int32"
 
 
 class GoalId(TypedDict):
@@ -155,6 +171,10 @@ def double(message: Number) -> Number:
 
 
 def echo(message: Narrow) -> Narrow:
+    return message
+
+
+def typed(message: Typed) -> Typed:
     return message
 
 

@@ -33,6 +33,27 @@ def test_a_function_is_a_topic(enter: Enter, robot: RobotManager) -> None:
     opened(robot, 0)
 
 
+@pytest.mark.parametrize("op", ["subscribe", "advertise"])
+def test_another_type_than_that_of_ros_is_told(enter: Enter, robot: RobotManager, op: str) -> None:
+    client = enter()
+    told = client.refused(op=op, id="1", topic="/uoarm/typed", type="std_msgs/String")
+    assert "has the type 'std_msgs/msg/Int32', not 'std_msgs/String'" in told
+    opened(robot, 0)
+    client.send(op=op, topic="/uoarm/typed", type="std_msgs/Int32")
+    opened(robot, 1)
+
+
+def test_another_type_than_that_of_the_publisher_is_told(enter: Enter) -> None:
+    client, publisher = enter(), enter()
+    publisher.send(op="advertise", topic="/chatter", type="std_msgs/msg/String")
+    publisher.send(op="publish", topic="/chatter", msg={"data": "a"}, latch=True)
+    assert publisher.call("/rosapi/get_time")
+    told = client.refused(op="subscribe", topic="/chatter", type="std_msgs/Int32")
+    assert "has the type 'std_msgs/msg/String', not 'std_msgs/Int32'" in told
+    client.send(op="subscribe", topic="/chatter", type="std_msgs/String")
+    assert client.messages(1) == [{"data": "a"}]
+
+
 def test_octets_are_base64_and_wide_integers_numbers(enter: Enter, robot: RobotManager) -> None:
     client = enter()
     client.send(op="subscribe", topic="/uoarm/picture")

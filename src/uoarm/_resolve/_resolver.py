@@ -31,12 +31,17 @@ class NoPlanError(ResolutionError):
     Attributes:
         function: the function asked for.
         rejections: its candidates, each with its reasons and what those rest on.
+        asked_in_vain: whether a component that was tried was not available: once it is, there may
+            be a plan.
     """
 
-    def __init__(self, function: str, rejections: tuple[Rejection, ...]) -> None:
+    def __init__(
+        self, function: str, rejections: tuple[Rejection, ...], *, asked_in_vain: bool = False
+    ) -> None:
         super().__init__(f"no component can provide {function!r}:\n{tell_rejections(rejections)}")
         self.function = function
         self.rejections = rejections
+        self.asked_in_vain = asked_in_vain
 
 
 @frozen
@@ -113,7 +118,7 @@ class Resolver:
             if revision == self._revision:
                 break
         if not isinstance(found, Plan):
-            raise NoPlanError(name, found)
+            raise NoPlanError(name, found, asked_in_vain=search.asked_in_vain is not None)
         if not excluded:
             until = self._until(search.asked_in_vain)
             with self._lock:

@@ -124,6 +124,7 @@ class Client:
         queue: QueuePolicy | None = None,
         every: float = 0.0,
         receive: bool = True,
+        wait: float = 0.0,
     ) -> RemoteStream[T]: ...
 
     @overload
@@ -136,6 +137,7 @@ class Client:
         queue: QueuePolicy | None = None,
         every: float = 0.0,
         receive: bool = True,
+        wait: float = 0.0,
     ) -> RemoteStream: ...
 
     async def request(
@@ -147,6 +149,7 @@ class Client:
         queue: QueuePolicy | None = None,
         every: float = 0.0,
         receive: bool = True,
+        wait: float = 0.0,
     ) -> RemoteStream[Any]:
         """Open a function.
 
@@ -158,9 +161,12 @@ class Client:
             queue: what the server does when this client reads too slowly.
             every: least seconds between two messages.
             receive: False to send only.
+            wait: seconds to wait, at the server, for a function that cannot be had yet, such as a
+                topic without a publisher; 0: that is an error.
 
         Raises:
             ResolutionError: nothing fits.
+            BridgeTimeoutError: it could not be had within `wait` seconds.
             BridgeError: a bridge failed while opening.
             UsageError: this client has it open already, or a message may be no `as_type`.
             ServerError: the role does not allow it, or a limit is reached.
@@ -170,6 +176,8 @@ class Client:
             options["queue"] = {"length": queue.length, "policy": queue.policy.value}
         if every:
             options["every"] = every
+        if wait:
+            options["wait"] = wait
         wanted = await self._typed(as_type, name, f"function {name!r}", "output.")
         stream: RemoteStream[Any] = await self._ask("Request", name, jsonMessage=options)
         stream.give_as(wanted)

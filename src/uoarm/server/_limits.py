@@ -23,8 +23,10 @@ class Limits:
         connections: clients connected at one time.
         connections_per_address: of these, from one address.
         streams: functions, topics and services that one client holds open.
-        calls: requests of one client that are being worked on at one time.
-        workers: threads for requests of all clients together.
+        calls: requests of one client that are being worked on at one time, apart from functions
+            that are being opened: those are streams.
+        workers: threads for calls of all clients together; one that finds none free is refused.
+        openings: threads in which functions are opened; one that finds none free waits for one.
         messages_per_second: a client that sends more is read more slowly.
         octets_per_second: likewise.
         elements_per_second: likewise; of all its messages together.
@@ -56,6 +58,7 @@ class Limits:
     streams: int = field(default=256, validator=ge(1))
     calls: int = field(default=32, validator=ge(1))
     workers: int = field(default=64, validator=ge(1))
+    openings: int = field(default=16, validator=ge(1))
     messages_per_second: float = field(default=20_000.0, validator=gt(0))
     octets_per_second: float = field(default=134_217_728.0, validator=gt(0))
     elements_per_second: float = field(default=1_000_000.0, validator=gt(0))

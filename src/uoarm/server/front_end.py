@@ -8,7 +8,7 @@ must not wait, unless it says otherwise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol, TypeAlias
 
 from attrs import Attribute, field, frozen
@@ -181,13 +181,20 @@ class Backend(Protocol):
     def limits(self) -> Limits:
         """Bounds of what clients use."""
 
-    async def join(self, wanted: FeedKey) -> Feed:
+    async def join(self, wanted: FeedKey, on_absent: Callable[[str], None] | None = None) -> Feed:
         """Return the open feed of a function, opening it for the first who asks.
 
         Its messages wait until a listener is added. Give it back with `leave`, once for each call.
+        A cancelled call leaves nothing open.
+
+        Args:
+            wanted: the feed.
+            on_absent: with it, what cannot be had yet, such as a topic without a publisher, is
+                tried again until it can be; it is told why, at once and again when the reason is
+                another one. Without it that is an error.
 
         Raises:
-            BusyError: every worker is taken, or earlier connections to it are being closed still.
+            BusyError: earlier connections to the function are being closed still.
             UoarmError: as `RobotManager.request`.
         """
 
@@ -221,8 +228,14 @@ class Backend(Protocol):
     async def resolve(self, name: str) -> Plan:
         """Find a plan; raises as `RobotManager.resolve`, and BusyError."""
 
-    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
-        """Return structures by port, such as `output.default`; of what nothing provides, none."""
+    async def structures(
+        self, functions: Iterable[str]
+    ) -> Mapping[str, Mapping[str, MessageStructure]]:
+        """Return structures by function and port, such as `output.default`.
+
+        Waits 0.15 s at most: what is not known by then, and what nothing provides, has none. What
+        is found out later is there for the next call.
+        """
 
     def open_account(self) -> Account:
         """Return an account for what no single client caused. Close it."""

@@ -21,6 +21,7 @@ from uoarm.server.front_end import (
     UnknownError,
 )
 from uoarm_rosbridge._action_hub import ActionHub
+from uoarm_rosbridge._typedefs import is_same_type
 
 __all__ = ["Hub", "Provider", "Topic"]
 
@@ -108,9 +109,7 @@ class Hub:
             LimitError: there are too many topics.
         """
         topic = self._topic(name)
-        if kind and topic.type and topic.type != kind:
-            self._drop_if_unused(topic)
-            raise MessageError(f"topic {name!r} has the type {topic.type!r}, not {kind!r}")
+        self._check_type(topic, kind)
         topic.type = topic.type or kind
         topic.publishers.add(publisher)
 
@@ -163,9 +162,11 @@ class Hub:
         """Hand a topic's messages to a listener, first the one that is latched.
 
         Raises:
+            MessageError: its publishers state another type.
             LimitError: there are too many topics.
         """
         topic = self._topic(name)
+        self._check_type(topic, kind)
         topic.wished = topic.wished or kind
         topic.listeners[listener] = None
         if topic.latched is not None:
@@ -249,6 +250,11 @@ class Hub:
                 raise LimitError(f"there are {_MOST_TOPICS:,} topics already")
             topic = self._topics[name] = Topic(name)
         return topic
+
+    def _check_type(self, topic: Topic, kind: str) -> None:
+        if kind and topic.type and not is_same_type(topic.type, kind):
+            self._drop_if_unused(topic)
+            raise MessageError(f"topic {topic.name!r} has the type {topic.type!r}, not {kind!r}")
 
     def _drop_if_unused(self, topic: Topic) -> None:
         if not topic.publishers and not topic.listeners:

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
-from uoarm.errors import UoarmError
+from uoarm.errors import MessageError, UoarmError
 from uoarm.model import Message
 from uoarm.server.front_end import (
     Account,
@@ -21,6 +21,7 @@ from uoarm.server.front_end import (
 )
 from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._names import Place
+from uoarm_rosbridge._typedefs import check_type
 
 __all__ = ["Publication"]
 
@@ -30,6 +31,7 @@ class Publication:
 
     Args:
         place: the function and its input.
+        kind: the type that the client states; empty: none.
         backend: where the function is opened.
         account: of the client.
         on_failed: hears why it could not be opened, or that it ended.
@@ -38,11 +40,13 @@ class Publication:
     def __init__(
         self,
         place: Place,
+        kind: str,
         backend: Backend,
         account: Account,
         on_failed: Callable[[BaseException], None],
     ) -> None:
         self._place = place
+        self._kind = kind
         self._backend = backend
         self._account = account
         self._on_failed = on_failed
@@ -83,6 +87,7 @@ class Publication:
     async def _open(self) -> None:
         try:
             feed = await self._backend.join(FeedKey(self._place.function, receive=False))
+            self._check_type(feed)
         except Exception as error:  # noqa: BLE001 - told to the one who publishes
             self._on_failed(error)
             while self._waiting:
@@ -115,6 +120,19 @@ class Publication:
         """Hear that the function's provider has gone."""
         self._leave()
         self._on_failed(UoarmError(f"{self._place.name} has {state}: {cause or 'killed'}"))
+
+    def _check_type(self, feed: Feed) -> None:
+        assert feed.connection is not None, "join returns feeds that are open"
+        provider = feed.connection.plan.provider
+        inputs = [one.name for one in provider.component.inputs if one.source is None]
+        port = self._place.port or (inputs[0] if len(inputs) == 1 else "")
+        structure = provider.structures.get(f"input.{port}")
+        if structure is not None:
+            try:
+                check_type(self._place.name, self._kind, structure)
+            except MessageError:
+                self._backend.leave(feed)
+                raise
 
     def _leave(self) -> None:
         if self._sending is not None:

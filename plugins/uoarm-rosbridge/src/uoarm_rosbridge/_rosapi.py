@@ -25,7 +25,8 @@ _NO_PARAMETERS = "there are no parameters here: a component's are in the configu
 class Rosapi:
     """Answers for one client: it is shown what its role may see. Components appear as nodes.
 
-    Types of functions are found by resolving them once, so the first answer may take a while.
+    No answer waits for what is not there: a topic whose type is not known yet has an empty one, and
+    has it in a later answer once it can be had.
     """
 
     def __init__(self, backend: Backend, hub: Hub, role: Role) -> None:
@@ -80,8 +81,8 @@ class Rosapi:
         told = await self._topics(arguments)
         texts = {
             type_name(structure, function.name): full_text(typedefs(structure, function.name))
-            for function in self._functions()
-            for port, structure in (await self._structures(function.name)).items()
+            for function, structures in await self._structures()
+            for port, structure in structures.items()
             if port.startswith("output.")
         }
         return {**told, "typedefs_full_text": [texts.get(kind, "") for kind in told["types"]]}
@@ -151,8 +152,8 @@ class Rosapi:
 
     async def _message_details(self, arguments: Arguments) -> dict[str, Any]:
         kind = _text(arguments, "type")
-        for function in self._functions():
-            for port, structure in (await self._structures(function.name)).items():
+        for function, structures in await self._structures():
+            for port, structure in structures.items():
                 if type_name(structure, function.name) == kind and port.startswith("output."):
                     return {"typedefs": typedefs(structure, function.name)}
         raise UnknownError(f"there is no type {kind!r:.100}")
@@ -200,8 +201,7 @@ class Rosapi:
         return {"action_servers": [*taking, *self._visible(self._hub.actions.actions)]}
 
     async def _details(self, kind: str, part: str) -> dict[str, Any]:
-        for function in self._functions():
-            structures = await self._structures(function.name)
+        for function, structures in await self._structures():
             if "request" in structures and kind == type_name(structures["request"], function.name):
                 return {"typedefs": typedefs(structures[part], function.name)}
         raise UnknownError(f"there is no service of the type {kind!r:.100}")
@@ -209,8 +209,7 @@ class Rosapi:
     async def _streams(self) -> dict[str, str]:
         """Return the types of all topics of functions; what does not resolve has none."""
         found: dict[str, str] = {}
-        for function in self._functions():
-            structures = await self._structures(function.name)
+        for function, structures in await self._structures():
             ports = [port.partition(".")[2] for port in structures if port.startswith("output.")]
             for port in ports:
                 name = topic_of(function.name, "" if len(ports) == 1 else port)
@@ -221,15 +220,17 @@ class Rosapi:
 
     async def _all_services(self) -> dict[str, str]:
         found = {f"{PREFIX}{name}": f"rosapi/{name}" for name in self._services}
-        for function in self._functions():
+        for function, structures in await self._structures():
             if any(one.service is not None for one in function.components):
-                structure = (await self._structures(function.name)).get("request")
+                structure = structures.get("request")
                 kind = "" if structure is None else type_name(structure, function.name)
                 found[topic_of(function.name)] = kind
         return found | self._visible(self._hub.services)
 
-    async def _structures(self, function: str) -> Mapping[str, MessageStructure]:
-        return await self._backend.structures(function)
+    async def _structures(self) -> list[tuple[Function, Mapping[str, MessageStructure]]]:
+        functions = {one.name: one for one in self._functions()}
+        known = await self._backend.structures(functions)
+        return [(one, known[name]) for name, one in functions.items()]
 
     def _visible(self, named: Mapping[str, str]) -> dict[str, str]:
         return {

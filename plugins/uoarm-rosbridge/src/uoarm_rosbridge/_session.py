@@ -37,7 +37,7 @@ __all__ = ["RosbridgeSession"]
 
 _log = logging.getLogger("uoarm.rosbridge")
 _LEVELS = ("info", "warning", "error", "none")
-_ERROR = _LEVELS.index("error")
+_WARNING, _ERROR = _LEVELS.index("warning"), _LEVELS.index("error")
 _REFUSED = {
     "png": "png is not taken from clients: send JSON text",
     "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
@@ -64,12 +64,12 @@ class RosbridgeSession:
 
     def __init__(self, client: Client, backend: Backend, hub: Hub) -> None:
         self._client = client
-        self._level = _ERROR
+        self._level = _WARNING
         self._numbers = itertools.count(1)
         self._fragments = Fragments(2 * client.limits.message_bytes)
         self._fragments_held = client.account.hold(Held.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._topics = Topics(client, backend, hub, self._fail)
+        self._topics = Topics(client, backend, hub, self._fail, self._warn)
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
         self._services = Services(client, backend, hub, self.tell, self.ask, cancel)
@@ -206,11 +206,19 @@ class RosbridgeSession:
         if isinstance(op, str) and op in _ANSWERED:
             answer = _failed(fields, *_ANSWERED[op], text)
             self._client.outbox.tell(answer, text=True)
-        elif self._level <= _ERROR:
-            status = {"op": "status", "level": "error", "msg": f"{code_of(error)}: {text}"}
-            if isinstance(fields.get("id"), str):
-                status["id"] = fields["id"]
-            self._client.outbox.tell(write_ros(status), text=True)
+        else:
+            self._tell_status(_ERROR, fields, f"{code_of(error)}: {text}")
+
+    def _warn(self, fields: Mapping[str, Any], text: str) -> None:
+        self._tell_status(_WARNING, fields, text)
+
+    def _tell_status(self, level: int, fields: Mapping[str, Any], text: str) -> None:
+        if self._level > level:
+            return
+        status = {"op": "status", "level": _LEVELS[level], "msg": text}
+        if isinstance(fields.get("id"), str):
+            status["id"] = fields["id"]
+        self._client.outbox.tell(write_ros(status), text=True)
 
 
 def _failed(fields: Mapping[str, Any], op: str, kind: str, text: str) -> bytes:

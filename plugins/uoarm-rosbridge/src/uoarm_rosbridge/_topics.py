@@ -16,19 +16,29 @@ from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Place, find_place
 from uoarm_rosbridge._publication import Publication
 from uoarm_rosbridge._subscription import Subscription, Wish, read_wish
+from uoarm_rosbridge._typedefs import check_type
 
 __all__ = ["Topics"]
 
 Fields = Mapping[str, Any]
+_FAILED = "failed"
+_AGAIN_SECONDS = 1.0
 
 
 @define
 class _Listening:
-    """A subscription and where its messages come from."""
+    """A subscription and where its messages come from; `told` is the last warning of it."""
 
     subscription: Subscription
     feed: Feed | None = None
     opening: asyncio.Task[None] | None = None
+    told: str = ""
+
+    def warn(self, warn: Callable[[Fields, str], None], fields: Fields, text: str) -> None:
+        """Tell the client, unless this was the last that it was told."""
+        if text != self.told:
+            self.told = text
+            warn(fields, f"{text}; it is waited for")
 
 
 class Topics:
@@ -39,6 +49,7 @@ class Topics:
         backend: where functions are opened.
         hub: where clients publish to one another.
         fail: tells the client what went wrong with a message of its.
+        warn: tells the client what it should know of a message of its.
     """
 
     def __init__(
@@ -47,11 +58,13 @@ class Topics:
         backend: Backend,
         hub: Hub,
         fail: Callable[[Fields, BaseException], None],
+        warn: Callable[[Fields, str], None],
     ) -> None:
         self._client = client
         self._backend = backend
         self._hub = hub
         self._fail = fail
+        self._warn = warn
         self._publications: dict[str, Publication | None] = {}
         self._latched: set[str] = set()
         self._listening: dict[str, _Listening] = {}
@@ -129,9 +142,11 @@ class Topics:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
             account = self._client.account
-            self._publications[place.name] = Publication(place, self._backend, account, failed)
+            self._publications[place.name] = Publication(
+                place, _type_in(fields), self._backend, account, failed
+            )
         else:
-            self._hub.advertise(place.name, str(fields.get("type") or ""), self)
+            self._hub.advertise(place.name, _type_in(fields), self)
             self._publications[place.name] = None
         if fields.get("latch") is True:
             self._latched.add(place.name)
@@ -155,27 +170,34 @@ class Topics:
             structure=lambda: _structure_of(place, listening.feed),
             clock=time.monotonic,
             on_refused=lambda error: self._fail(fields, error),
-            on_end=lambda state, cause: self._ended(place, fields, f"{state}: {cause or 'killed'}"),
+            on_end=lambda state, cause: self._ended(place, fields, state, cause or "killed"),
         )
         listening = _Listening(subscription)
         if not place.function:
             subscription.prepare()
-        self._listening[place.name] = listening
         if place.function:
             listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
         else:
-            self._hub.listen(place.name, str(fields.get("type") or ""), subscription)
+            self._hub.listen(place.name, _type_in(fields), subscription)
+        self._listening[place.name] = listening
         return listening
 
-    async def _join(self, place: Place, listening: _Listening, fields: Fields) -> None:
+    async def _join(
+        self, place: Place, listening: _Listening, fields: Fields, pause: float = 0.0
+    ) -> None:
+        def tell(cause: str) -> None:
+            listening.warn(self._warn, fields, f"{place.name} cannot be had yet: {cause}")
+
         try:
-            feed = await self._backend.join(FeedKey(place.wanted))
+            await asyncio.sleep(pause)
+            feed = await self._backend.join(FeedKey(place.wanted), tell)
         except Exception as error:  # noqa: BLE001 - told to the one who listens
             self._listening.pop(place.name, None)
             self._fail(fields, error)
             return
         listening.feed, listening.opening = feed, None
         try:
+            check_type(place.name, _type_in(fields), _structure_of(place, feed))
             listening.subscription.prepare()
         except MessageError as error:
             self._stop(place)
@@ -183,10 +205,19 @@ class Topics:
             return
         feed.add(listening.subscription)
 
-    def _ended(self, place: Place, fields: Fields, how: str) -> None:
-        if place.name in self._listening:
+    def _ended(self, place: Place, fields: Fields, state: str, cause: str) -> None:
+        """Wait for a provider that failed to come back; what ended in another way has ended."""
+        listening = self._listening.get(place.name)
+        if listening is None:
+            return
+        if state != _FAILED:
             self._stop(place)
-            self._fail(fields, UoarmError(f"{place.name} has {how}"))
+            self._fail(fields, UoarmError(f"{place.name} has {state}: {cause}"))
+            return
+        self._give_back(listening)
+        listening.warn(self._warn, fields, f"{place.name} has failed: {cause}")
+        joining = self._join(place, listening, fields, _AGAIN_SECONDS)
+        listening.opening = asyncio.ensure_future(joining)
 
     def _stop(self, place: Place) -> None:
         listening = self._listening.pop(place.name)
@@ -195,13 +226,22 @@ class Topics:
             self._hub.leave(place.name, listening.subscription)
         elif listening.opening is not None:
             listening.opening.cancel()
-        elif listening.feed is not None:
-            listening.feed.remove(listening.subscription)
-            self._backend.leave(listening.feed)
+        else:
+            self._give_back(listening)
+
+    def _give_back(self, listening: _Listening) -> None:
+        feed, listening.feed = listening.feed, None
+        if feed is not None:
+            feed.remove(listening.subscription)
+            self._backend.leave(feed)
 
     def _done(self, fields: Fields, error: BaseException | None) -> None:
         if error is not None:
             self._fail(fields, error)
+
+
+def _type_in(fields: Fields) -> str:
+    return str(fields.get("type") or "")
 
 
 def _structure_of(place: Place, feed: Feed | None) -> MessageStructure:

@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
+from uoarm.errors import MessageError
 from uoarm.model import MessageStructure
 from uoarm_rosbridge._basic import basic_type
 
-__all__ = ["full_text", "type_name", "typedefs"]
+__all__ = ["check_type", "full_text", "is_same_type", "type_name", "typedefs"]
 
 _MOST = 200
 _VARIABLE, _SINGLE = 0, -1
 _RULE = "=" * 80
+_ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 
 
 def type_name(structure: MessageStructure, function: str) -> str:
     """Return the native name of a type, or one made of the function's name."""
     return structure.native_type or f"uoarm/{function}"
+
+
+def check_type(topic: str, stated: str, structure: MessageStructure) -> None:
+    """Refuse another type than that of ROS 2; elsewhere clients call types what they like.
+
+    Raises:
+        MessageError: it is another one.
+    """
+    actual = structure.native_type
+    if stated and _ROS_TYPE.fullmatch(actual) and not is_same_type(stated, actual):
+        raise MessageError(f"topic {topic!r} has the type {actual!r}, not {stated!r:.100}")
+
+
+def is_same_type(one: str, other: str) -> bool:
+    """Say whether two names are of one type; ROS 1 clients leave the `/msg` out."""
+    return one.replace("/msg/", "/") == other.replace("/msg/", "/")
 
 
 def typedefs(structure: MessageStructure, function: str) -> list[dict[str, Any]]:

@@ -64,7 +64,7 @@ class NativeSession:
             client.limits,
             lambda connection, error: self._fail(None, connection, error),
         )
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
             Op.DATA: self._send,
             Op.KILL: self._kill,
@@ -134,19 +134,23 @@ class NativeSession:
 
     def _begin(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
         try:
-            charge = self._admit()
+            charge = self._admit(asked.op)
         except BaseException:
             work.close()
             raise
         task = asyncio.ensure_future(self._answer(asked, work))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks[task] = asked.op
+        task.add_done_callback(self._tasks.pop)
         task.add_done_callback(lambda _: charge.release())
 
-    def _admit(self) -> Charge:
+    def _admit(self, op: Op) -> Charge:
+        """Charge what is asked. Functions that are being opened count as streams, not as calls."""
         most = self._client.limits.calls
-        if len(self._tasks) >= most:
-            raise LimitError(f"{most} requests are under way; wait for an answer first")
+        if (
+            op is not Op.REQUEST
+            and sum(one is not Op.REQUEST for one in self._tasks.values()) >= most
+        ):
+            raise LimitError(f"{most} calls are under way; wait for an answer first")
         return self._client.account.charge(Held.ASKED, self._client.in_hand)
 
     async def _answer(self, asked: ControlMessage, work: Coroutine[Any, Any, None]) -> None:
@@ -161,7 +165,8 @@ class NativeSession:
         self._client.require(
             Operation.REQUEST if wanted.receive else Operation.SEND, wanted.function
         )
-        stream = await self._streams.open(wanted, options)
+        on_absent = functools.partial(self._waits, asked)
+        stream = await self._streams.open(wanted, options, on_absent)
         plan = stream.connection.plan
         opened = {
             "connection": stream.connection.id,
@@ -172,6 +177,11 @@ class NativeSession:
         }
         self._reply(asked, opened)
         self._streams.begin(stream)
+
+    def _waits(self, asked: ControlMessage, cause: str) -> None:
+        message = {"function": asked.type, "cause": cause}
+        told = {"op": "Status", "type": "waiting", "id": asked.id, "jsonMessage": message}
+        self._tell_frame(None, write_or_tell(self._form, told))
 
     async def _call(self, asked: ControlMessage) -> None:
         name = str(asked.type)

@@ -20,6 +20,8 @@ export interface RequestOptions {
   queue?: { length?: number; policy?: "latest" | "drop-oldest" };
   /** Least seconds between two messages; those between are left out. */
   every?: number;
+  /** Seconds to wait for a function that cannot be had yet; 0, the default: that is an error. */
+  wait?: number;
 }
 
 /** One open function. Iterating to the end, or out of the loop, gives it back. */

@@ -1,8 +1,8 @@
 """Messages between robot and clients: feeds, queues, senders, and the memory they hold."""
 
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
-from uoarm.server.streams._feed import Envelope, Feed, Listener
-from uoarm.server.streams._feed_registry import FeedKey, FeedRegistry, Read
+from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
+from uoarm.server.streams._feed_registry import FeedRegistry, Read
 from uoarm.server.streams._input_sender import Done, InputSender, read_message
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._outbox import Lane, Outbox

@@ -11,17 +11,19 @@ from typing import Any
 
 from uoarm._control import Connection
 from uoarm._dataplane import Clock
+from uoarm._deadlines import result_within
 from uoarm._wire import Form
-from uoarm.errors import MessageError, UsageError
+from uoarm.errors import BridgeTimeoutError, MessageError, UsageError
 from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
-from uoarm.server.streams._feed import Envelope, Feed
-from uoarm.server.streams._feed_registry import FeedKey, FeedRegistry
+from uoarm.server.streams._feed import Envelope, Feed, FeedKey
+from uoarm.server.streams._feed_registry import FeedRegistry
 from uoarm.server.streams._input_sender import Done, InputSender, read_message
 from uoarm.server.streams._memory import Account
 from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.server.streams._pending_feeds import OnAbsent
 
 __all__ = ["ClientStreams", "Stream", "feed_key"]
 
@@ -126,19 +128,27 @@ class ClientStreams:
         self._killing: dict[str, list[Callable[[], None]]] = {}
         self._opening = 0
 
-    async def open(self, wanted: FeedKey, options: Mapping[str, Any]) -> Stream:
+    async def open(
+        self, wanted: FeedKey, options: Mapping[str, Any], on_absent: OnAbsent
+    ) -> Stream:
         """Open a function. Its messages wait until `begin`.
+
+        Args:
+            wanted: the function.
+            options: of the Request.
+            on_absent: told why the function cannot be had yet, where the options say to wait.
 
         Raises:
             LimitError: the client holds as many as it may.
             UsageError: it holds this one already.
+            BridgeTimeoutError: it could not be had within the seconds that the options name.
             UoarmError: as `RobotManager.request`.
         """
         if len(self._streams) + self._opening >= self._limits.streams:
             raise LimitError(f"{self._limits.streams} connections are open; kill one first")
         self._opening += 1
         try:
-            feed = await self._registry.join(wanted)
+            feed = await self._join(wanted, options.get("wait", 0), on_absent)
         finally:
             self._opening -= 1
         connection = feed.connection
@@ -148,6 +158,21 @@ class ClientStreams:
             raise UsageError(f"this client has {wanted.name!r} open as {connection.id}")
         stream = self._streams[connection.id] = self._stream(feed, connection, options)
         return stream
+
+    async def _join(self, wanted: FeedKey, seconds: float, on_absent: OnAbsent) -> Feed:
+        if not seconds:
+            return await self._registry.join(wanted)
+        last = ["it is being opened still"]
+
+        def tell(cause: str) -> None:
+            last[0] = cause
+            on_absent(cause)
+
+        try:
+            return await result_within(seconds, self._registry.join(wanted, tell))
+        except asyncio.TimeoutError:
+            text = f"{wanted.name!r} could not be had within {seconds:g} s: {last[0]}"
+            raise BridgeTimeoutError(text) from None
 
     def begin(self, stream: Stream) -> None:
         """Let the messages of a stream come, first those that wait."""

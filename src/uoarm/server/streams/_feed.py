@@ -9,15 +9,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol, TypeAlias
 
-from attrs import define, field
+from attrs import define, field, frozen
 
 from uoarm._control import Connection
 from uoarm.errors import MessageError
-from uoarm.model import Message, message_octets
+from uoarm.model import Message, ValidationMode, message_octets
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 
-__all__ = ["Envelope", "Feed", "Listener", "Prepare"]
+__all__ = ["Envelope", "Feed", "FeedKey", "Listener", "Prepare"]
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
@@ -25,6 +25,26 @@ _TURN_SECONDS = 0.001
 
 Write: TypeAlias = Callable[[int, Message], bytes]
 """Makes the form of a message that has a number."""
+
+
+@frozen
+class FeedKey:
+    """What makes two requests the same feed.
+
+    Attributes:
+        name: function, or function.output.
+        validate: how many messages are checked.
+        receive: False where the client only sends.
+    """
+
+    name: str
+    validate: ValidationMode = ValidationMode.SAMPLED
+    receive: bool = True
+
+    @property
+    def function(self) -> str:
+        """The function's name alone."""
+        return self.name.partition(".")[0]
 
 
 @define(eq=False)

@@ -7,33 +7,36 @@ import functools
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias, TypeVar
-
-from attrs import frozen
 
 from uoarm._control import Connection, RobotManager
 from uoarm._wire import TEXT_FORM
 from uoarm.config import loads
-from uoarm.errors import BridgeError, PluginError, ResolutionError, UoarmError, UsageError
+from uoarm.errors import (
+    ConnectionClosedError,
+    UoarmError,
+    UsageError,
+)
 from uoarm.model import (
     ConfigurationChange,
     Message,
     MessageStructure,
     Plan,
     StatusEvent,
-    ValidationMode,
 )
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
-from uoarm.server.streams._feed import Feed
+from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
+from uoarm.server.streams._known_structures import KnownStructures
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.server.streams._memory import Account, Memory
+from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["FeedKey", "FeedRegistry", "Read", "Watcher"]
+__all__ = ["FeedRegistry", "Read", "Watcher"]
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
@@ -44,26 +47,6 @@ _READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
 _ENDS = frozenset({"closed", "failed"})
-
-
-@frozen
-class FeedKey:
-    """What makes two requests the same feed.
-
-    Attributes:
-        name: function, or function.output.
-        validate: how many messages are checked.
-        receive: False where the client only sends.
-    """
-
-    name: str
-    validate: ValidationMode = ValidationMode.SAMPLED
-    receive: bool = True
-
-    @property
-    def function(self) -> str:
-        """The function's name alone."""
-        return self.name.partition(".")[0]
 
 
 class FeedRegistry:
@@ -83,7 +66,7 @@ class FeedRegistry:
         self.limits = limits
         self.memory = Memory(limits.total_memory_bytes, limits.memory_bytes)
         self.mailbox = LoopMailbox(asyncio.get_running_loop())
-        self.workers = Workers(limits.workers, self.mailbox)
+        self.workers = Workers(limits.workers, limits.openings, self.mailbox)
         self.encoder = Encoder()
         self._feeds: dict[FeedKey, Feed] = {}
         self._by_id: dict[str, Feed] = {}
@@ -91,6 +74,10 @@ class FeedRegistry:
         self._openings: dict[Feed, asyncio.Task[None]] = {}
         self._kills: dict[str, asyncio.Future[None]] = {}
         self._closings: Counter[str] = Counter()
+        # Half of the threads, so that what can be had does not wait for what cannot.
+        at_once = max(1, limits.openings // 2)
+        self._known = KnownStructures(robot.resolve, self.workers, at_once)
+        self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
         self._watchers: dict[Watcher, None] = {}
         self._names: dict[str, str] = {}
         self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
@@ -109,15 +96,33 @@ class FeedRegistry:
         now = time.monotonic()
         return [(now - heard, event, function) for heard, event, function in self._past]
 
-    async def join(self, wanted: FeedKey) -> Feed:
+    async def join(self, wanted: FeedKey, on_absent: OnAbsent | None = None) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
 
         Its messages wait until a listener is added.
 
+        Args:
+            wanted: the feed.
+            on_absent: with it, what cannot be had yet is waited for until this is cancelled; it is
+                told why, at once and again when the reason is another one.
+
         Raises:
-            UoarmError: as `RobotManager.request`, and BusyError; that, too, while earlier
-                connections to the function are being closed still.
+            UoarmError: as `RobotManager.request`; BusyError while earlier connections to the
+                function are being closed still.
         """
+        if on_absent is None:
+            return await self._join(wanted)
+        cause = self._pending.cause(wanted)
+        if cause is None:
+            try:
+                return await self._join(wanted)
+            except UoarmError as error:
+                if not is_absent(error):
+                    raise
+                cause = str(error)
+        return await self._pending.join(wanted, cause, on_absent)
+
+    async def _join(self, wanted: FeedKey) -> Feed:
         feed = self._feeds.get(wanted)
         if feed is None:
             if self._closings[wanted.function] >= _CLOSINGS:
@@ -128,7 +133,7 @@ class FeedRegistry:
             opening = asyncio.ensure_future(self._open(wanted, feed))
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._openings[feed] = opening
-        self._claims[feed] = self._claims.get(feed, 0) + 1
+        self._claim(feed)
         try:
             if feed in self._openings:
                 await asyncio.shield(self._openings[feed])
@@ -136,6 +141,9 @@ class FeedRegistry:
             self.leave(feed)
             raise
         return feed
+
+    def _claim(self, feed: Feed) -> None:
+        self._claims[feed] = self._claims.get(feed, 0) + 1
 
     def leave(self, feed: Feed) -> None:
         """Give a feed back; the last one closes it, without waiting."""
@@ -253,12 +261,11 @@ class FeedRegistry:
 
         return await self.workers.start(apply)
 
-    async def structures(self, function: str) -> Mapping[str, MessageStructure]:
-        """Return the structures of a function's ports; of one that nothing provides, none."""
-        try:
-            return (await self.resolve(function)).provider.structures
-        except (ResolutionError, BridgeError, PluginError):
-            return {}
+    async def structures(
+        self, functions: Iterable[str]
+    ) -> Mapping[str, Mapping[str, MessageStructure]]:
+        """Return structures by function and port; see `KnownStructures.of`."""
+        return await self._known.of(functions)
 
     def watch(self, watcher: Watcher) -> None:
         """Notify a watcher of every change and the function that it concerns, from now on."""
@@ -271,6 +278,7 @@ class FeedRegistry:
     async def close(self) -> None:
         """Kill what is open, as far as it can be done while the server closes."""
         self._stop_listening()
+        self._known.close()
         for feed in list(self._claims):
             self._claims[feed] = 1
             self.leave(feed)
@@ -281,10 +289,14 @@ class FeedRegistry:
 
     async def _open(self, wanted: FeedKey, feed: Feed) -> None:
         take = feed.take if wanted.receive else _ignore
+
+        def request() -> Connection:
+            if feed not in self._claims:
+                raise ConnectionClosedError("nobody waits for it any more")
+            return _request(self.robot, wanted, take, self.limits.request_seconds)
+
         try:
-            connection = await self.workers.start(
-                lambda: _request(self.robot, wanted, take, self.limits.request_seconds)
-            )
+            connection = await self.workers.open(request)
         except BaseException:
             self._forget(feed)
             raise
@@ -303,6 +315,9 @@ class FeedRegistry:
         if kind == "configuration":
             self._functions = _functions_of_components(self.robot)
         function = self._functions.get(name, "") if kind == "component" else ""
+        if kind != "connection":
+            self._known.forget()
+            self._pending.poke()
         if kind == "connection":
             function = self._function_of(name)
             if event.change in _ENDS:

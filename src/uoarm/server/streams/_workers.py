@@ -17,25 +17,27 @@ _FREEING = 16
 
 
 class Workers:
-    """Daemon threads for jobs that wait, and some of their own for what frees something.
+    """Daemon threads for jobs that wait: for calls, for what opens and for what frees something.
 
     Daemon, because a bridge that hangs must not keep the process from ending.
 
     Args:
-        limit: jobs at one time; one that finds no thread free is refused, never queued.
+        limit: calls at one time; one that finds no thread free is refused, never queued.
+        openings: what is being opened at one time; what finds no thread free waits for one.
         mailbox: brings results back into the loop.
     """
 
-    def __init__(self, limit: int, mailbox: LoopMailbox) -> None:
+    def __init__(self, limit: int, openings: int, mailbox: LoopMailbox) -> None:
         self._limit = limit
         self._mailbox = mailbox
         self._asking = WorkerPool("uoarm-serve-call", limit)
+        self._opening = WorkerPool("uoarm-serve-open", openings)
         self._freeing = _freeing_pool()
 
     @property
     def busy(self) -> int:
         """Jobs under way or waiting for a thread."""
-        return self._asking.busy + self._freeing.busy
+        return self._asking.busy + self._opening.busy + self._freeing.busy
 
     def start(self, action: Callable[[], T], *, always: bool = False) -> asyncio.Future[T]:
         """Run an action in a worker; the future has its result. Only from the loop's thread.
@@ -49,6 +51,16 @@ class Workers:
         """
         return self._submit(self._asking, action, queue=always)
 
+    def open(self, action: Callable[[], T]) -> asyncio.Future[T]:
+        """Run an action that opens something; it waits for a thread after those before it.
+
+        Each is bounded in time by itself, and the caller bounds how many there are.
+
+        Raises:
+            BusyError: the server is closing.
+        """
+        return self._submit(self._opening, action, queue=True)
+
     def free(self, action: Callable[[], T]) -> asyncio.Future[T]:
         """Run an action that frees something, when all workers are taken, too.
 
@@ -60,6 +72,7 @@ class Workers:
     def close(self) -> None:
         """Start no more actions; those that were taken are done still. Idempotent."""
         self._asking.close(drop=False)
+        self._opening.close(drop=False)
         self._freeing.close(drop=False)
         # What was being opened until now is to be freed still, by threads that do not stay.
         self._freeing = _freeing_pool(idle_seconds=0)
