@@ -32,6 +32,11 @@ def component(rest: str) -> str:
     return one(f"{{name: a, bridge: python, {rest}}}")
 
 
+def needing(text: str) -> str:
+    """A configuration of one function with needs, which begin in line 4 after column 14."""
+    return f"{HEAD}  f: {{needs: {{{text}}}}}\n"
+
+
 def fed(function: str, source: str) -> str:
     return (
         f"  {function}: {{components: [{{name: c_{function}, bridge: python, "
@@ -399,9 +404,46 @@ MEANING = {
     ),
 }
 
+NEEDS = {
+    "no candidates": Bad(
+        HEAD + "  f: {}\n", 4, 3, "$.functions.f", "components or needs is missing"
+    ),
+    "nothing needed": Bad(
+        needing("role: input"), 4, 7, "$.functions.f.needs", "does not say what is needed"
+    ),
+    "both": Bad(needing("like: g, structure: true"), 4, 15, "$.functions.f.needs.like", "not both"),
+    "itself": Bad(needing("like: f"), 4, 21, "$.functions.f.needs.like", "is like itself"),
+    "reply of a stream": Bad(
+        needing("reply: true"), 4, 15, "$.functions.f.needs.reply", "only a service has a reply"
+    ),
+    "structure of a service": Bad(
+        needing("structure: true, role: service"),
+        4,
+        15,
+        "$.functions.f.needs.structure",
+        "a service has no structure of its own",
+    ),
+    "malformed structure": Bad(
+        needing("structure: {type: thing}"),
+        4,
+        33,
+        "$.functions.f.needs.structure.type",
+        "not a JSON Schema",
+    ),
+    "unknown key": Bad(
+        needing("names: head"), 4, 15, "$.functions.f.needs.names", 'did you mean "name"?'
+    ),
+}
+
 TABLE = {
     f"{kind}: {name}": bad
-    for kind, table in (("yaml", YAML), ("shape", SHAPE), ("host", HOSTS), ("meaning", MEANING))
+    for kind, table in (
+        ("yaml", YAML),
+        ("shape", SHAPE),
+        ("host", HOSTS),
+        ("meaning", MEANING),
+        ("needs", NEEDS),
+    )
     for name, bad in table.items()
 }
 

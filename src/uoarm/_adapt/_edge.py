@@ -43,6 +43,9 @@ def check_edge(
     consumer: MessageStructure,
     mapping: Mapping[str, object] | None = None,
     allow_loss: tuple[str, ...] = (),
+    *,
+    seconds: float = _CHECK_SECONDS,
+    suggest_seconds: float = _SUGGEST_SECONDS,
 ) -> EdgeVerdict:
     """Judge one edge. Raises nothing; blocks for some 15 s at most, whatever the structures are.
 
@@ -54,11 +57,14 @@ def check_edge(
         consumer: structure of what is taken.
         mapping: the adapter, None to pass messages unchanged.
         allow_loss: fields that may be dropped.
+        seconds: for the proof, about.
+        suggest_seconds: for a suggestion of what would mend a refusal; 0: there is none.
     """
-    verdict = _judge(producer, consumer, mapping, allow_loss, Budget(seconds=_CHECK_SECONDS))
-    if verdict.compatible or not verdict.reasons or verdict.reasons[0].suggestion:
+    verdict = _judge(producer, consumer, mapping, allow_loss, Budget(seconds=seconds))
+    is_told = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
+    if is_told or not suggest_seconds:
         return verdict
-    end = time.monotonic() + _SUGGEST_SECONDS
+    end = time.monotonic() + suggest_seconds
 
     def left() -> Budget:
         return Budget(seconds=max(0.0, end - time.monotonic()))

@@ -14,6 +14,7 @@ from uoarm._control._state import Part
 from uoarm.model import FailoverPolicy, Health, Plan, PortRef, ValidationMode
 
 __all__ = [
+    "CandidatesChanged",
     "Configured",
     "Drained",
     "Ended",
@@ -85,6 +86,19 @@ class Configured:
     bridges: Mapping[str, str]
     superseded: frozenset[str]
     functions: frozenset[str]
+
+
+@frozen
+class CandidatesChanged:
+    """Discovered components became candidates, or are none any more. No connection moves for it.
+
+    Attributes:
+        bridges: the bridge of each component, those that are no candidates any more included.
+        told: what is different.
+    """
+
+    bridges: Mapping[str, str]
+    told: str
 
 
 @frozen
@@ -214,4 +228,5 @@ Event: TypeAlias = (
     | TimeReached
     | Stopped
     | Configured
+    | CandidatesChanged
 )

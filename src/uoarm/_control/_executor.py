@@ -32,10 +32,11 @@ from uoarm._dataplane import Clock
 from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
-from uoarm.model import Component, ComponentStatus, Health
+from uoarm.model import Component, ComponentStatus, Health, Robot
 
 __all__ = ["Executor"]
 
+_TOLD = 20
 _log = logging.getLogger("uoarm")
 _log_of_events = logging.getLogger("uoarm.control")
 
@@ -153,6 +154,23 @@ class Executor:
         except BaseException:
             self._lanes.abandon(event.waiter)
             raise
+
+    def change_candidates(self, robot: Robot) -> None:
+        """Have other discovered candidates from now on. Returns at once where they are the same.
+
+        Args:
+            robot: the configuration in force, with these candidates.
+        """
+        before = self._revisions.current
+        difference, revision = self._revisions.with_candidates(robot)
+        if before.robot.functions == robot.functions:
+            return
+        if difference.told:
+            both = (*before.robot.components(), *robot.components())
+            every = {one.name: one.bridge for one in both}
+            # A plan with a new candidate can be found only after the state knows its bridge.
+            self.post(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
+        self._revisions.current = revision
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""

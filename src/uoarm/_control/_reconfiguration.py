@@ -12,13 +12,13 @@ from attrs import evolve
 from uoarm._control._actions import Adopt, Announce, Release, Reply
 from uoarm._control._draft import Draft
 from uoarm._control._endings import cancel_switchover, drop_next
-from uoarm._control._events import Configured
+from uoarm._control._events import CandidatesChanged, Configured
 from uoarm._control._failover import replace, seek
 from uoarm._control._state import ComponentFailure, ConnectionRecord
 from uoarm._control._switchover import begin
 from uoarm.model import ConnectionState
 
-__all__ = ["configured", "go_on"]
+__all__ = ["candidates_changed", "configured", "go_on"]
 
 
 def configured(draft: Draft, event: Configured) -> None:
@@ -37,6 +37,17 @@ def configured(draft: Draft, event: Configured) -> None:
             continue
         if record.wanted.function in event.functions or _superseded(draft, record):
             _outdate(draft, record)
+
+
+def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
+    """Know the bridges of the components that plans may have from now on.
+
+    A connection that waits for a candidate looks again by itself, and one that runs goes back to a
+    better candidate only where `failover.return_after` says so: what comes and goes moves nobody.
+    """
+    in_use = {one.name for one in draft.components.values()} & set(draft.bridges)
+    draft.bridges = {**{name: draft.bridges[name] for name in in_use}, **event.bridges}
+    draft.actions.append(Announce("candidates", "changed", event.told))
 
 
 def _outdate(draft: Draft, record: ConnectionRecord) -> None:

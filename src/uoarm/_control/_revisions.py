@@ -8,14 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from attrs import evolve, frozen
+from attrs import evolve, field, frozen
 
 from uoarm._adapt import check_edge
 from uoarm._control._bridges import BridgeSet, StagedBridges
 from uoarm._control._searches import find_replacement
 from uoarm._control._state import ConnectionRecord, State, names, recently
 from uoarm._dataplane import Clock
-from uoarm._resolve import Resolver, StructureCache
+from uoarm._resolve import Resolver, StructureCache, without_candidates
 from uoarm.config import Difference, compare
 from uoarm.errors import BridgeTimeoutError, ConfigurationError, ResolutionError, UsageError
 from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Robot
@@ -27,12 +27,25 @@ _KEPT = 100
 
 @frozen(eq=False)
 class Revision:
-    """One configuration, and what resolves in it."""
+    """One configuration, and what resolves in it.
+
+    Attributes:
+        number: how many changes led to it. Candidates that come and go are none.
+        robot: the configuration with the candidates that were discovered.
+        base: the configuration alone.
+        needs_candidates: whether it has functions with needs.
+    """
 
     number: int
     robot: Robot
     structures: StructureCache
     resolver: Resolver
+    base: Robot
+    needs_candidates: bool = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        needs = any(one.needs is not None for one in self.base.functions.values())
+        object.__setattr__(self, "needs_candidates", needs)
 
     def resolve(
         self,
@@ -80,7 +93,7 @@ class Revisions:
         self._changing = threading.Lock()
         structures = StructureCache(bridges.get)
         resolver = Resolver(robot, structures, check_edge, clock=clock)
-        self.current = Revision(0, robot, structures, resolver)
+        self.current = Revision(0, robot, structures, resolver, robot)
         self._staged: dict[int, StagedRevision] = {}
         first = ConfigurationChange(0, is_applied=True, time=time.time(), robot=robot)
         self._history = deque([first], maxlen=_KEPT)
@@ -116,29 +129,42 @@ class Revisions:
         """Return the last hundred revisions, the one in force last."""
         return tuple(self._history)
 
-    def stage(self, robot: Robot, state: Callable[[], State]) -> StagedRevision:
+    def with_candidates(self, robot: Robot) -> tuple[Difference, Revision]:
+        """Return the revision in force with other candidates, and what is different."""
+        before = self.current
+        difference = compare(before.robot, robot)
+        structures = before.structures.carried_over(self._bridges.get, difference.superseded)
+        resolver = Resolver(robot, structures, check_edge, clock=self._clock)
+        return difference, Revision(before.number, robot, structures, resolver, before.base)
+
+    def stage(self, base: Robot, state: Callable[[], State]) -> StagedRevision:
         """Find what a configuration would change; start the bridges that it needs for that.
 
+        Candidates of the configuration in force stay, where their functions still have needs and
+        their bridges are the same: a later round of discovery looks at them.
+
         Args:
-            robot: the configuration.
+            base: the configuration.
             state: gives the state of this moment.
 
         Raises:
             ConfigurationError: it changes what cannot be changed while the manager runs.
         """
         before = self.current
+        base = without_candidates(base)
+        robot = _with_candidates_of(before.robot, base)
         difference = compare(before.robot, robot)
         _require_same_machines(before.robot, robot, difference)
         bridges = self._bridges.stage(robot.bridges)
         structures = before.structures.carried_over(bridges.get, difference.superseded)
         resolver = Resolver(robot, structures, check_edge, clock=self._clock)
-        revision = Revision(before.number + 1, robot, structures, resolver)
+        revision = Revision(before.number + 1, robot, structures, resolver, base)
         try:
             effects = tuple(self._effects(revision, difference, state()))
         except BaseException:
             bridges.close()
             raise
-        change = ConfigurationChange(revision.number, difference.told, effects, robot=robot)
+        change = ConfigurationChange(revision.number, difference.told, effects, robot=base)
         return StagedRevision(revision, difference, bridges, change)
 
     def expect(self, staged: StagedRevision) -> None:
@@ -196,6 +222,26 @@ class Revisions:
         if after == before and not is_superseded:
             return None
         return ConnectionEffect(record.id, record.wanted.function, Effect.MOVES, before, after)
+
+
+def _with_candidates_of(before: Robot, base: Robot) -> Robot:
+    """Return a configuration with the candidates of another that may be its own, too."""
+    functions = dict(base.functions)
+    for name, function in base.functions.items():
+        old = before.functions.get(name)
+        if function.needs is None or old is None or old.needs != function.needs:
+            continue
+        still = tuple(
+            one
+            for one in old.components
+            if one.match is not None
+            and before.bridges.get(one.bridge) == base.bridges.get(one.bridge)
+            and all(each.source is None or each.source.function in functions for each in one.inputs)
+        )
+        functions[name] = evolve(
+            function, components=(*function.components, *still), passed_over=old.passed_over
+        )
+    return evolve(base, functions=functions)
 
 
 def _require_same_machines(before: Robot, after: Robot, difference: Difference) -> None:

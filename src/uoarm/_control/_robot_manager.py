@@ -14,6 +14,7 @@ from typing import Any, final, overload
 from uoarm import _bounded
 from uoarm._control._availability import check_availability
 from uoarm._control._bridges import BridgeSet
+from uoarm._control._candidate_watch import CandidateWatch
 from uoarm._control._connection import Connection
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._discovery import discover
@@ -57,6 +58,7 @@ __all__ = ["RobotManager"]
 
 _log = logging.getLogger("uoarm")
 _INBOX = QueuePolicy(length=64)
+_DISCOVERY_SECONDS = 60.0
 
 
 @final
@@ -105,6 +107,9 @@ class RobotManager:
             revisions=self._revisions,
             clock=clock,
         )
+        self._candidates = CandidateWatch(
+            self._revisions, self._executor, self._bridges.get, self.registry.types
+        )
         self._services = Services(
             self._bridges.get,
             lambda: self._executor.state.policy.failing,
@@ -123,7 +128,10 @@ class RobotManager:
 
     @property
     def config(self) -> Robot:
-        """The configuration in force, with the options that uoarm chose filled in."""
+        """The configuration in force, with the options that uoarm chose filled in.
+
+        Functions with needs have the candidates that were discovered, behind those named.
+        """
         return self._revisions.current.robot
 
     @property
@@ -158,6 +166,7 @@ class RobotManager:
             BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
         """
         self._require_open()
+        self._candidates.wait(timeout)
         function = _reference(name).function
         revision = self._revisions.current
         known = self._known(function, revision)
@@ -230,6 +239,7 @@ class RobotManager:
         self._require_open()
         mode = choose(ValidationMode, validate, "validate", UsageError)
         wanted = _reference(name)
+        self._candidates.wait(timeout)
         wanted_type = self._typed(as_type, name, timeout)
         revision = self._revisions.current
         identity = f"c{next(self._numbers)}"
@@ -321,6 +331,7 @@ class RobotManager:
         Blocks while bridges are asked, several components at once, each within its limit.
         """
         self._require_open()
+        self._candidates.wait(_DISCOVERY_SECONDS)
         revision = self._revisions.current
         for component in revision.robot.components():
             revision.forget(component.name)
@@ -421,6 +432,7 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._candidates.close()
         self._staleness.close()
         self._executor.close()
         for failure in self._bridges.close():

@@ -17,6 +17,7 @@ from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Re
 from uoarm._control._draft import Draft
 from uoarm._control._endings import end, finish_if_asked
 from uoarm._control._events import (
+    CandidatesChanged,
     Configured,
     Drained,
     Ended,
@@ -273,4 +274,5 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     TimeReached: _time_reached,
     Stopped: _stopped,
     Configured: _reconfiguration.configured,
+    CandidatesChanged: _reconfiguration.candidates_changed,
 }

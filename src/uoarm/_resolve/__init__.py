@@ -1,6 +1,8 @@
 """Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
 
+from uoarm._resolve._candidates import add_candidates, without_candidates
 from uoarm._resolve._catalogue import StructureCache
+from uoarm._resolve._proofs import Proofs
 from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
 from uoarm._resolve._resolver import NoPlanError, Resolver
 
@@ -9,8 +11,11 @@ __all__ = [
     "EdgeCheck",
     "Judgement",
     "NoPlanError",
+    "Proofs",
     "Resolver",
     "StructureCache",
     "Structures",
     "Unavailable",
+    "add_candidates",
+    "without_candidates",
 ]

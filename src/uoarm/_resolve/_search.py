@@ -115,8 +115,12 @@ class Search:
                 return tuple(frame.rejected)
 
     def _push(self, name: str, rest: _Agenda | None, introducer: int | None) -> None:
-        depth = len(self._frames)
-        self._frames.append(_Frame(self._functions[name], rest, depth, introducer))
+        depth, function = len(self._frames), self._functions[name]
+        frame = _Frame(function, rest, depth, introducer)
+        frame.rejected += (
+            Rejection(name, one, None, (Reason(cause),)) for one, cause in function.passed_over
+        )
+        self._frames.append(frame)
 
     def _choose(self, frame: _Frame) -> bool:
         rest = frame.agenda
@@ -290,7 +294,8 @@ class Search:
 def _rejection(
     candidate: Component, reasons: tuple[Reason, ...], because_of: tuple[Rejection, ...]
 ) -> Rejection:
-    return Rejection(candidate.function, candidate.name, candidate.priority, reasons, because_of)
+    priority = candidate.priority if candidate.match is None else None
+    return Rejection(candidate.function, candidate.name, priority, reasons, because_of)
 
 
 def _producers_first(frames: list[_Frame], assigned: Mapping[str, _Frame]) -> list[_Frame]:

@@ -17,6 +17,7 @@ from uoarm.model import (
     Input,
     Listening,
     MessageStructure,
+    Need,
     Output,
     OverflowPolicy,
     PortRef,
@@ -79,9 +80,31 @@ def bridge_options(plugin: str, written: Mapping[str, Any], origin: str) -> dict
 
 
 def _function(name: str, value: Mapping[str, Any]) -> Function:
-    components = [_component(name, one) for one in value["components"]]
+    components = [_component(name, one) for one in value.get("components", ())]
     components.sort(key=lambda one: -one.priority)
-    return Function(name, tuple(components), value.get("description", ""))
+    needs = _need(value["needs"]) if "needs" in value else None
+    return Function(name, tuple(components), value.get("description", ""), needs)
+
+
+def _need(value: Mapping[str, Any]) -> Need:
+    def several(key: str) -> tuple[str, ...]:
+        written = value.get(key, ())
+        return (written,) if isinstance(written, str) else tuple(written)
+
+    return Need(
+        role=Role(value.get("role", "output")),
+        structure=_structure(value, "structure"),
+        request=_structure(value, "request"),
+        reply=_structure(value, "reply"),
+        like=value.get("like", ""),
+        names=several("name"),
+        ports=several("port"),
+        labels=several("label"),
+        prefer=several("prefer"),
+        exclude=several("exclude"),
+        unfed=several("unfed"),
+        refuse_ambiguous=value.get("ambiguous", "first") == "refuse",
+    )
 
 
 def _component(function: str, value: Mapping[str, Any]) -> Component:

@@ -63,10 +63,10 @@ def _unranked(component: Component) -> Component:
     return evolve(component, priority=0)
 
 
-def _named(robot: Robot) -> Mapping[str, tuple[tuple[str, int], ...]]:
-    """Return each function's candidates by name; what they are is told of themselves."""
+def _named(robot: Robot) -> Mapping[str, object]:
+    """Return each function's candidates by name, and its needs; what they are tell themselves."""
     return {
-        name: tuple((one.name, one.priority) for one in function.components)
+        name: (function.needs, [(one.name, one.priority) for one in function.components])
         for name, function in robot.functions.items()
     }
 

@@ -11,6 +11,7 @@ from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.config._cycles import avoidable_cycles, unavoidable_cycles
 from uoarm.config._hosts import host_mistakes
+from uoarm.config._needs import need_mistakes, unknown_frameworks
 from uoarm.config._parts import (
     ComponentPart,
     PortPart,
@@ -18,6 +19,7 @@ from uoarm.config._parts import (
     bridge_names,
     components,
     function_names,
+    needs,
 )
 
 __all__ = ["MeaningChecker"]
@@ -66,6 +68,7 @@ class MeaningChecker:
         """Check everything; the results stand in `problems` and `warnings`."""
         self._check_names()
         self._check_bridges()
+        self._check_needs()
         for path, sentence, hint in host_mistakes(self._document.value):
             self._refuse(path, sentence, hint, at_key=True)
         for component in self._components:
@@ -78,7 +81,13 @@ class MeaningChecker:
 
     def structures(self) -> list[tuple[Path, object]]:
         """Return every declared structure with its path."""
-        return [
+        needed: list[tuple[Path, object]] = [
+            (("functions", name, "needs", key), one[key])
+            for name, one in needs(self._document.value).items()
+            for key in ("structure", "request", "reply")
+            if isinstance(one.get(key), dict)
+        ]
+        return needed + [
             ((*port.path, key), port.value[key])
             for component in self._components
             for ports, keys in (
@@ -115,11 +124,17 @@ class MeaningChecker:
                 self._refuse(
                     (*component.path, "bridge"), f"there is no bridge {clip(bridge)}", hint
                 )
-        for name in self._bridges:
+        for name in () if needs(self._document.value) else self._bridges:
             if name not in used:
                 self._warn(
                     ("bridges", name), f"no component uses the bridge {clip(name)}", at_key=True
                 )
+
+    def _check_needs(self) -> None:
+        for path, sentence, hint, at_key in need_mistakes(self._document.value):
+            self._refuse(path, sentence, hint, at_key=at_key)
+        for path, sentence in unknown_frameworks(self._document.value):
+            self._warn(path, sentence)
 
     def _check_ports(self, component: ComponentPart) -> None:
         streams = component.streams

@@ -21,6 +21,7 @@ __all__ = [
     "components",
     "function_names",
     "listening",
+    "needs",
 ]
 
 _STREAMS = ("input", "inputs", "output", "outputs")
@@ -101,6 +102,12 @@ def bridge_names(value: object) -> dict[str, Any]:
 def function_names(value: object) -> dict[str, Any]:
     """Return the functions by name, where they can be told at all."""
     return _mapping(_mapping(value).get("functions"))
+
+
+def needs(value: object) -> dict[str, dict[str, Any]]:
+    """Return what functions need of discovered components, by function, where it can be told."""
+    told = {name: _mapping(one).get("needs") for name, one in function_names(value).items()}
+    return {name: one for name, one in told.items() if isinstance(one, dict)}
 
 
 def applications(value: object) -> dict[str, list[Any]]:

@@ -18,6 +18,8 @@ __all__ = [
     "Expectation",
     "Function",
     "Input",
+    "Match",
+    "Need",
     "Output",
     "PortRef",
     "Role",
@@ -129,11 +131,27 @@ class Service:
 
 
 @frozen
+class Match:
+    """Why a component that nobody named is a candidate.
+
+    Attributes:
+        told: the rules by which it is one, and stands where it does.
+        structures: fingerprints of its structures when it was matched.
+    """
+
+    told: str = field(eq=False)
+    structures: tuple[str, ...] = ()
+
+
+@frozen
 class Component:
     """One provider of a function in one framework.
 
     It has inputs and outputs, or a service. Among the candidates of a function the highest
     priority is tried first; equal priorities are tried in the order of the file.
+
+    Attributes:
+        match: why it is a candidate, where it was discovered and not named; else None.
     """
 
     name: str
@@ -144,6 +162,7 @@ class Component:
     outputs: tuple[Output, ...] = ()
     service: Service | None = None
     parameters: Options = field(default=_NOTHING, hash=False)
+    match: Match | None = None
 
     def output(self, port: str | None) -> Output | None:
         """Return the named output, or the only (else the `default`) one for None."""
@@ -154,12 +173,53 @@ class Component:
 
 
 @frozen
+class Need:
+    """What a function asks of components that bridges discover.
+
+    Patterns are those of `fnmatch`, upper and lower case told apart. An earlier one ranks higher.
+
+    Attributes:
+        role: of the port that provides the function.
+        structure: its messages fit this one (an input takes all of it).
+        request: of a service, every one of which it takes.
+        reply: of a service, which every reply of it fits.
+        like: in place of `structure`, a function whose messages it has, or a framework's own name
+            of their type.
+        names: patterns of the component's name, as its framework has it; none: any.
+        ports: patterns of the port's name or of a part of its address; none: any.
+        labels: patterns of what else the framework says of the component; none: any.
+        prefer: plugins or bridges that rank before others, in this order.
+        exclude: plugins or bridges that provide nothing here.
+        unfed: patterns of inputs that may stay without a feed.
+        refuse_ambiguous: whether none is taken of several that differ in nothing but their names.
+    """
+
+    role: Role = Role.OUTPUT
+    structure: MessageStructure | None = None
+    request: MessageStructure | None = None
+    reply: MessageStructure | None = None
+    like: str = ""
+    names: tuple[str, ...] = ()
+    ports: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
+    prefer: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    unfed: tuple[str, ...] = ()
+    refuse_ambiguous: bool = False
+
+
+@frozen
 class Function:
     """What an application asks for by name.
 
-    `components` stand in the order in which they are tried.
+    Attributes:
+        components: in the order in which they are tried.
+        needs: what makes a discovered component a candidate too; None: nothing does.
+        passed_over: what was discovered and is no candidate, by name, each with the reason.
     """
 
     name: str
     components: tuple[Component, ...]
     description: str = ""
+    needs: Need | None = None
+    passed_over: tuple[tuple[str, str], ...] = ()

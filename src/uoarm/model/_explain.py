@@ -30,9 +30,8 @@ def tell_plan(plan: Plan) -> str:
     lines = [f"plan for {plan.function}"]
     for number, step in enumerate(plan.steps, 1):
         one = step.component
-        lines.append(
-            f"  {number}. {one.function}: {one.name} ({one.bridge}, priority {one.priority})"
-        )
+        how = f"priority {one.priority}" if one.match is None else f"discovered: {one.match.told}"
+        lines.append(f"  {number}. {one.function}: {one.name} ({one.bridge}, {how})")
     if plan.edges:
         lines.append("connections, all proven to fit")
     for edge in plan.edges:
@@ -53,9 +52,9 @@ def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
     while stack and len(lines) < _MAX_LINES:
         rejection, depth = stack.pop()
         indent = "  " * depth
-        lines.append(
-            f"{indent}{rejection.function}: {rejection.component} (priority {rejection.priority})"
-        )
+        rank = rejection.priority
+        how = "discovered" if rank is None else f"priority {rank}"
+        lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
         for reason in rejection.reasons:
             lines.extend(f"{indent}  {line}" for line in _tell_reason(reason))
         stack.extend((one, depth + 2) for one in reversed(rejection.because_of))

@@ -38,12 +38,13 @@ class Reason:
 class Rejection:
     """A candidate that was tried and not taken, with every reason.
 
-    `because_of` lists the rejected candidates of the functions that it depends on.
+    `because_of` lists the rejected candidates of the functions that it depends on; `priority` is
+    None where the component was discovered and not named.
     """
 
     function: str
     component: str
-    priority: int
+    priority: int | None
     reasons: tuple[Reason, ...]
     because_of: tuple[Rejection, ...] = ()
 

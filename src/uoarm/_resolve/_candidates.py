@@ -1,0 +1,386 @@
+"""Candidates that nobody named: the configuration, and what was discovered and proven to fit.
+
+Each function with needs gets the discovered components that fulfil them, behind those that the
+configuration names. Their inputs are fed by functions, level by level: first those that need no
+feed, then those that these can feed, so that no cycle comes about. An input waits for the function
+that suits it best, as long as that is not there yet and others go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator
+from fnmatch import fnmatchcase
+
+from attrs import define, evolve, field, frozen
+
+from uoarm._resolve._matching import Offer, candidate_name, offers, references
+from uoarm._resolve._proofs import Adapted, Proofs
+from uoarm._resolve._protocols import Structures, Unavailable
+from uoarm.model import (
+    BridgeFindings,
+    Component,
+    Endpoint,
+    FoundPort,
+    Function,
+    Input,
+    Match,
+    MessageStructure,
+    Output,
+    PortRef,
+    Robot,
+    Role,
+    Service,
+)
+
+__all__ = ["add_candidates", "without_candidates"]
+
+_MOST_CANDIDATES = 32
+_MOST_PASSED = 20
+
+
+@frozen
+class _Given:
+    """What one function can feed inputs with.
+
+    Attributes:
+        reference: the function, or its output where it has several.
+        names: under which an input may ask for it exactly.
+        structures: of its candidates, best first.
+        topics: names of topics that carry it already, within their frameworks.
+    """
+
+    reference: PortRef
+    names: frozenset[str]
+    structures: tuple[MessageStructure, ...]
+    topics: frozenset[object]
+
+
+@frozen
+class _Feed:
+    """What feeds an input: the function, and how; `rank` is less where it suits better."""
+
+    rank: tuple[bool, bool, bool, bool]
+    given: _Given
+    adapted: Adapted
+
+
+@define
+class _Level:
+    """A function with needs while its candidates find their feeds."""
+
+    function: Function
+    offers: list[Offer]
+    passed: list[tuple[str, str]]
+    made: dict[int, Component] = field(factory=dict)
+    causes: dict[int, str] = field(factory=dict)
+
+
+def without_candidates(robot: Robot) -> Robot:
+    """Return a robot with what its configuration names, and nothing that was discovered."""
+    functions = {
+        name: evolve(
+            one, components=tuple(c for c in one.components if c.match is None), passed_over=()
+        )
+        for name, one in robot.functions.items()
+    }
+    return evolve(robot, functions=functions)
+
+
+def add_candidates(
+    robot: Robot,
+    findings: Iterable[BridgeFindings],
+    *,
+    structures: Callable[[Component], Structures | Unavailable],
+    topic: Callable[[Endpoint], object],
+    proofs: Proofs,
+    kept: Iterable[Component] = (),
+) -> Robot:
+    """Return the robot with what was discovered and fulfils its needs.
+
+    Equal arguments give equal robots, whatever the order of the findings.
+
+    Args:
+        robot: the configuration, with or without candidates of before, which count for nothing.
+        findings: what bridges see.
+        structures: tells those of configured components; asks bridges.
+        topic: tells which topic an endpoint stands for; None where there is none.
+        proofs: judges pairs of structures.
+        kept: candidates of before that stay as they are, since they are in use.
+    """
+    robot = without_candidates(robot)
+    if not any(one.needs for one in robot.functions.values()):
+        return robot
+    return _Matching(robot, findings, structures, topic, proofs).run(tuple(kept))
+
+
+class _Matching:
+    def __init__(
+        self,
+        robot: Robot,
+        findings: Iterable[BridgeFindings],
+        structures: Callable[[Component], Structures | Unavailable],
+        topic: Callable[[Endpoint], object],
+        proofs: Proofs,
+    ) -> None:
+        self._robot = robot
+        self._findings = sorted(findings, key=lambda one: one.bridge)
+        self._structures = structures
+        self._topic = topic
+        self._proofs = proofs
+        self._levels: dict[str, _Level] = {}
+        self._given: dict[str, list[_Given]] = {}
+        self._sources: dict[str, set[str]] = {}
+        for one in robot.components():
+            self._add_sources(one)
+        self._emitted = {
+            (each.bridge, told): found.name
+            for each in self._findings
+            for found in each.components
+            for port in found.ports
+            if port.endpoint.role is Role.OUTPUT and (told := topic(port.endpoint)) is not None
+        }
+
+    def run(self, kept: tuple[Component, ...]) -> Robot:
+        for name, function in self._robot.functions.items():
+            if function.needs is not None:
+                wanted = references(function, self._findings, self._like(name, frozenset()))
+                found, passed = offers(
+                    function, self._findings, self._robot.bridges, wanted, self._proofs
+                )
+                self._levels[name] = _Level(function, *self._unambiguous(function, found, passed))
+        for name, function in self._robot.functions.items():
+            self._given[name] = list(self._gives(function))
+        self._feed_all()
+        functions = {
+            name: self._whole(self._levels[name], kept) if name in self._levels else one
+            for name, one in self._robot.functions.items()
+        }
+        return evolve(self._robot, functions=functions)
+
+    def _like(self, name: str, seen: frozenset[str]) -> Iterator[MessageStructure]:
+        """Yield the structures of the function that a function is like."""
+        need = self._robot.functions[name].needs
+        other = None if need is None else self._robot.functions.get(need.like)
+        if need is None or other is None or other.name in seen:
+            return
+        if other.needs is not None:
+            of_other = self._like(other.name, seen | {name})
+            yield from references(other, self._findings, of_other)
+        side = "output" if need.role is Role.OUTPUT else "input"
+        for component in other.components:
+            told = self._structures(component)
+            by_port = told.by_port if isinstance(told, Structures) else {}
+            yield from (one for key, one in by_port.items() if key.startswith(f"{side}."))
+
+    def _unambiguous(
+        self, function: Function, found: list[Offer], passed: list[tuple[str, str]]
+    ) -> tuple[list[Offer], list[tuple[str, str]]]:
+        """Take out what fits equally well, where that is refused, and what is beyond the limit."""
+        need = function.needs
+        assert need is not None, "the caller looked"
+
+        def name(one: Offer) -> str:
+            return candidate_name(function.name, one.spec.name, one.found, one.port)
+
+        if need.refuse_ambiguous:
+            alike: dict[tuple[object, ...], list[Offer]] = {}
+            for one in found:
+                alike.setdefault(one.alike, []).append(one)
+            several = [group for group in alike.values() if len(group) > 1]
+            for group in several:
+                told = ", ".join(name(one) for one in group[:_MOST_PASSED])
+                cause = f"ambiguous: {len(group)} fit equally well, which is refused: {told}"
+                passed = [*((name(one), cause) for one in group), *passed]
+            found = [one for group in alike.values() if len(group) == 1 for one in group]
+        beyond = found[_MOST_CANDIDATES:]
+        cause = f"it fits, but {_MOST_CANDIDATES} others do and rank before it"
+        return found[:_MOST_CANDIDATES], [*passed, *((name(one), cause) for one in beyond)]
+
+    def _gives(self, function: Function) -> Iterator[_Given]:
+        """Yield what a function can feed inputs with."""
+        several: dict[str, list[tuple[MessageStructure, Endpoint]]] = {}
+        for component in function.components:
+            told = self._structures(component)
+            by_port = told.by_port if isinstance(told, Structures) else {}
+            for output in component.outputs if by_port else ():
+                made = by_port[f"output.{output.name}"]
+                several.setdefault(output.name, []).append((made, output.endpoint))
+        level = self._levels.get(function.name)
+        found = [] if level is None else level.offers
+        main = [(one.port.message, one.port.endpoint) for one in found]
+        streams = [(one, end) for one, end in main if one and end.role is Role.OUTPUT]
+        if len(several) <= 1:
+            each = [one for group in several.values() for one in group] + streams
+            names = {function.name, *several, *(end.port for _, end in streams)} - {"default"}
+            if each:
+                yield self._carrying(PortRef(function.name), names, each)
+            return
+        for name, group in several.items():
+            yield self._carrying(PortRef(function.name, name), {name, function.name}, group)
+
+    def _carrying(
+        self,
+        reference: PortRef,
+        names: Collection[str],
+        ports: list[tuple[MessageStructure, Endpoint]],
+    ) -> _Given:
+        structures = {one.fingerprint: one for one, _ in ports}
+        topics = {
+            (end.bridge, self._topic(end)) for _, end in ports if self._topic(end) is not None
+        }
+        return _Given(reference, frozenset(names), tuple(structures.values()), frozenset(topics))
+
+    # Feeding.
+
+    def _feed_all(self) -> None:
+        """Find feeds until nothing more is fed; others than the best where nothing else moves."""
+        ready = {name for name, one in self._robot.functions.items() if one.components}
+        waits = True
+        while True:
+            fed = {
+                name
+                for name, level in self._levels.items()
+                if self._feed_level(level, ready, waits=waits)
+            }
+            if fed:
+                ready |= fed
+                waits = True
+            elif waits:
+                waits = False
+            else:
+                return
+
+    def _feed_level(self, level: _Level, ready: Collection[str], *, waits: bool) -> bool:
+        """Complete candidates of one function; say whether any is new."""
+        is_new = False
+        for number, offer in enumerate(level.offers):
+            if number in level.made:
+                continue
+            made = self._component(level.function, offer, ready, waits=waits)
+            if isinstance(made, str):
+                level.causes[number] = made
+                continue
+            level.made[number], is_new = made, True
+            self._add_sources(made)
+        return is_new
+
+    def _add_sources(self, component: Component) -> None:
+        sources = {one.source.function for one in component.inputs if one.source is not None}
+        self._sources.setdefault(component.function, set()).update(sources)
+
+    def _depends(self, function: str, other: str) -> bool:
+        """Say whether a function may be fed by another, at once or through others."""
+        seen, waiting = {function}, [function]
+        while waiting and other not in seen:
+            more = self._sources.get(waiting.pop(), set()) - seen
+            seen |= more
+            waiting += more
+        return other in seen
+
+    def _component(
+        self, function: Function, offer: Offer, ready: Collection[str], *, waits: bool
+    ) -> Component | str:
+        """Return the candidate with its feeds, or why it has none yet."""
+        need, spec = function.needs, offer.spec
+        assert need is not None, "the caller looked"
+        name = candidate_name(function.name, spec.name, offer.found, offer.port)
+        own = evolve(offer.port.endpoint, component=name)
+        inputs: list[Input] = []
+        told = [offer.told]
+        streams = [one for one in offer.found.ports if one.endpoint.role is Role.INPUT]
+        for port in streams if need.role is Role.OUTPUT else ():
+            end = evolve(port.endpoint, component=name)
+            feed = self._feed(function.name, offer, port, ready, waits=waits)
+            if isinstance(feed, _Feed):
+                adapted, source = feed.adapted, feed.given.reference
+                inputs.append(Input(end.port, end, source, adapted.mapping, adapted.allow_loss))
+                told.append(f"{end.port} from {source}{_how(feed)}")
+            elif feed and not any(fnmatchcase(end.port, one) for one in need.unfed):
+                return feed
+        if need.role is Role.INPUT:
+            inputs.append(Input(own.port, own))
+        ports = [offer.port, *(one for one in streams if need.role is Role.OUTPUT)]
+        said = [one for port in ports for one in (port.message, port.request, port.reply)]
+        return Component(
+            name=name,
+            function=function.name,
+            bridge=spec.name,
+            priority=min((one.priority for one in function.components), default=0) - 1,
+            inputs=tuple(inputs),
+            outputs=(Output(own.port, own),) if need.role is Role.OUTPUT else (),
+            service=Service(own) if need.role is Role.SERVICE else None,
+            parameters=own.parameters,
+            match=Match("; ".join(told), tuple(one.fingerprint for one in said if one is not None)),
+        )
+
+    def _feed(
+        self, function: str, offer: Offer, port: FoundPort, ready: Collection[str], *, waits: bool
+    ) -> _Feed | str:
+        """Return what feeds an input, why nothing does, or nothing: its framework does."""
+        name, topic = port.endpoint.port, self._topic(port.endpoint)
+        place = offer.spec.name, topic
+        if port.message is None:
+            return f"the structure of its input {name} is not known"
+        feeds = [
+            _Feed(_suits(given, port, adapted, place), given, adapted)
+            for other, several in self._given.items()
+            if not self._depends(other, function)
+            for given in several
+            if (adapted := self._adapted(given, port.message)) is not None
+        ]
+        feeds.sort(key=lambda one: one.rank)  # those alike stay in the order of the file
+        there = [one for one in feeds if one.given.reference.function in ready]
+        if topic is not None and self._emitted.get(place, offer.found.name) != offer.found.name:
+            there = [one for one in there if place in one.given.topics]
+            return there[0] if there else ""
+        if not feeds:
+            return f"no function feeds its input {name}"
+        if not there or (waits and there[0] is not feeds[0]):
+            return f"its input {name} could be fed by {feeds[0].given.reference}, which has nothing"
+        need = self._robot.functions[function].needs
+        alike = [str(one.given.reference) for one in feeds if one.rank == there[0].rank]
+        if need is not None and need.refuse_ambiguous and len(alike) > 1:
+            return f"ambiguous: {', '.join(alike)} fit its input {name} equally well"
+        return there[0]
+
+    def _adapted(self, given: _Given, wanted: MessageStructure) -> Adapted | None:
+        for one in given.structures:
+            adapted = self._proofs.adapted(one, wanted)
+            if adapted is not None:
+                return adapted
+        return None
+
+    def _whole(self, level: _Level, kept: tuple[Component, ...]) -> Function:
+        """Return a function with its candidates, those in use among them, and what was left out."""
+        made = {one.name: one for _, one in sorted(level.made.items())}
+        made |= {one.name: one for one in kept if one.function == level.function.name}
+        passed = [
+            (candidate_name(level.function.name, one.spec.name, one.found, one.port), cause)
+            for number, cause in sorted(level.causes.items())
+            if number not in level.made
+            for one in (level.offers[number],)
+        ]
+        passed += level.passed
+        if not made and not passed:
+            passed = [("discovery", "no bridge sees a component of that kind, role and name")]
+        more = len(passed) - _MOST_PASSED
+        if more > 0:
+            passed = [*passed[:_MOST_PASSED], (f"{more:,} more", "not listed")]
+        components = (*level.function.components, *made.values())
+        return evolve(level.function, components=components, passed_over=tuple(passed))
+
+
+def _suits(
+    given: _Given, port: FoundPort, adapted: Adapted, place: tuple[str, object]
+) -> tuple[bool, bool, bool, bool]:
+    is_exact = any(one == port.message for one in given.structures)
+    is_named = port.endpoint.port in given.names
+    return place not in given.topics, adapted.mapping is not None, not is_named, not is_exact
+
+
+def _how(feed: _Feed) -> str:
+    elsewhere, mapped, other_name, contained = feed.rank
+    del elsewhere
+    if mapped:
+        return " through a map, proven"
+    return (" by its name" if not other_name else "") + (", contained" if contained else ", exact")

@@ -1,0 +1,172 @@
+"""Functions that say what they need: what bridges see is a candidate where it is proven to fit."""
+
+from __future__ import annotations
+
+import pytest
+from attrs import evolve
+
+from uoarm import ResolutionError, RobotManager
+from uoarm.config import loads
+from uoarm.model import Robot, Schema
+from uoarm.testing import MemoryBridge, patience, wait
+
+SMALL: Schema = {"type": "integer", "minimum": 0, "maximum": 9}
+NUMBER: Schema = {"type": "integer"}
+TEXT: Schema = {"type": "string"}
+HEAD = (
+    "version: 1\nbridges: {lab: {plugin: memory}, far: {plugin: memory, host: true}}\nfunctions:\n"
+)
+CAMERA = HEAD + "  camera: {needs: {structure: {type: integer}}}\n"
+
+
+class Lab:
+    """Two bridges of a robot, of which one counts as hosted."""
+
+    def __init__(self) -> None:
+        self.lab, self.far = MemoryBridge("lab", {}), MemoryBridge("far", {})
+
+    def manager(self, text: str | Robot) -> RobotManager:
+        """Return a manager over them."""
+        robot = loads(text) if isinstance(text, str) else text
+        return RobotManager(robot, bridges={"lab": self.lab, "far": self.far})
+
+
+@pytest.fixture
+def lab() -> Lab:
+    return Lab()
+
+
+def candidates(manager: RobotManager, function: str) -> list[str]:
+    return [one.name for one in manager.config.functions[function].components]
+
+
+def test_what_is_seen_and_fits_provides_a_function_that_names_nobody(lab: Lab) -> None:
+    head = lab.lab.emitter("head", NUMBER)
+    lab.lab.emitter("sign", TEXT)
+    with lab.manager(CAMERA) as manager:
+        camera = manager.request("camera")
+        head.emit(7)
+        assert camera.get(timeout=patience()) == 7
+        told = str(camera.plan)
+    assert "camera@lab/head (lab, discovered: exact structure, this machine, native)" in told
+    assert "camera: camera@lab/sign (discovered)" in told
+
+
+ORDERS = {
+    "": ["lab/a", "lab/b", "far/exact", "lab/small"],
+    ", prefer: far, name: [b, '*']": ["far/exact", "lab/b", "lab/a", "lab/small"],
+    ", exclude: lab": ["far/exact"],
+    ", port: [small, exact]": ["far/exact", "lab/small"],
+}
+
+
+@pytest.mark.parametrize(("more", "order"), ORDERS.items())
+def test_candidates_stand_in_the_order_of_the_rules(lab: Lab, more: str, order: list[str]) -> None:
+    lab.far.emitter("exact", NUMBER)
+    lab.lab.emitter("small", SMALL)
+    lab.lab.emitter("b", NUMBER)
+    lab.lab.emitter("a", NUMBER)
+    with lab.manager(CAMERA.replace("integer}", f"integer}}{more}")) as manager:
+        manager.resolve("camera")
+        assert candidates(manager, "camera") == [f"camera@{one}" for one in order]
+
+
+def test_where_nothing_of_the_kind_is_seen_that_is_said(lab: Lab) -> None:
+    with lab.manager(CAMERA) as manager, pytest.raises(ResolutionError) as refused:
+        manager.resolve("camera")
+    assert "no bridge sees a component of that kind, role and name" in str(refused.value)
+
+
+def test_who_is_named_comes_first_and_is_never_replaced(lab: Lab) -> None:
+    lab.lab.emitter("head", NUMBER)
+    lab.lab.emitter("hand", SMALL)
+    named = "components: [{name: head, bridge: lab, priority: -5, output: {endpoint: [hand]}}]"
+    with lab.manager(CAMERA.replace("{needs", f"{{{named}, needs")) as manager:
+        assert manager.resolve("camera").provider.component.name == "head"
+        assert candidates(manager, "camera") == ["head", "camera@lab/head"]
+
+
+def test_several_that_fit_equally_well_are_refused_where_that_is_asked(lab: Lab) -> None:
+    lab.lab.emitter("left", NUMBER)
+    lab.lab.emitter("right", NUMBER)
+    text = CAMERA.replace("integer}", "integer}, ambiguous: refuse")
+    with lab.manager(text) as manager, pytest.raises(ResolutionError) as refused:
+        manager.resolve("camera")
+    assert "2 fit equally well, which is refused: camera@lab/left, camera@lab/right" in str(
+        refused.value
+    )
+
+
+@pytest.mark.parametrize("like", ["head/Row", "model"])
+def test_a_function_may_be_like_a_type_or_another_function(lab: Lab, like: str) -> None:
+    lab.lab.emitter("head", NUMBER)
+    lab.lab.emitter("sign", TEXT)
+    text = HEAD + (
+        "  model: {components: [{name: model, bridge: lab, output: {endpoint: [head]}}]}\n"
+        f"  camera: {{needs: {{like: {like}}}}}\n"
+    )
+    with lab.manager(text) as manager:
+        plan = manager.resolve("camera")
+    assert plan.provider.component.name == "camera@lab/head"
+
+
+def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) -> None:
+    first = lab.lab.emitter("first", NUMBER)
+    with lab.manager(CAMERA) as manager:
+        camera = manager.request("camera")
+        second = lab.far.emitter("second", NUMBER)
+        wait(lambda: len(candidates(manager, "camera")) == 2)
+        assert manager.revision == 0
+        first.emit(1)
+        lab.lab.die("first", "it was unplugged")
+        wait(lambda: len(camera.gaps) == 1)
+        second.emit(2)
+        assert [camera.get(timeout=patience()) for _ in range(2)] == [1, 2]
+
+
+def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:
+    head = lab.lab.emitter("head", SMALL)
+    lab.far.loop("finder", NUMBER)
+    text = HEAD + "  face: {needs: {name: finder}}\n  camera: {needs: {name: head}}\n"
+    with lab.manager(text) as manager:
+        face = manager.request("face")
+        head.emit(3)
+        assert face.get(timeout=patience()) == 3
+        assert [one.component.function for one in face.plan.steps] == ["camera", "face"]
+    assert "default from camera, contained" in str(face.plan)
+
+
+@pytest.mark.parametrize("unfed", ["", ", unfed: default"])
+def test_a_component_whose_input_nothing_feeds_is_passed_over_unless_it_may_be(
+    lab: Lab, unfed: str
+) -> None:
+    lab.lab.emitter("sign", TEXT)
+    lab.far.loop("finder", NUMBER)
+    text = f"  face: {{needs: {{name: finder{unfed}}}}}\n  sign: {{needs: {{name: sign}}}}\n"
+    with lab.manager(HEAD + text) as manager:
+        if unfed:
+            assert manager.resolve("face").provider.component.inputs == ()
+            return
+        with pytest.raises(ResolutionError, match="no function feeds its input default"):
+            manager.resolve("face")
+
+
+def test_a_service_is_found_by_what_it_takes_and_answers(lab: Lab) -> None:
+    lab.lab.service("double", NUMBER, NUMBER, lambda number: 2 * number)
+    text = HEAD + "  twice: {needs: {role: service, request: {type: integer}}}\n"
+    with lab.manager(text) as manager:
+        assert manager.call("twice", 4) == 8
+
+
+def test_a_change_of_configuration_keeps_what_was_discovered(lab: Lab) -> None:
+    head = lab.lab.emitter("head", NUMBER)
+    with lab.manager(CAMERA) as manager:
+        camera = manager.request("camera")
+        change = manager.apply(loads(CAMERA + "  sign: {needs: {name: sign}}\n"))
+        assert change.connections == ()
+        head.emit(1)
+        assert camera.get(timeout=patience()) == 1
+        assert camera.gaps == ()
+        again = manager.apply(evolve(manager.config))  # candidates in it count for nothing
+        assert manager.history()[-1].robot == loads(CAMERA + "  sign: {needs: {name: sign}}\n")
+        assert again.differences == ()
