@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Coroutine
 from typing import Any
 
@@ -58,6 +59,41 @@ def test_a_full_stream_drops_its_oldest_and_counts(
         assert stream.dropped == 5 - len(kept)
         assert await drain(outbox) == kept
         assert outbox.waiting_bytes == 0
+
+    run(work())
+
+
+def test_what_is_too_old_makes_way_for_what_is_new_but_a_few_are_never_lost() -> None:
+    async def work() -> None:
+        now = 0.0
+        outbox = Outbox(1000, 10, clock=lambda: now)
+        slow, fast, whole = (Lane(QueuePolicy(100), True, age) for age in (1.0, 1.0, math.inf))
+        for number in range(30):
+            now = number / 10
+            if not number % 10:
+                outbox.put(slow, b"s%d" % number)
+            outbox.put(fast, b"f%d" % number)
+            outbox.put(whole, b"w%d" % number)
+        assert [one.dropped for one in (slow, fast, whole)] == [0, 14, 0]
+        now = 10.0
+        written = await drain(outbox)
+        assert written[:3] == [b"s0", b"f14", b"w0"]
+        assert [one.dropped for one in (slow, fast, whole)] == [0, 14, 0]
+        assert (len(written), outbox.waiting_bytes) == (3 + 16 + 30, 0)
+
+    run(work())
+
+
+def test_what_waited_for_a_client_that_was_away_is_as_new_as_its_return() -> None:
+    async def work() -> None:
+        now = 0.0
+        outbox = Outbox(1000, 10, clock=lambda: now)
+        stream = Lane(QueuePolicy(100), True, 1.0)
+        for number in range(30):
+            outbox.put(stream, b"%d" % number)
+        now = 5.0
+        outbox.renew()
+        assert len(await drain(outbox)) == 30
 
     run(work())
 
@@ -167,27 +203,34 @@ def test_it_is_emptied_once_more_for_what_came_since() -> None:
 
 
 steps = st.lists(
-    st.tuples(st.sampled_from(["puttwo", "next", "reply"]), st.integers(1, 400)), max_size=60
+    st.tuples(st.sampled_from(["put", "next", "reply", "wait", "renew"]), st.integers(1, 400)),
+    max_size=60,
 )
 
 
 @given(steps)
 def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) -> None:
     async def work() -> None:
-        outbox = Outbox(1000, 1000)
-        lanes = [lane(4), lane(1, OverflowPolicy.LATEST)]
-        put = [0, 0]
+        now = 0.0
+        outbox = Outbox(1000, 1000, clock=lambda: now)
+        lanes = [lane(4), lane(1, OverflowPolicy.LATEST), Lane(QueuePolicy(50), True, 3.0)]
+        put = [0] * len(lanes)
         for step, number in plan:
-            if step == "puttwo":
-                outbox.put(lanes[number % 2], bytes(number))
-                put[number % 2] += 1
+            if step == "put":
+                chosen = number % len(lanes)
+                outbox.put(lanes[chosen], bytes(number // 20))
+                put[chosen] += 1
+            elif step == "wait":
+                now += number / 100
+            elif step == "renew":
+                outbox.renew()
             elif step == "reply":
                 outbox.tell(b"r", text=False)
             elif not outbox.empty:
                 await outbox.next()
         for count, one in zip(put, lanes, strict=True):
             assert count == one.sent + one.dropped + len(one.waiting)
-        waiting = [len(frame) for one in lanes for frames in one.waiting for frame in frames]
+        waiting = [len(frame) for one in lanes for _, frames in one.waiting for frame in frames]
         assert sum(waiting) <= 1000 or all(len(one.waiting) <= 1 for one in lanes)
 
     run(work())

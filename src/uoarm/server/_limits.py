@@ -31,6 +31,8 @@ class Limits:
         octets_per_second: likewise.
         elements_per_second: likewise; of all its messages together.
         queue_messages: data messages that wait for one client, at most.
+        queue_seconds: after these a data message that waits for a client is dropped, where there
+            are newer ones and the client did not ask for another queue.
         queue_bytes: bytes that wait for one client, at most.
         control_messages: replies and events that wait for one client; with more it is cut off.
         memory_bytes: octets of decoded values that are held for one client in all.
@@ -63,6 +65,7 @@ class Limits:
     octets_per_second: float = field(default=134_217_728.0, validator=gt(0))
     elements_per_second: float = field(default=1_000_000.0, validator=gt(0))
     queue_messages: int = field(default=1024, validator=ge(1))
+    queue_seconds: float = field(default=1.0, validator=gt(0))
     queue_bytes: int = field(default=16_777_216, validator=ge(1024))
     control_messages: int = field(default=4096, validator=ge(16))
     memory_bytes: int = field(default=134_217_728, validator=ge(1024))

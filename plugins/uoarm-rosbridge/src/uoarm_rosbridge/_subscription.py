@@ -103,7 +103,8 @@ class Subscription:
         self._charge = client.account.hold(Held.THROTTLED)
         self._timer: asyncio.TimerHandle | None = None
         text = wish.compression in _TEXTS
-        self.lane = Lane(QueuePolicy(client.limits.queue_messages), text=text)
+        limits = client.limits
+        self.lane = Lane(QueuePolicy(limits.queue_messages), text, limits.queue_seconds)
         self._key = f"ros-{wish.compression}:{topic}"
         self._raw = RawWriter(topic, structure) if wish.compression == _RAW else None
         write = _TEXTS.get(wish.compression, write_publish_cbor)

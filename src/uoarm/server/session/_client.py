@@ -126,6 +126,7 @@ class Client:
         """Serve until the client or the server ends the connection, or another session goes on."""
         self._socket = socket
         self.has_dropped = False
+        self.outbox.renew()
         writer = asyncio.ensure_future(self._write())
         try:
             await self._read(session)

@@ -17,7 +17,7 @@ export interface RequestOptions {
   /** false: only to send; no messages come. */
   receive?: boolean;
   /** What the server does with messages that this client reads too slowly. */
-  queue?: { length?: number; policy?: "latest" | "drop-oldest" };
+  queue?: { length?: number; policy?: "latest" | "drop-oldest"; age?: number };
   /** Least seconds between two messages; those between are left out. */
   every?: number;
   /** Seconds to wait for a function that cannot be had yet; 0, the default: that is an error. */

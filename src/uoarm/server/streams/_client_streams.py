@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -35,7 +36,7 @@ class Stream:
         feed: an open feed.
         outbox: the client's.
         form: in which messages are written.
-        queue: the client's own queue for this feed.
+        lane: the client's own queue for this feed.
         every: least seconds between two messages; those between are left out.
         clock: seconds.
         on_refused: called once for each reason for which a message could not be written.
@@ -47,7 +48,7 @@ class Stream:
         feed: Feed,
         outbox: Outbox,
         form: Form,
-        queue: QueuePolicy,
+        lane: Lane,
         *,
         every: float,
         clock: Clock,
@@ -57,7 +58,7 @@ class Stream:
         assert feed.connection is not None, "a stream is made when its feed is open"
         self.feed = feed
         self.connection = feed.connection
-        self.lane = Lane(queue, form.text)
+        self.lane = lane
         self.skipped = 0
         self._outbox = outbox
         self._key = form.name
@@ -260,12 +261,23 @@ class ClientStreams:
             feed,
             self._outbox,
             self._form,
-            _queue(options.get("queue", {}), self._limits.queue_messages),
+            self._lane(options.get("queue")),
             every=options.get("every", 0),
             clock=time.monotonic,
             on_refused=lambda error: self._on_refused(connection.id, error),
             on_end=lambda state, cause: self._ended(connection.id, state, cause),
         )
+
+    def _lane(self, options: Mapping[str, Any] | None) -> Lane:
+        """Return the queue that a client asks for; one that names its length wants all of it."""
+        limits, text = self._limits, self._form.text
+        if options is None:
+            return Lane(QueuePolicy(limits.queue_messages), text, limits.queue_seconds)
+        queue = QueuePolicy(
+            min(options.get("length", limits.queue_messages), limits.queue_messages),
+            options.get("policy", OverflowPolicy.DROP_OLDEST),
+        )
+        return Lane(queue, text, options.get("age", math.inf))
 
     def _ended(self, identity: str, state: str, cause: str) -> None:
         """Send the end after the last message, and free the name."""
@@ -291,11 +303,4 @@ def feed_key(name: str, options: Mapping[str, Any]) -> FeedKey:
     """Return what a Request with these options asks for."""
     return FeedKey(
         name, ValidationMode(options.get("validate", "sampled")), options.get("receive", True)
-    )
-
-
-def _queue(options: Mapping[str, Any], most: int) -> QueuePolicy:
-    return QueuePolicy(
-        min(options.get("length", most), most),
-        OverflowPolicy(options.get("policy", OverflowPolicy.DROP_OLDEST.value)),
     )

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import sys
+import time
 from collections import deque
 
 from attrs import define, field
 
+from uoarm._dataplane import Clock
 from uoarm.errors import MessageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server.streams._memory import Account, Charge, Held, Memory
 
 __all__ = ["Lane", "Outbox"]
+
+_FRESH = 16
 
 
 @define(eq=False)
@@ -22,18 +27,21 @@ class Lane:
     Attributes:
         policy: its length and whether only the newest counts; `block` is not for clients.
         text: whether its frames are text frames.
+        age: seconds after which a message that waits is dropped, where there are 16 newer ones: a
+            client that reads too slowly gets what is new, and a few messages are never lost.
         dropped: messages that this client lost here.
         sent: messages that were handed to the socket.
-        waiting: messages in their pieces, oldest first.
+        waiting: when they came, and messages in their pieces; oldest first.
         waiting_bytes: of them all.
         finished: whether its last message was added.
     """
 
     policy: QueuePolicy
     text: bool
+    age: float = math.inf
     dropped: int = 0
     sent: int = 0
-    waiting: deque[tuple[bytes, ...]] = field(factory=deque)
+    waiting: deque[tuple[float, tuple[bytes, ...]]] = field(factory=deque)
     waiting_bytes: int = 0
     finished: bool = False
     _refusal: str = field(default="", init=False)
@@ -42,6 +50,10 @@ class Lane:
     def length(self) -> int:
         """Messages that may wait."""
         return 1 if self.policy.policy is OverflowPolicy.LATEST else self.policy.length
+
+    def is_stale(self, now: float) -> bool:
+        """Say whether the oldest message is too old."""
+        return len(self.waiting) > _FRESH and now - self.waiting[0][0] > self.age
 
     def refuse(self, error: MessageError) -> bool:
         """Count a message that cannot be written as lost; True: the client is to be notified.
@@ -67,10 +79,18 @@ class Outbox:
             wait, so that one of any size can pass.
         max_replies: replies and events that may wait.
         account: of the client; None: one without bounds.
+        clock: seconds.
     """
 
-    def __init__(self, max_bytes: int, max_replies: int, account: Account | None = None) -> None:
+    def __init__(
+        self,
+        max_bytes: int,
+        max_replies: int,
+        account: Account | None = None,
+        clock: Clock = time.monotonic,
+    ) -> None:
         self.max_bytes = max_bytes
+        self._clock = clock
         self._max_replies = max_replies
         self.account = account or Memory(sys.maxsize, sys.maxsize).open()
         self._replies_held = self.account.hold(Held.REPLIES)
@@ -126,6 +146,7 @@ class Outbox:
         self._add(lane, frames)
         if len(lane.waiting) > lane.length:
             self._drop(lane)
+        self._drop_stale(lane)
         while self._is_over() and self._drop_somewhere():
             pass
 
@@ -139,6 +160,12 @@ class Outbox:
             lane.finished = True
             self._last_bytes += size
             self._add(lane, frames)
+
+    def renew(self) -> None:
+        """Count the age of what waits from now on: its client was away, and came back for it."""
+        now = self._clock()
+        for lane in self._turns:
+            lane.waiting = deque((now, frames) for _, frames in lane.waiting)
 
     def discard(self, lane: Lane) -> None:
         """Forget what waits of a stream that was killed."""
@@ -179,6 +206,7 @@ class Outbox:
 
     def _begin_message(self) -> None:
         lane = self._turns.popleft()
+        self._drop_stale(lane)
         self._pieces.extend((piece, lane.text) for piece in self._take(lane))
         lane.sent += 1
         if lane.waiting:
@@ -188,6 +216,11 @@ class Outbox:
         self._forget(lane)
         lane.dropped += 1
         self.dropped += 1
+
+    def _drop_stale(self, lane: Lane) -> None:
+        now = self._clock()
+        while lane.is_stale(now):
+            self._drop(lane)
 
     def _is_over(self) -> bool:
         return self._bytes > self.max_bytes or not self.account.has_room(0)
@@ -216,7 +249,7 @@ class Outbox:
     def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
         if not lane.waiting:
             self._turns.append(lane)
-        lane.waiting.append(frames)
+        lane.waiting.append((self._clock(), frames))
         size = _size(frames)
         lane.waiting_bytes += size
         self._bytes += size
@@ -225,7 +258,7 @@ class Outbox:
 
     def _take(self, lane: Lane) -> tuple[bytes, ...]:
         """Take the oldest message of a stream; its memory is still held."""
-        frames = lane.waiting.popleft()
+        _, frames = lane.waiting.popleft()
         size = _size(frames)
         lane.waiting_bytes -= size
         self._bytes -= size
