@@ -33,7 +33,7 @@ HERE = Path(__file__).parent
 PATIENCE_SECONDS = 90.0 * slowness()
 SILENCE_SECONDS = 0.6 * slowness()
 BETWEEN_SECONDS = 1.5
-STILL_SECONDS = 2.0
+STILL_SECONDS = 2.0 * slowness()
 GROWTH_MEGABYTES = 25.0
 POLICY = FailoverPolicy(wait=PATIENCE_SECONDS, limit=1_000_000, return_after=0.5)
 ROBOT = """

@@ -149,12 +149,12 @@ def test_a_document_type_declaration_is_refused(face: XmlRpcServer, kind: str, c
 def test_idle_connections_cost_few_threads_and_end(
     face: XmlRpcServer, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(xmlrpc_server, "_CONNECTION_SECONDS", 0.3)
     before = threading.active_count()
-    with ExitStack() as stack:
+    with ExitStack() as stack, monkeypatch.context() as hasty:
+        hasty.setattr(xmlrpc_server, "_CONNECTION_SECONDS", 0.05)
         idle = [
             stack.enter_context(socket.create_connection(("127.0.0.1", face.port), SECONDS))
-            for _ in range(100)
+            for _ in range(2 * xmlrpc_server._CONNECTIONS)
         ]
         for one in idle[::2]:
             with suppress(OSError):

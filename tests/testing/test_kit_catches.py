@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import os
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from hypothesis import Phase, settings
 from tests.testing import test_memory_conformance as memory
 from tests.testing.bad_bridges import BUGS, RULED_OUT, BadWorld, Bug, table
 
@@ -15,12 +18,23 @@ from uoarm.testing._limits import default_limits
 from uoarm.testing.conformance._rules import PAGE, rule_of
 
 ROOT = Path(__file__).parents[2]
-HANGING = 5.0  # until a bug that never ends is given up
+HANGING = 5.0  # seconds until a bug that never ends is given up
 CAUGHT = {bug.caught.__name__: bug for bug in BUGS}
 
 
-def run(bug: Bug, world: memory.MemoryWorld) -> None:
-    """Run one test of the suite in a world, as pytest would."""
+@pytest.fixture(autouse=True)
+def _as_found() -> Iterator[None]:
+    """Leave an example that shows a bug as it was found: to make it smaller takes most time."""
+    usual = os.environ.get("HYPOTHESIS_PROFILE", "short")
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile("as-found", settings.get_profile(usual), phases=phases)
+    settings.load_profile("as-found")
+    yield
+    settings.load_profile(usual)
+
+
+def run(bug: Bug, world: memory.MemoryWorld, limit: float) -> None:
+    """Run one test of the suite in a world, as pytest would, with a limit of each call."""
     bridge, spec = world.bridge(), world.spec()
     given = {
         "self": memory.TestMemoryBridge(),
@@ -33,7 +47,7 @@ def run(bug: Bug, world: memory.MemoryWorld) -> None:
     }
     wanted = inspect.signature(bug.caught).parameters
     try:
-        with default_limits(HANGING):
+        with default_limits(limit):
             bug.caught(**{name: given[name] for name in wanted})
     finally:
         world.close()
@@ -44,7 +58,7 @@ def run(bug: Bug, world: memory.MemoryWorld) -> None:
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name.replace(" ", "-"))
 def test_a_bad_bridge_is_found_out(bug: Bug) -> None:
     with pytest.raises(AssertionError) as caught:
-        run(bug, BadWorld(bug.spoil))
+        run(bug, BadWorld(bug.spoil), HANGING)
     told = str(caught.value)
     assert bug.says in told, told
     assert f"the rule is: {rule_of(bug.caught)} ({PAGE}#" in told
@@ -52,7 +66,7 @@ def test_a_bad_bridge_is_found_out(bug: Bug) -> None:
 
 @pytest.mark.parametrize("name", CAUGHT)
 def test_a_good_bridge_passes_the_same_tests(name: str) -> None:
-    run(CAUGHT[name], memory.MemoryWorld())
+    run(CAUGHT[name], memory.MemoryWorld(), patience())
 
 
 @pytest.mark.parametrize("bug", RULED_OUT, ids=lambda bug: bug.name.replace(" ", "-"))
@@ -60,7 +74,7 @@ def test_what_the_core_rules_out_is_no_bug(bug: Bug) -> None:
     class Patient(BadWorld):
         patience = property(lambda _: patience())
 
-    run(bug, Patient(bug.spoil))
+    run(bug, Patient(bug.spoil), patience())
 
 
 def test_each_bug_is_one_of_its_own() -> None:

@@ -15,6 +15,7 @@ from uoarm_rtm._types import Types
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing import slowness
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
 __all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld"]
@@ -57,7 +58,8 @@ class RtmWorld(World):
         self._make = make
 
     def bridge(self) -> Bridge:
-        options = {"nameserver": self._nameserver, "watch": 0.1, "idl": [IDL, TYPES_IDL]}
+        limits = {"watch": 0.1, "call_timeout": 2 * slowness()}
+        options = {"nameserver": self._nameserver, "idl": [IDL, TYPES_IDL], **limits}
         return self._make(BridgeSpec("rtm", "rtm", options, {}))
 
     def pair(self, kind: str) -> Pair:

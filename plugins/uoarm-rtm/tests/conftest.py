@@ -17,6 +17,7 @@ from uoarm_rtm._nameserver import NameServer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
+from uoarm.testing import slowness
 
 settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("rtm-long", max_examples=2000, deadline=None)
@@ -45,7 +46,7 @@ def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
     registry = Registry()
 
     def make(name: str = "rtm", **options: object) -> Bridge:
-        given = {"nameserver": nameserver, "watch": 0.1, **options}
+        given = {"nameserver": nameserver, "watch": 0.1, "call_timeout": 2 * slowness(), **options}
         bridge = registry.create(BridgeSpec(name, "rtm", given))
         made.append(bridge)
         return bridge

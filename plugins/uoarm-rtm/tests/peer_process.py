@@ -30,8 +30,9 @@ from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet
 from uoarm_rtm.errors import IdlError
 
-from uoarm.testing import patience
+from uoarm.testing import patience, slowness
 
+LIMIT = 2.0 * slowness()  # longer than the bridges of tests about what hangs wait
 SETS = {
     "default": {"gain": "1", "mode": "slow"},
     "fast": {"gain": "9"},
@@ -44,7 +45,7 @@ class Wanted(PortServant):
     """A CorbaPort that requires one interface."""
 
     def __init__(self, orb: Orb, name: str, interface: Interface) -> None:
-        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
+        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, LIMIT)
         self._interface = interface
         kind = interface.name.split("/")[-1]
         self._key = f"port.{kind}.{kind.lower()}"
@@ -60,7 +61,7 @@ class Wanted(PortServant):
 
     def _subscribe(self, profile: Any) -> None:
         ior = properties_of(profile.properties)[self._key]
-        self._object = narrowed(self.orb.reference(ior), self._interface.stub, 2.0, self.name)
+        self._object = narrowed(self.orb.reference(ior), self._interface.stub, LIMIT, self.name)
 
     def _release(self, connector_id: str) -> None:
         self._object = None
@@ -110,7 +111,8 @@ class Process:
     """The component and the commands that it obeys, one method each."""
 
     def __init__(self, nameserver: str, name: str, type_id: str, idl: str) -> None:
-        self._orb = Orb("127.0.0.1", 2.0, int(os.environ.get("PEER_MOST_OCTETS", "268435456")))
+        most_octets = int(os.environ.get("PEER_MOST_OCTETS", "268435456"))
+        self._orb = Orb("127.0.0.1", LIMIT, most_octets)
         self._types = Types([idl] if idl else [])
         self._received: list[Any] = []
         self._calls: list[str] = []
@@ -132,7 +134,7 @@ class Process:
         self._in = self._component.add_in_port("in", type_id, self._types, self._take)
         self._out = self._component.add_out_port("out", type_id, self._types)
         path = name if name.endswith(".rtc") else f"{name}.rtc"
-        self._component.bind([NamingService(self._orb, nameserver, 2.0)], path)
+        self._component.bind([NamingService(self._orb, nameserver, LIMIT)], path)
 
     def write(self, message: Any) -> None:
         self._out.write(message)
@@ -297,7 +299,7 @@ class Process:
 
     def connect(self, nameserver: str, path: str, port: str, properties: dict[str, str]) -> str:
         """Connect our OutPort to an InPort of another component, as a tool would."""
-        found = peer_at(path, NamingService(self._orb, nameserver, 2.0).resolve(path), 2.0)
+        found = peer_at(path, NamingService(self._orb, nameserver, LIMIT).resolve(path), LIMIT)
         ports = [self._out.reference, found.port(port).reference]
         profile = RTC.ConnectorProfile("tool", "", ports, pairs(properties))
         code, _ = self._out.connect(profile)

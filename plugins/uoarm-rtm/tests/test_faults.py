@@ -18,7 +18,7 @@ from uoarm_rtm._nameserver import NameServer
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import patience, slowness, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -74,7 +74,7 @@ def test_a_death_in_mid_flow_harms_no_other_channel(bridge: Bridge, peer: Start)
 
 
 def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None:
-    bridge = make_bridge(call_timeout=0.3)
+    bridge = make_bridge(call_timeout=0.3 * slowness())
     component = peer("Mortal")
     events = Inbox()
     bridge.watch(events)
@@ -95,7 +95,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
 def test_a_connection_that_a_hung_component_makes_later_is_undone(
     make_bridge: Make, peer: Start
 ) -> None:
-    bridge = make_bridge(call_timeout=0.4, watch=0)
+    bridge = make_bridge(call_timeout=0.4 * slowness(), watch=0)
     component = peer("Mortal")
     structure = bridge.describe(OUT).message
     assert structure is not None

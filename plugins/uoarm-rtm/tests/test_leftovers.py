@@ -18,7 +18,7 @@ from uoarm_rtm._journal import Entry, Journal, journal
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role
-from uoarm.testing import patience, wait
+from uoarm.testing import patience, slowness, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -107,7 +107,7 @@ def test_what_hangs_is_left_to_the_process_after_the_next(
     second.freeze()
     peer("Other")
     other = endpoint(Role.OUTPUT, "Other.rtc", "out")
-    source(make_bridge(call_timeout=0.5), other, Inbox())
+    source(make_bridge(call_timeout=0.5 * slowness()), other, Inbox())
     second.thaw()
     wait(lambda: first.connectors()[1] == 0)
     source(make_bridge(), other, Inbox())

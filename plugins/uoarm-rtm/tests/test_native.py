@@ -13,7 +13,7 @@ from peers import Peer
 from uoarm import RobotManager
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Health, Role
-from uoarm.testing import wait
+from uoarm.testing import slowness, wait
 
 Start = Callable[..., Peer]
 
@@ -55,7 +55,7 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     make_bridge: Callable[..., Bridge], peer: Start, fault: str
 ) -> None:
     happen, blamed, words = FAULTS[fault]
-    bridge, events = make_bridge(call_timeout=1), Inbox()
+    bridge, events = make_bridge(call_timeout=slowness()), Inbox()
     bridge.watch(events)
     ends = {"From": peer("From"), "Into": peer("Into")}
     for each in ends.values():
