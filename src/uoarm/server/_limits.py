@@ -60,7 +60,7 @@ class Limits:
     streams: int = field(default=256, validator=ge(1))
     calls: int = field(default=32, validator=ge(1))
     workers: int = field(default=64, validator=ge(1))
-    openings: int = field(default=16, validator=ge(1))
+    openings: int = field(default=64, validator=ge(1))
     messages_per_second: float = field(default=20_000.0, validator=gt(0))
     octets_per_second: float = field(default=134_217_728.0, validator=gt(0))
     elements_per_second: float = field(default=1_000_000.0, validator=gt(0))
