@@ -53,11 +53,13 @@ def test_the_suggestion_can_be_pasted(file: Path) -> None:
 
 def test_without_a_bridge_that_can_answer_the_exit_code_says_so(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
-    path.write_text("version: 1\nbridges: {python: {}}\nfunctions: {}\n", encoding="utf-8")
+    path.write_text(
+        "version: 1\nbridges: {gone: {plugin: nowhere}}\nfunctions: {}\n", encoding="utf-8"
+    )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Registry, "types", {"python": Registry().types["python"]})
+        patch.setattr(Registry, "types", {})
         assert run("discover", "-f", path).exit_code == 4
-        assert "python: cannot list components" in run("suggest", "-f", path).output
+        assert "there is no plugin 'nowhere'" in run("suggest", "-f", path).output
 
 
 def test_what_is_different_is_told_as_lines() -> None:

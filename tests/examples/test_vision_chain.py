@@ -98,3 +98,37 @@ def test_every_message_matches_its_structure_and_none_is_lost(
     videos = [name for name in filled.expected if name.endswith(".mp4")]
     assert len(seen) == 3 * len(videos) + len(filled.expected) - len(videos)
     assert all(names == [filled.expected[source]] for source, names in seen)
+
+
+NEEDS = """
+version: 1
+bridges:
+  python:
+    options:
+      path: [$HERE]
+      discover:
+        - {component: "uoarm_vision.lbph:LbphRecogniser", parameters: {gallery: x}}
+        - "uoarm_vision.haar:HaarDetector"
+        - {component: "uoarm_vision.camera:camera", parameters: {path: x, excerpt: 90}}
+        - {component: "uoarm_vision.resnet:ResnetRecogniser", parameters: {gallery: x}}
+        - "uoarm_vision.hog:HogDetector"
+functions:
+  camera: {needs: {like: Frame}}
+  faceDetection: {needs: {like: Faces, name: [Hog*, "*"]}}
+  faceRecognition: {needs: {like: People, name: [Resnet*, "*"]}}
+"""
+
+
+def provided(robot: RobotManager) -> list[str]:
+    """Return what provides the functions of the scene, in the order of the steps."""
+    plan = robot.resolve("faceRecognition")
+    return [step.component.outputs[0].endpoint.address[0] for step in plan.steps]
+
+
+def test_three_lines_of_needs_choose_what_the_written_file_chooses(vision: Path) -> None:
+    with RobotManager.from_file(vision / "robot.yaml") as robot:
+        written = provided(robot)
+    with RobotManager(loads(NEEDS.replace("$HERE", str(vision)))) as robot:
+        assert provided(robot) == written
+        spare = robot.config.functions["faceDetection"].components[1]
+    assert spare.outputs[0].endpoint.address == ("uoarm_vision.haar:HaarDetector",)

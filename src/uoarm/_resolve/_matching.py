@@ -94,7 +94,7 @@ def offers(
     assert need is not None, "the caller looked"
     named = {_place(end) for one in function.components for end in _ends(one)}
     fitting: list[Offer] = []
-    passed: list[tuple[str, str]] = []
+    passed = list(_without_ports(function, findings, bridges))
     for spec, found, port in _looked_at(need, findings, bridges):
         name = candidate_name(function.name, spec.name, found, port)
         if _place(port.endpoint) in named:
@@ -113,6 +113,19 @@ def offers(
         fitting.append(Offer(spec, found, port, (*rank, name), told))
     fitting.sort(key=lambda one: one.rank)
     return fitting, sorted(passed)
+
+
+def _without_ports(
+    function: Function, findings: Iterable[BridgeFindings], bridges: Mapping[str, BridgeSpec]
+) -> Iterator[tuple[str, str]]:
+    """Yield components of the right name that show no port, with what is said of them."""
+    names = function.needs.names if function.needs is not None else ()
+    for each in findings:
+        for found in each.components if each.bridge in bridges else ():
+            if not found.ports and _first(names, (found.name, found.name.lstrip("/"))) is not None:
+                name = f"{function.name}@{each.bridge}/{found.name.lstrip('/')}"
+                if len(name) <= _LONGEST_NAME and name.isprintable():
+                    yield name, found.detail or "it shows no port"
 
 
 def _looked_at(

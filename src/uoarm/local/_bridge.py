@@ -17,12 +17,14 @@ from uoarm.bridge import (
     Capabilities,
     Channel,
     Description,
+    Discovered,
     ServiceStructures,
     Sink,
     Source,
     hookimpl,
 )
 from uoarm.local._instance import Instance
+from uoarm.local._listing import LISTED, listed
 from uoarm.local._loop import Coroutines, LoopThread
 from uoarm.local._modules import Modules
 from uoarm.local._target import Target, find
@@ -45,6 +47,7 @@ _OPTIONS = {
             "exclusiveMinimum": 0,
             "description": "Seconds that an `async def` handler may take for a message (10).",
         },
+        "discover": LISTED,
     },
     "additionalProperties": False,
 }
@@ -70,12 +73,14 @@ class PythonBridge(Bridge):
     event loop of the bridge and is cancelled when its component closes.
     """
 
-    capabilities = Capabilities(call=True)
+    capabilities = Capabilities(discover=True, call=True)
 
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         path: Any = options.get("path", ())
         self._modules = Modules(path)
+        listing: Any = options.get("discover", ())
+        self._listing = tuple(listing)
         self._targets: dict[tuple[str, ...], Target] = {}
         seconds: Any = options.get("timeout", _HANDLER_SECONDS)
         self._handler_seconds = float(seconds)
@@ -87,6 +92,9 @@ class PythonBridge(Bridge):
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._target(endpoint).describe(endpoint)
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return tuple(listed(self.name, self._listing, self._of_address))
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
@@ -156,9 +164,12 @@ class PythonBridge(Bridge):
         self._loop.close()
 
     def _target(self, endpoint: Endpoint) -> Target:
-        target = self._targets.get(endpoint.address)
+        return self._of_address(endpoint.address)
+
+    def _of_address(self, address: tuple[str, ...]) -> Target:
+        target = self._targets.get(address)
         if target is None:
-            target = self._targets[endpoint.address] = find(endpoint.address, self._modules)
+            target = self._targets[address] = find(address, self._modules)
         return target
 
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:

@@ -77,7 +77,7 @@ class Target:
     def source_name(self) -> str | None:
         """Return the name of the method with which a class is a source; None where it is none."""
         names = ("__iter__", "__aiter__")
-        return next((one for one in names if self._own(one) is not None), None)
+        return next((one for one in names if self.own(one) is not None), None)
 
     def method(self, endpoint: Endpoint) -> Any:
         """Return the callable behind a port, unbound; None for outputs that other methods feed.
@@ -88,7 +88,7 @@ class Target:
         if not self.is_class:
             return self.value
         if endpoint.role is Role.OUTPUT:
-            found = self._own(self.source_name() or "__call__")
+            found = self.own(self.source_name() or "__call__")
             if found is not None or any(
                 inspect.isfunction(one) and not name.startswith("_")
                 for name, one in inspect.getmembers(self.value)
@@ -97,7 +97,7 @@ class Target:
             text = f"{self.name} has no method that gives messages: __iter__, __call__ or others"
             raise BridgeError(text, FailureReason.NOT_FOUND)
         name = "__call__" if endpoint.port == "default" else endpoint.port
-        found = self._own(name)
+        found = self.own(name)
         if found is None:
             text = f"{self.name} has no method {name!r} for the port {endpoint.port!r}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
@@ -133,7 +133,7 @@ class Target:
         if self.is_class and endpoint.role is Role.OUTPUT:
             return self.source_name() is None
         method = self.method(endpoint)
-        return self._first_unfilled(method, endpoint.parameters) is not None
+        return self.first_unfilled(method, endpoint.parameters) is not None
 
     def reader(self, endpoint: Endpoint) -> Callable[[Message], Any] | None:
         """Return what makes the value that a port takes of a message; None: the message is that.
@@ -200,11 +200,11 @@ class Target:
         except ValueError:  # what is written in C may have no signature
             return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}
         if not self.is_class:
-            accepted.pop(self._first_unfilled(self.value, given) or "", None)
+            accepted.pop(self.first_unfilled(self.value, given) or "", None)
             return accepted, self._hints(self.value)
         return accepted, self._hints(self.value.__init__)
 
-    def _own(self, name: str) -> Any:
+    def own(self, name: str) -> Any:
         """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
         if any(name in vars(one) for one in self.value.__mro__):
             return getattr(self.value, name, None)
@@ -233,13 +233,13 @@ class Target:
         return found
 
     def _message_parameter(self, endpoint: Endpoint) -> str:
-        name = self._first_unfilled(self.method(endpoint), endpoint.parameters)
+        name = self.first_unfilled(self.method(endpoint), endpoint.parameters)
         if name is None:
             text = f"{self.name} takes no message: every parameter has a value"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         return name
 
-    def _first_unfilled(self, method: Any, given: Options) -> str | None:
+    def first_unfilled(self, method: Any, given: Options) -> str | None:
         """Return the name of the parameter that takes the message: the first that nothing fills."""
         for one in self._parameters(method)[1 if self.is_class else 0 :]:
             positional = one.kind in {one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD}
