@@ -51,6 +51,28 @@ def test_the_suggestion_can_be_pasted(file: Path) -> None:
     assert set(loads(FILE + functions).functions) == {"camera", "detector"}
 
 
+def test_the_suggestion_is_added_to_a_file(file: Path) -> None:
+    before = file.read_text(encoding="utf-8")
+    done = run("suggest", "--merge", file)
+    assert (done.exit_code, "lines added" in done.output) == (0, True), done.output
+    merged = file.read_text(encoding="utf-8")
+    assert merged.startswith(before.rstrip("\n"))
+    assert set(loads(merged).functions) == {"camera", "detector"}
+    assert "has everything already" in run("suggest", "--merge", file).output
+    assert file.read_text(encoding="utf-8") == merged
+
+
+def test_frameworks_are_shown_with_what_they_offer(file: Path) -> None:
+    done = run("status", "--bridges", "-f", file)
+    assert done.exit_code == 0, done.output
+    assert "lab  memory  reachable\n" in done.output
+    assert "  for camera\n" in done.output
+    told = json.loads(run("status", "--bridges", "-f", file, "--json").output)
+    (lab,) = [one for one in told if one["bridge"] == "lab"]
+    assert (lab["is_configured"], lab["is_reachable"], lab["functions"]) == (True, True, ["camera"])
+    assert "detector" in lab["components"]
+
+
 def test_without_a_bridge_that_can_answer_the_exit_code_says_so(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(

@@ -62,6 +62,19 @@ def test_who_has_the_right_changes_it_and_sees_the_revisions(guarded: Server) ->
         assert [one["revision"] for one in revisions] == [0, 1]
 
 
+def test_an_earlier_revision_comes_back_by_its_number(guarded: Server) -> None:
+    with enter(guarded, "keeper") as keeper:
+        keeper.ask("Configure", message={"text": MORE})
+        refused = keeper.refused("Configure", message={"rollback": 5})
+        assert (refused["code"], "0 to 1" in refused["text"]) == ("usage", True)
+        refused = keeper.refused("Configure", message={"rollback": 0, "revision": 0})
+        assert refused["code"] == "usage"
+        refused = keeper.refused("Configure", message={"rollback": 0, "text": MORE})
+        assert refused["code"] == "unreadable"
+        change = keeper.ask("Configure", message={"rollback": 0})
+        assert (change["revision"], change["differences"][-1]) == (2, "- function torch")
+
+
 def test_who_has_not_is_denied_and_learns_nothing(guarded: Server) -> None:
     with enter(guarded, "viewer") as viewer:  # a pattern of functions is not enough
         for asked in ({"text": MORE}, {"text": "no: configuration"}, None):
@@ -100,6 +113,7 @@ def test_the_python_client(guarded: Server) -> None:
             assert [one["revision"] for one in await keeper.revisions()] == [0, 1]
             with pytest.raises(ConfigurationError, match="funktions"):
                 await keeper.configure("version: 1\nfunktions: {}\n")
+            assert (await keeper.rollback(0, dry_run=True))["revision"] == 2
             with pytest.raises(UsageError, match="revision 7"):
                 await keeper.configure(MORE, revision=7)
         async with connect(url(guarded), token=TOKENS["viewer"]) as viewer:
@@ -121,6 +135,13 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     assert (done.exit_code, done.output.splitlines()[0]) == (0, "revision 1, not applied")
     assert json.loads(apply(guarded, path, "--json").output)["is_applied"]
     assert apply(guarded, path, "--revision", "0").exit_code == 1
+    assert apply(guarded, tmp_path / "none.yaml", "--rollback", "0").exit_code == 0
+    asked = ["history", "--url", url(guarded), "--token"]
+    told = CliRunner().invoke(main, [*asked, TOKENS["keeper"]])
+    assert (told.exit_code, "+ function torch" in told.output) == (0, True)
+    told = CliRunner().invoke(main, [*asked, TOKENS["keeper"], "--json"])
+    assert [one["revision"] for one in json.loads(told.output)] == [0, 1, 2]
+    assert CliRunner().invoke(main, [*asked, TOKENS["viewer"]]).exit_code == 4
     assert apply(guarded, path, who="viewer").exit_code == 4
     path.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")
     done = apply(guarded, path)

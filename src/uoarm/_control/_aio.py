@@ -379,6 +379,26 @@ class AsyncRobotManager(_Closing):
         reload = partial(self.robot.reload, path, dry_run=dry_run, force=force, timeout=timeout)
         return await self._outside(reload)
 
+    async def rollback(
+        self,
+        to: int,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Apply an earlier revision's configuration again, as `RobotManager.rollback` does."""
+        change = partial(
+            self.robot.rollback,
+            to,
+            dry_run=dry_run,
+            force=force,
+            revision=revision,
+            timeout=timeout,
+        )
+        return await self._outside(change)
+
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
         return self.robot.history()

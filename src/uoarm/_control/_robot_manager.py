@@ -426,6 +426,34 @@ class RobotManager:
         robot = load(path, self.registry.types)
         return self.apply(robot, dry_run=dry_run, force=force, timeout=timeout)
 
+    def rollback(
+        self,
+        to: int,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Apply the configuration of an earlier revision again, as a revision of its own.
+
+        Args:
+            to: the number of the revision.
+            dry_run: as `apply` has it, and so `force`, `revision` and `timeout`.
+            force: likewise.
+            revision: likewise.
+            timeout: likewise.
+
+        Raises:
+            UsageError: there is no such revision, or it was too long ago; or as `apply`.
+            ConfigurationError: as `apply`.
+        """
+        kept = {one.revision: one.robot for one in self.history()}
+        robot = kept.get(to)
+        if robot is None:
+            raise UsageError(f"revision {to} is not kept: {min(kept)} to {max(kept)} are")
+        return self.apply(robot, dry_run=dry_run, force=force, revision=revision, timeout=timeout)
+
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
         return self._revisions.history()

@@ -7,17 +7,20 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import click
 
 from uoarm import RobotManager
+from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
-from uoarm.config import load
+from uoarm.config import load, merge
 from uoarm.config import suggest as suggestion_for
+from uoarm.errors import UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
 
-__all__ = ["discover", "suggest"]
+__all__ = ["discover", "looking", "suggest"]
 
 _file_option = click.option(
     "-f",
@@ -48,7 +51,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     Plugins that the file does not mention are asked too, with their default options. Exit code 4
     when no bridge could answer.
     """
-    with _looking(file) as (robot, _):
+    with looking(file) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:
             _print_json(findings, in_one_line=watch)
@@ -69,22 +72,46 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
 @click.command()
 @_file_option
 @_timeout_option
-def suggest(file: str | None, *, timeout: float) -> None:
+@click.option(
+    "--merge",
+    "into",
+    type=click.Path(dir_okay=False, exists=True),
+    help="Add the lines to this file, which stays as it is otherwise; with no -f it is read, too.",
+)
+def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
     """Write the configuration of what bridges see and FILE does not name yet.
 
     Inputs are fed by what was proven to fit; where several would do, they are listed.
     """
-    with _looking(file) as (robot, given):
+    file = into if file is None and into is not None else file
+    before = Path(into).read_bytes() if into is not None else b""
+    with looking(file) as (robot, given):
         findings = robot.discover(timeout=timeout)
         for one in findings:
             if one.cause:
                 click.echo(f"{one.bridge}: {one.cause}", err=True)
-        click.echo(suggestion_for(given, findings, configured=given.bridges), nl=False)
+        lines = suggestion_for(given, findings, configured=given.bridges)
+        if into is None:
+            click.echo(lines, nl=False)
+        else:
+            _merge_into(Path(into), before, lines)
         sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
 
 
+def _merge_into(path: Path, before: bytes, lines: str) -> None:
+    """Add suggested lines to a file, unless somebody else changed it meanwhile."""
+    merged = merge(before.decode(), lines).encode()
+    if path.read_bytes() != before:
+        raise UsageError(f"{path} was changed meanwhile: nothing was added")
+    if merged == before:
+        click.echo(f"{path}: it has everything already")
+        return
+    write_whole(path, merged)
+    click.echo(f"{path}: {len(merged.splitlines()) - len(before.splitlines())} lines added")
+
+
 @contextmanager
-def _looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
+def looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
     """Give a manager with a bridge for each plugin, and the configuration as the file has it."""
     registry = Registry()
     with reporting():

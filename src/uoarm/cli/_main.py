@@ -12,7 +12,7 @@ import click
 import uoarm
 from uoarm._resolve import NoPlanError
 from uoarm.bridge import Registry
-from uoarm.cli._apply import apply
+from uoarm.cli._apply import apply, history
 from uoarm.cli._certificates import certificates
 from uoarm.cli._checks import plugin_facts
 from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
@@ -169,6 +169,7 @@ def doctor(*, file: str | None, as_json: bool) -> None:
 
 
 main.add_command(apply)
+main.add_command(history)
 main.add_command(certificates)
 main.add_command(discover)
 main.add_command(env)

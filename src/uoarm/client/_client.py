@@ -236,7 +236,27 @@ class Client:
             UsageError: another revision is in force.
             ServerError: the role may not.
         """
-        wanted: dict[str, Any] = {"text": text, "dry_run": dry_run, "force": force}
+        return await self._change({"text": text}, dry_run, force, revision)
+
+    async def rollback(
+        self,
+        to: int,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+    ) -> Mapping[str, Any]:
+        """Have the configuration of an earlier revision again; otherwise as `configure`."""
+        return await self._change({"rollback": to}, dry_run, force, revision)
+
+    async def _change(
+        self,
+        what: Mapping[str, Any],
+        dry_run: bool,  # noqa: FBT001
+        force: bool,  # noqa: FBT001
+        revision: int | None,
+    ) -> Mapping[str, Any]:
+        wanted: dict[str, Any] = {**what, "dry_run": dry_run, "force": force}
         if revision is not None:
             wanted["revision"] = revision
         change: Mapping[str, Any] = await self._ask("Configure", jsonMessage=wanted)

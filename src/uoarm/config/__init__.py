@@ -4,6 +4,7 @@ from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._difference import Difference, compare
 from uoarm.config._load import Report, inspect, load, loads
+from uoarm.config._merging import merge
 from uoarm.config._shape import published_schema
 from uoarm.config._suggestion import suggest
 
@@ -19,6 +20,7 @@ __all__ = [
     "installation",
     "load",
     "loads",
+    "merge",
     "published_schema",
     "suggest",
 ]

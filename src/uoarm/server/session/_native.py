@@ -208,7 +208,7 @@ class NativeSession:
         if wanted is None:
             self._reply(asked, {"revisions": _told(self._registry.robot.history())})
             return
-        changed = await self._registry.configure(wanted["text"], wanted)
+        changed = await self._registry.configure(wanted)
         self._reply(asked, _told((changed,))[0])
 
     def _list(self, asked: ControlMessage) -> None:

@@ -70,6 +70,10 @@ export class Robot {
     text: string,
     options?: { dry_run?: boolean; force?: boolean; revision?: number },
   ): Promise<Record<string, unknown>>;
+  rollback(
+    to: number,
+    options?: { dry_run?: boolean; force?: boolean; revision?: number },
+  ): Promise<Record<string, unknown>>;
   status(): Promise<Record<string, unknown>>;
   watch(): Promise<AsyncIterable<Change>>;
   close(): void;

@@ -152,6 +152,11 @@ export class Robot {
     return this.#ask({ op: "Configure", jsonMessage: { text, ...options } });
   }
 
+  /** Have the configuration of an earlier revision again; options as `configure`. */
+  async rollback(revision, options = {}) {
+    return this.#ask({ op: "Configure", jsonMessage: { rollback: revision, ...options } });
+  }
+
   /** The status map, and in `own` what this client received and lost. */
   async status() {
     return this.#ask({ op: "Status" });

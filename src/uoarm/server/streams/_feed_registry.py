@@ -238,26 +238,24 @@ class FeedRegistry:
         """
         return await self.workers.start(lambda: act(self.robot.resolve(name)))
 
-    async def configure(self, text: str, options: Mapping[str, Any]) -> ConfigurationChange:
-        """Change the configuration of the robot to this text, in a worker.
+    async def configure(self, options: Mapping[str, Any]) -> ConfigurationChange:
+        """Change the configuration of the robot, in a worker.
 
         Args:
-            text: the whole configuration.
-            options: `dry_run`, `force` and `revision`, as `RobotManager.apply` has them.
+            options: `text`, the whole configuration, or `rollback`, a revision; and `dry_run`,
+                `force` and `revision`, as `RobotManager.apply` has them.
 
         Raises:
             UoarmError: as `RobotManager.apply`, and BusyError.
         """
         robot = self.robot
+        how = {name: options[name] for name in ("dry_run", "force", "revision") if name in options}
 
         def apply() -> ConfigurationChange:
-            wanted = loads(text, robot.config.origin, robot.registry.types)
-            return robot.apply(
-                wanted,
-                dry_run=options.get("dry_run", False),
-                force=options.get("force", False),
-                revision=options.get("revision"),
-            )
+            if "rollback" in options:
+                return robot.rollback(options["rollback"], **how)
+            wanted = loads(options["text"], robot.config.origin, robot.registry.types)
+            return robot.apply(wanted, **how)
 
         return await self.workers.start(apply)
 
