@@ -6,6 +6,8 @@ import pytest
 from attrs import evolve
 
 from uoarm import ResolutionError, RobotManager
+from uoarm._control import _candidate_watch
+from uoarm.bridge import Discovered
 from uoarm.config import loads
 from uoarm.model import Robot, Schema
 from uoarm.testing import MemoryBridge, patience, wait
@@ -19,11 +21,22 @@ HEAD = (
 CAMERA = HEAD + "  camera: {needs: {structure: {type: integer}}}\n"
 
 
+class Showing(MemoryBridge):
+    """A bridge that does not show everything."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, {})
+        self.hidden: set[str] = set()
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        return tuple(one for one in super()._discover() if one.name not in self.hidden)
+
+
 class Lab:
     """Two bridges of a robot, of which one counts as hosted."""
 
     def __init__(self) -> None:
-        self.lab, self.far = MemoryBridge("lab", {}), MemoryBridge("far", {})
+        self.lab, self.far = Showing("lab"), Showing("far")
 
     def manager(self, text: str | Robot) -> RobotManager:
         """Return a manager over them."""
@@ -32,7 +45,8 @@ class Lab:
 
 
 @pytest.fixture
-def lab() -> Lab:
+def lab(monkeypatch: pytest.MonkeyPatch) -> Lab:
+    monkeypatch.setattr(_candidate_watch, "_EVERY_SECONDS", 0.05)
     return Lab()
 
 
@@ -122,6 +136,21 @@ def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) 
         wait(lambda: len(camera.gaps) == 1)
         second.emit(2)
         assert [camera.get(timeout=patience()) for _ in range(2)] == [1, 2]
+
+
+def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> None:
+    head = lab.lab.emitter("head", NUMBER)
+    with lab.manager(CAMERA) as manager:
+        camera = manager.request("camera")
+        lab.lab.hidden.add("head")
+        lab.far.emitter("other", NUMBER)
+        wait(lambda: "camera@far/other" in candidates(manager, "camera"))
+        assert "camera@lab/head" in candidates(manager, "camera")
+        head.emit(1)
+        assert camera.get(timeout=patience()) == 1
+        assert camera.gaps == ()
+        camera.kill()
+        wait(lambda: candidates(manager, "camera") == ["camera@far/other"])
 
 
 def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:
