@@ -8,7 +8,7 @@ from attrs import evolve
 from uoarm import ResolutionError, RobotManager
 from uoarm._control import _candidate_watch
 from uoarm.bridge import Discovered
-from uoarm.config import loads
+from uoarm.config import loads, suggest
 from uoarm.model import Robot, Schema
 from uoarm.testing import MemoryBridge, patience, wait
 
@@ -89,6 +89,15 @@ def test_where_nothing_of_the_kind_is_seen_that_is_said(lab: Lab) -> None:
     with lab.manager(CAMERA) as manager, pytest.raises(ResolutionError) as refused:
         manager.resolve("camera")
     assert "no bridge sees a component of that kind, role and name" in str(refused.value)
+
+
+def test_what_is_seen_is_told_as_if_it_were_no_candidate(lab: Lab) -> None:
+    lab.lab.emitter("head", NUMBER)
+    with lab.manager(CAMERA) as manager:
+        manager.resolve("camera")
+        seen, _ = manager.discover()
+        assert seen.components[0].ports[0].used_by == ()
+        assert "  head:  # head of lab" in suggest(loads(CAMERA), manager.discover())
 
 
 def test_who_is_named_comes_first_and_is_never_replaced(lab: Lab) -> None:

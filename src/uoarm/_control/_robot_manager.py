@@ -344,7 +344,7 @@ class RobotManager:
             timeout: seconds for each bridge, its start included; several are asked at once.
         """
         self._require_open()
-        return discover(self.config, self._bridges.get, timeout)
+        return discover(self._revisions.current.base, self._bridges.get, timeout)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
