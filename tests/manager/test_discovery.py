@@ -45,6 +45,14 @@ def test_what_a_bridge_sees_is_told_with_who_uses_it() -> None:
     assert "there is no plugin 'nowhere'" in gone.cause
 
 
+def test_a_port_whose_structure_is_huge_is_left_out_and_counted() -> None:
+    huge: Schema = {"enum": list(range(400_000))}
+    seen, _ = find(loads(ROBOT), make_lab(hostile=huge))
+    assert [one.name for one in seen.components] == ["detector", "head"]
+    assert seen.left_out == 1
+    assert "and 1 ports more, beyond the limit" in str(seen)
+
+
 def test_an_input_is_fed_by_the_one_output_that_is_proven_to_fit() -> None:
     robot = loads(ROBOT)
     text = suggest(robot, find(robot, make_lab()))

@@ -7,14 +7,23 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
 from uoarm import _bounded
-from uoarm.bridge import Bridge, Discovered
+from uoarm.bridge import Bridge, Description, Discovered
 from uoarm.errors import UoarmError
-from uoarm.model import BridgeFindings, Endpoint, FoundComponent, FoundPort, Robot, Role
+from uoarm.model import (
+    BridgeFindings,
+    Endpoint,
+    FoundComponent,
+    FoundPort,
+    Robot,
+    Role,
+    message_octets,
+)
 
 __all__ = ["discover"]
 
 _AT_ONCE = 8
 _MOST_PORTS = 10_000
+_MOST_OCTETS = 2_000_000
 
 _Place: TypeAlias = tuple[str, Role, tuple[str, ...]]
 
@@ -64,10 +73,12 @@ def _findings(
     users: dict[_Place, list[str]],
 ) -> BridgeFindings:
     components: list[FoundComponent] = []
-    left = _MOST_PORTS
+    left, too_large = _MOST_PORTS, 0
     for one in sorted(found, key=lambda each: each.name):
         taken = one.endpoints[: max(0, left)]
         left -= len(one.endpoints)
+        bounded = [(end, said) for end, said in taken if not _is_too_large(said)]
+        too_large += len(taken) - len(bounded)
         ports = tuple(
             FoundPort(
                 endpoint,
@@ -76,11 +87,17 @@ def _findings(
                 said.reply,
                 tuple(dict.fromkeys(users.get(_place(endpoint), ()))),
             )
-            for endpoint, said in taken
+            for endpoint, said in bounded
         )
         if ports or not one.endpoints:
             components.append(FoundComponent(one.name, ports, one.detail))
-    return BridgeFindings(bridge, plugin, tuple(components), left_out=max(0, -left))
+    return BridgeFindings(bridge, plugin, tuple(components), left_out=max(0, -left) + too_large)
+
+
+def _is_too_large(said: Description) -> bool:
+    """Say whether a port's structures are more than a robot's configuration may be made of."""
+    told = [one.schema for one in (said.message, said.request, said.reply) if one is not None]
+    return message_octets(told, most=_MOST_OCTETS) > _MOST_OCTETS
 
 
 def _place(endpoint: Endpoint) -> _Place:
