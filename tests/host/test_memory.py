@@ -46,3 +46,10 @@ def test_a_host_that_leaks_till_it_can_do_nothing_is_ended(tmp_path: Path) -> No
 def test_a_host_that_cannot_start_within_its_memory_says_so(tmp_path: Path) -> None:
     with pytest.raises(BridgeError, match="it might have 1 MiB of memory"):
         hosted.bridge(tmp_path, memory="1 MiB")
+
+
+def test_a_host_keeps_the_memory_of_large_messages(tmp_path: Path) -> None:
+    bridge = hosted.bridge(tmp_path)
+    variables = Path(f"/proc/{bridge.process}/environ").read_bytes().split(b"\0")
+    assert {b"MALLOC_MMAP_THRESHOLD_=33554432", b"MALLOC_TRIM_THRESHOLD_=268435456"} <= {*variables}
+    bridge.close()

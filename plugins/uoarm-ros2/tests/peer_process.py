@@ -11,12 +11,14 @@ from contextlib import suppress
 from typing import Any
 
 import rclpy
+import test_msgs.msg
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -172,6 +174,13 @@ class Doer:
         self.node.create_subscription(PoseStamped, come, pass_on, everything)
         return {}
 
+    def pass_on(self, come: str, go: str, kind: str) -> dict[str, Any]:
+        """Publish what comes, of any type of test_msgs."""
+        native = getattr(test_msgs.msg, kind)
+        publisher = self.node.create_publisher(native, go, profile())
+        self.node.create_subscription(native, come, publisher.publish, profile())
+        return {}
+
     def call(self, name: str, value: bool) -> dict[str, Any]:
         client = self.node.create_client(SetBool, name, callback_group=self.group)
         assert client.wait_for_service(PATIENCE)
@@ -235,7 +244,8 @@ def obey(doer: Doer) -> None:
 
 def main() -> None:
     rclpy.init(args=[])
-    node = Node(sys.argv[1])
+    described = Parameter("start_type_description_service", value="silent" not in sys.argv)
+    node = Node(sys.argv[1], parameter_overrides=[described])
     threads = "threads" in sys.argv
     executor = MultiThreadedExecutor(num_threads=4) if threads else SingleThreadedExecutor()
     executor.add_node(node)

@@ -12,12 +12,17 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from messages import MESSAGE_TYPES, messages_of
 from uoarm_ros2 import _actions, _services
-from uoarm_ros2._discovery import message_structure
+from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
 
 from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import MessageStructure
 from uoarm.schema import check
+
+
+def message_structure(name: str) -> MessageStructure:
+    return structure_of(shape_of(import_type(name), name))
 
 
 def schema(name: str) -> Any:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -54,11 +56,68 @@ def test_images_of_six_megabytes_flow(bridge: Bridge, peer: Start) -> None:
     camera = peer("camera")
     camera.do("advertise", topic="/image", kind="Image")
     inbox = Inbox()
-    source(bridge, endpoint(Role.OUTPUT, "/image", "sensor_msgs/msg/Image"), inbox)
+    at = endpoint(Role.OUTPUT, "/image", "sensor_msgs/msg/Image", qos={"depth": 20})
+    source(bridge, at, inbox)
     camera.do("publish", topic="/image", count=20, size=6_000_000, period=0.03)
     images = inbox.wait_for(20)
     assert [image["height"] for image in images] == list(range(1, 21))
     assert all(len(image["data"]) == 6_000_000 for image in images)
+
+
+@pytest.mark.parametrize(
+    ("kind", "depth"),
+    [
+        ("sensor_msgs/msg/Image", 5),
+        ("sensor_msgs/msg/PointCloud2", 5),
+        ("sensor_msgs/msg/Imu", 100),
+    ],
+)
+def test_of_what_is_large_few_are_kept(bridge: Bridge, kind: str, depth: int) -> None:
+    options: dict[str, Any] = {"peer": "optional", "wait": 0.0}
+    into = source(bridge, endpoint(Role.OUTPUT, "/kept", kind, **options), print)
+    out = sink(bridge, endpoint(Role.INPUT, "/kept", kind, **options))
+    options["qos"] = {"depth": 7}
+    stated = source(bridge, endpoint(Role.OUTPUT, "/kept", kind, **options), print)
+    kept = [str(each.facts()["qos"]).rsplit(" ", 1)[1] for each in (into, out, stated)]
+    assert kept == [str(depth), str(depth), "7"]
+
+
+def test_as_much_memory_is_shared_as_is_asked_for(
+    make_bridge: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT")
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "SHM")  # nothing leaves the machine
+    folder = Path("/dev/shm")
+    before = set(folder.glob("fastrtps_*"))
+    make_bridge(shared_memory=64)
+    assert max(each.stat().st_size for each in {*folder.glob("fastrtps_*")} - before) >= 64 * 2**20
+    assert os.environ["FASTDDS_BUILTIN_TRANSPORTS"] == "SHM"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST", "ROS 2 makes its own transports"),
+        ("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA?max_msg_size=2MB", "has options of its own"),
+    ],
+)
+def test_shared_memory_that_would_have_no_effect_is_refused(
+    make_bridge: Make, monkeypatch: pytest.MonkeyPatch, name: str, value: str, words: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    with pytest.raises(BridgeError, match=f"shared_memory has no effect: .*{words}"):
+        make_bridge(shared_memory=64)
+
+
+def test_what_a_context_that_ended_does_not_take_is_unavailable(make_bridge: Make) -> None:
+    bridge: Any = make_bridge()
+    at = endpoint(Role.INPUT, "/late", INT64, peer="optional", wait=0.0)
+    out = sink(bridge, at)
+    out.send({"data": 1})
+    bridge._participant._context.try_shutdown()
+    with pytest.raises(BridgeError, match="topic /late takes no message") as raised:
+        out.send({"data": 2})
+    assert raised.value.reason is FailureReason.UNAVAILABLE
 
 
 def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:

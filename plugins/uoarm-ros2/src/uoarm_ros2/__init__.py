@@ -34,7 +34,7 @@ def _create(name: str, options: Options) -> Bridge:
     try:
         from uoarm_ros2._bridge import Ros2Bridge  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        raise PluginError(f"bridge {name!r}: {_missing(error)}") from error
+        raise PluginError(f"bridge {name!r}: {missing(error)}") from error
     return Ros2Bridge(name, options)
 
 
@@ -42,11 +42,12 @@ def _doctor() -> dict[str, str]:
     try:
         from uoarm_ros2._middleware import environment  # noqa: PLC0415 - imports the middleware
     except ImportError as error:
-        raise PluginError(_missing(error)) from error
+        raise PluginError(missing(error)) from error
     return environment()
 
 
-def _missing(error: ImportError) -> str:
+def missing(error: ImportError) -> str:
+    """Return the sentence that says how to get the rclpy that cannot be imported."""
     command = install_command("uoarm-ros2", "jazzy")
     return (
         f"rclpy cannot be imported: install it with {command} (or [kilted]), or source the ROS 2 "

@@ -131,7 +131,15 @@ class Action:
         return self._read_result(reply.result)
 
     def send(self, message: Message) -> None:
-        """Send a goal without waiting for anything."""
+        """Send a goal without waiting for anything.
+
+        Raises:
+            MessageError: the goal does not fit its native type.
+            BridgeError: there is no server, or too many goals are under way.
+        """
+        if not self.ready():
+            text = f"action {self.name} has no server"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
         if len(self._goals) >= _MOST_GOALS:
             text = f"action {self.name} has {_MOST_GOALS} goals under way already"
             raise BridgeError(text, FailureReason.REFUSED)

@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
+from attrs import evolve
+
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -22,23 +24,27 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros2 import _actions, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
-from uoarm_ros2._discovery import Attendance, discovered, message_structure
+from uoarm_ros2._cdr_read import cdr_reader
+from uoarm_ros2._cdr_write import cdr_writer
+from uoarm_ros2._discovery import Attendance, discovered
 from uoarm_ros2._end import Place
 from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._link import Relay, SameTopic
 from uoarm_ros2._middleware import Participant, Station
-from uoarm_ros2._read import reader
+from uoarm_ros2._schema import structure_of
 from uoarm_ros2._services import Caller, Server
 from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
-from uoarm_ros2._shape import shape_of
+from uoarm_ros2._shape import is_described, is_large, shape_of
 from uoarm_ros2._sink import TopicSink
 from uoarm_ros2._source import TopicSource
-from uoarm_ros2._types import ACTION, import_type
+from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, TypeFinder
+from uoarm_ros2._types import ACTION
 from uoarm_ros2._write import writer
 
 __all__ = ["Ros2Bridge"]
 
 _CLOSE_SECONDS = 1.0
+_DESCRIPTION_SECONDS = 2.0
 Watched = TypeVar("Watched", TopicSource, TopicSink, Relay)
 
 
@@ -57,13 +63,16 @@ class Ros2Bridge(Bridge):
         given = {key: value for key, value in options.items() if key != "node"}
         node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
         self._settings = BridgeSettings(node, **given)  # type: ignore[arg-type]  # by the schema
-        self._participant = Participant(self._settings.domain_id, self._settings.namespace)
+        self._participant = Participant(
+            self._settings.domain_id, self._settings.namespace, self._settings.shared_memory
+        )
         try:
             self._station = self._participant.station(node)
         except BaseException:
             self._participant.close(_CLOSE_SECONDS)
             raise
         self._graph = Graph(self._station, self._settings.wait)
+        self._types = TypeFinder(self._ask_for_description, self._station.ends)
         self._attendance = Attendance(
             self._station.node, self._participant.node_names, self._node_changed
         )
@@ -85,7 +94,7 @@ class Ros2Bridge(Bridge):
             return Description(message=_actions.part_structure(address.type, address.part))
         topic = self._graph.topic(address, endpoint.role, settings)
         self._mention_others(topic, endpoint)
-        return Description(message=message_structure(topic.type))
+        return Description(message=self._structure(topic.type, topic.name))
 
     def _describe_service(self, address: Address, settings: Settings) -> Description:
         action, _, type_name = self._require_server(address, settings)
@@ -125,8 +134,8 @@ class Ros2Bridge(Bridge):
         if address.kind == ACTION:
             return self._open_action_source(endpoint, address, settings, deliver)
         place = self._place(endpoint, address, settings)
-        read = reader(shape_of(place.native, place.topic.type))
-        source = TopicSource(place, lambda native: deliver(read(native)))
+        read = cdr_reader(shape_of(place.native, place.topic.type))
+        source = TopicSource(place, read, deliver)
         return self._waited(source)
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -135,7 +144,11 @@ class Ros2Bridge(Bridge):
         if address.kind == ACTION:
             return ActionSink(endpoint, self._reachable(address, settings), address.part)
         place = self._place(endpoint, address, settings)
-        sink = TopicSink(place, writer(shape_of(place.native, place.topic.type)))
+        shape = shape_of(place.native, place.topic.type)
+        write: Callable[[Message], object] = writer(shape)
+        if is_described(place.native):
+            write = _serialising(write, cdr_writer(shape))
+        sink = TopicSink(place, write)
         return self._waited(sink)
 
     def _open_action_source(
@@ -188,21 +201,37 @@ class Ros2Bridge(Bridge):
     def _discover(self) -> tuple[Discovered, ...]:
         self._graph.settled("anything", lambda: False, Settings())
         own = self._participant.node_names()
-        return discovered(self.name, self._station.node, own)
+        return discovered(self.name, self._station.node, own, self._structure)
 
     def _close(self) -> None:
         self._watched.clear()
         self._participant.close(_CLOSE_SECONDS)
 
+    def _structure(self, type_name: str, topic: str) -> MessageStructure:
+        return structure_of(shape_of(self._types.find(type_name, topic), type_name))
+
+    def _ask_for_description(self, node: str, request: Message) -> Message:
+        """Ask a node what a type of its is made of."""
+        name = f"{node}/get_type_description"
+        if not self._station.has_server(name):
+            text = f"there is no service {name}"
+            raise BridgeError(text, FailureReason.NOT_FOUND)
+        return self._caller(name, DESCRIPTION_SERVICE).call(
+            request, _DESCRIPTION_SECONDS, _DESCRIPTION_SECONDS
+        )
+
     def _place(self, endpoint: Endpoint, address: Address, settings: Settings) -> Place:
         topic = self._graph.topic(address, endpoint.role, settings)
         self._mention_others(topic, endpoint)
+        native = self._types.find(topic.type, topic.name)
+        large = is_large(shape_of(native, topic.type))
+        settings = evolve(settings, qos=settings.qos.for_type(large=large))
         return Place(
             self._station,
             self._graph,
             endpoint,
             topic,
-            import_type(topic.type),
+            native,
             settings,
             self._settings.settle,
             self._told,
@@ -272,3 +301,9 @@ class Ros2Bridge(Bridge):
             action.tick()
         self._graph.tick()
         self._attendance.tick()
+
+
+def _serialising(
+    write: Callable[[Message], object], serialise: Callable[[object], bytes]
+) -> Callable[[Message], object]:
+    return lambda message: serialise(write(message))

@@ -11,9 +11,6 @@ from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm_ros2 import _actions, _services
-from uoarm_ros2._schema import structure_of
-from uoarm_ros2._shape import shape_of
-from uoarm_ros2._types import import_type
 
 __all__ = ["Attendance", "discovered"]
 
@@ -33,10 +30,16 @@ class _Node:
     acts: tuple[tuple[str, str], ...]
 
 
-def discovered(bridge: str, node: Any, own: frozenset[str]) -> tuple[Discovered, ...]:
+def discovered(
+    bridge: str,
+    node: Any,
+    own: frozenset[str],
+    structure: Callable[[str, str], MessageStructure],
+) -> tuple[Discovered, ...]:
     """Return every node that is not our own as a component.
 
-    Endpoints whose type is not installed here have no structures; `detail` names what to install.
+    `structure` is given a message type and a topic that carries it. Endpoints whose type is not
+    known have no structures; `detail` says why.
     """
     found = []
     for name, namespace in sorted(set(node.get_node_names_and_namespaces())):
@@ -47,7 +50,7 @@ def discovered(bridge: str, node: Any, own: frozenset[str]) -> tuple[Discovered,
             seen = _look(node, name, namespace)
         except Exception:  # noqa: BLE001, S112 - rclpy's NodeNameNonExistentError: it has just left
             continue
-        found.append(_component(bridge, full, seen))
+        found.append(_component(bridge, full, seen, structure))
     return tuple(found)
 
 
@@ -72,13 +75,20 @@ def _pairs(listing: Iterable[tuple[str, list[str]]]) -> tuple[tuple[str, str], .
     )
 
 
-def _component(bridge: str, name: str, seen: _Node) -> Discovered:
+def _component(
+    bridge: str, name: str, seen: _Node, structure: Callable[[str, str], MessageStructure]
+) -> Discovered:
     endpoints: list[tuple[Endpoint, Description]] = []
     missing: dict[str, str] = {}
 
-    def add(role: Role, address: tuple[str, str], describe: Callable[[str], Description]) -> None:
+    def message(kind: str, topic: str) -> Description:
+        return Description(message=structure(kind, topic))
+
+    def add(
+        role: Role, address: tuple[str, str], describe: Callable[[str, str], Description]
+    ) -> None:
         try:
-            description = describe(address[1])
+            description = describe(address[1], address[0])
         except BridgeError as error:
             description = Description()
             missing[address[1]] = str(error)
@@ -86,23 +96,14 @@ def _component(bridge: str, name: str, seen: _Node) -> Discovered:
         endpoints.append((Endpoint(bridge, name, role, address, port=port), description))
 
     for address in seen.publishes:
-        add(Role.OUTPUT, address, _message)
+        add(Role.OUTPUT, address, message)
     for address in seen.subscribes:
-        add(Role.INPUT, address, _message)
+        add(Role.INPUT, address, message)
     for address in seen.serves:
-        add(Role.SERVICE, address, _services.described)
+        add(Role.SERVICE, address, lambda kind, _: _services.described(kind))
     for address in seen.acts:
-        add(Role.SERVICE, address, _actions.described)
+        add(Role.SERVICE, address, lambda kind, _: _actions.described(kind))
     return Discovered(name, tuple(endpoints), "; ".join(missing.values()))
-
-
-def _message(type_name: str) -> Description:
-    return Description(message=message_structure(type_name))
-
-
-def message_structure(type_name: str) -> MessageStructure:
-    """Return the structure of a message type."""
-    return structure_of(shape_of(import_type(type_name), type_name))
 
 
 class Attendance:

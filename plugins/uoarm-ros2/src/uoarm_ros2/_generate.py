@@ -9,7 +9,7 @@ __all__ = ["Source"]
 
 
 class Source:
-    """One function of one argument, line by line.
+    """One function, line by line; `argument` is what stands in its parentheses.
 
     Nothing of a message ever enters the text: names of fields come in as quoted literals or as
     attributes of generated classes, everything else as a constant.

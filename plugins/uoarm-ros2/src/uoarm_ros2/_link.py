@@ -28,7 +28,7 @@ class Relay(Channel):
 
         self._out = TopicSink(_reporting(sink, told), bytes)
         try:
-            self._into = TopicSource(_reporting(source, told), self._out.send, raw=True)
+            self._into = TopicSource(_reporting(source, told), bytes, self._out.send)
         except BaseException:
             self._out.close()
             raise

@@ -9,6 +9,7 @@ from attrs import evolve, frozen
 __all__ = ["Policies", "QosWish", "clashes", "for_reading", "for_writing", "wish_from"]
 
 _DEPTH = 100
+_DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB
 _MAX_DEPTH = 1_000_000
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "reliability": ("auto", "reliable", "best_effort"),
@@ -49,17 +50,24 @@ class Policies:
 class QosWish:
     """What an endpoint's options ask for; `auto` is settled against the peers.
 
-    A deadline or lease that is "auto" is what the peers state; None asks for none.
+    A deadline or lease that is "auto" is what the peers state; None asks for none. A depth that is
+    None follows from the size of the type.
     """
 
     reliability: str = "auto"
     durability: str = "auto"
     history: str = "keep_last"
-    depth: int = _DEPTH
+    depth: int | None = None
     deadline: float | str | None = "auto"
     lifespan: float | None = None
     liveliness: str = "auto"
     lease_duration: float | str | None = "auto"
+
+    def for_type(self, *, large: bool) -> QosWish:
+        """Return the wish for a type, with the depth that goes with its size if none is stated."""
+        if self.depth is not None:
+            return self
+        return evolve(self, depth=_DEPTH_OF_LARGE if large else _DEPTH)
 
 
 def wish_from(options: object) -> QosWish:
@@ -85,8 +93,9 @@ def wish_from(options: object) -> QosWish:
     for name in _SECONDS:
         if name in given and not _is_seconds(given[name], auto=name != "lifespan"):
             raise ValueError(f"qos.{name} must be seconds above 0, got {given[name]!r}")
-    depth = given.get("depth", _DEPTH)
-    if isinstance(depth, bool) or not isinstance(depth, int) or not 1 <= depth <= _MAX_DEPTH:
+    depth = given.get("depth")
+    stated = depth is not None
+    if stated and (type(depth) is not int or not 1 <= depth <= _MAX_DEPTH):
         raise ValueError(f"qos.depth must be 1 to {_MAX_DEPTH}, got {depth!r}")
     return QosWish(**given)
 
@@ -103,7 +112,7 @@ def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
     Without a publisher it asks for reliable and volatile: the default that most publishers offer.
     """
     seen = tuple(offers)
-    asked = Policies(history=wish.history, depth=wish.depth)
+    asked = Policies(history=wish.history, depth=wish.depth or _DEPTH)
     if any(offer.reliability == "best_effort" for offer in seen):
         asked = evolve(asked, reliability="best_effort")
     if seen and all(offer.durability == "transient_local" for offer in seen):
@@ -118,7 +127,8 @@ def for_reading(wish: QosWish, offers: Iterable[Policies]) -> Policies:
 def for_writing(wish: QosWish, requests: Iterable[Policies]) -> Policies:
     """Return what a publisher offers so that every subscription is served as it asks."""
     seen = tuple(requests)
-    offered = Policies(history=wish.history, depth=wish.depth, lifespan=wish.lifespan)
+    depth = wish.depth or _DEPTH
+    offered = Policies(history=wish.history, depth=depth, lifespan=wish.lifespan)
     if any(request.durability == "transient_local" for request in seen):
         offered = evolve(offered, durability="transient_local")
     if any(request.liveliness == "manual_by_topic" for request in seen):

@@ -49,6 +49,13 @@ BRIDGE_OPTIONS: Schema = {
         },
         "namespace": {"type": "string", "description": "namespace of the bridge's node"},
         "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
+        "shared_memory": {
+            "type": "integer",
+            "minimum": 1,
+            "maximum": 1024,
+            "description": "MiB of shared memory through which messages go out to readers on this "
+            "machine; default: half a MiB, less than one picture",
+        },
         "settle": {
             **_SECONDS,
             "description": "seconds for a matched publisher to learn of us; default 0.05",
@@ -86,6 +93,7 @@ class BridgeSettings:
     domain_id: int | None = None
     wait: float = _WAIT_SECONDS
     settle: float = _SETTLE_SECONDS
+    shared_memory: int | None = None
 
 
 @frozen

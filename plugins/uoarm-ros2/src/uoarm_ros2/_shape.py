@@ -9,9 +9,20 @@ from attrs import field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["Field", "Listing", "Record", "Scalar", "Shape", "Text", "shape_of"]
+__all__ = [
+    "Field",
+    "Listing",
+    "Record",
+    "Scalar",
+    "Shape",
+    "Text",
+    "is_described",
+    "is_large",
+    "shape_of",
+]
 
 _MAX_DEPTH = 32
+_OCTETS = frozenset({"byte", "int8", "uint8"})
 _SCALARS = {
     "boolean": "bool",
     "octet": "byte",
@@ -78,12 +89,32 @@ class Record:
 Shape: TypeAlias = "Scalar | Text | Listing | Record"
 
 
+def is_described(native: type) -> bool:
+    """Whether a class stands for a type of which there is only a description."""
+    return "described" in vars(native)
+
+
+def is_large(shape: Shape) -> bool:
+    """Whether a type holds any number of octets, as pictures, point clouds and grids do."""
+    if isinstance(shape, Record):
+        return any(is_large(each.shape) for each in shape.fields)
+    if not isinstance(shape, Listing):
+        return False
+    element = shape.element
+    if isinstance(element, Scalar):
+        return shape.size is None and element.name in _OCTETS
+    return is_large(element)
+
+
 def shape_of(native: type, name: str, *, depth: int = 0) -> Record:
     """Return the shape of a generated message class, named `package/msg/Name`.
 
     Raises:
         BridgeError: the class was not generated from a message definition that we understand.
     """
+    described: object = vars(native).get("described")
+    if isinstance(described, Record):
+        return described
     if depth > _MAX_DEPTH:
         raise BridgeError(f"{name}: nested more than {_MAX_DEPTH} deep", FailureReason.UNSUPPORTED)
     try:

@@ -82,7 +82,7 @@ class TopicSink(Sink):
 
         Raises:
             MessageError: it does not fit the native type; the text names the field.
-            BridgeError: the channel was closed while it sends.
+            BridgeError: the channel was closed while it sends, or the middleware took nothing.
         """
         native = self._write(message)
         publisher = self._end.native
@@ -126,7 +126,8 @@ class TopicSink(Sink):
                 raise self._gone() from error
             waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
             if publisher is self._end.native and not waits:
-                raise error
+                text = f"topic {self._place.topic.name} takes no message: {error}"
+                raise BridgeError(text, FailureReason.UNAVAILABLE) from error
             publisher = self._end.native
             try:
                 publisher.publish(native)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.bridge import Source
+from uoarm.errors import MessageError
+from uoarm.model import Deliver, Message
 from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
@@ -19,11 +21,8 @@ class _Subscription(End):
 
     peer_word = "publisher"
 
-    def __init__(
-        self, place: Place, pulse: Pulse, take: Callable[[Any], None], *, raw: bool
-    ) -> None:
+    def __init__(self, place: Place, pulse: Pulse, take: Callable[[bytes], None]) -> None:
         self._take = take
-        self._raw = raw
         super().__init__(place, pulse)
 
     def peers_on(self, topic: str) -> tuple[Peer, ...]:
@@ -69,30 +68,31 @@ class _Subscription(End):
         )
         events["message_lost"] = lambda info: pulse.missed(info.total_count, where)
         return place.station.subscribe(
-            place.native, place.topic.name, self.policies, self._take, raw=self._raw, events=events
+            place.native, place.topic.name, self.policies, self._take, events=events
         )
 
 
 class TopicSource(Source):
-    """One subscription; each message goes to `take` in the station's thread.
+    """One subscription; each message goes to `deliver` in the station's thread.
 
     With `auto` policies it asks for what the publishers offer, and asks anew when all that are
     left offer something else.
 
     Args:
         place: where to subscribe.
-        take: takes the native object, or its serialised bytes when `raw`.
-        raw: leave messages serialised.
+        read: makes what is delivered of the serialised form; raises MessageError.
+        deliver: takes it.
     """
 
-    def __init__(self, place: Place, take: Callable[[Any], None], *, raw: bool = False) -> None:
+    def __init__(self, place: Place, read: Callable[[bytes], Message], deliver: Deliver) -> None:
         super().__init__(place.endpoint)
         self._place = place
-        self._take = take
+        self._read = read
+        self._deliver = deliver
         self.pulse = Pulse(
             lambda health, cause: place.report(self, health, cause), place.settings.stale_after
         )
-        self._end = _Subscription(place, self.pulse, self._receive, raw=raw)
+        self._end = _Subscription(place, self.pulse, self._receive)
 
     def wait(self) -> None:
         """Wait until a publisher is matched and has had the time to learn of us.
@@ -121,7 +121,13 @@ class TopicSource(Source):
     def _close(self) -> None:
         self._end.close()
 
-    def _receive(self, native: Any) -> None:
-        if not self._closed:
-            self.pulse.beat()
-            self._take(native)
+    def _receive(self, octets: bytes) -> None:
+        if self._closed:
+            return
+        try:
+            message = self._read(octets)
+        except MessageError as error:
+            self.pulse.unread(f"on topic {self._place.topic.name}: {error}")
+            return
+        self.pulse.beat()
+        self._deliver(message)

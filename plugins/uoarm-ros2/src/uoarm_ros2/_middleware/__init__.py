@@ -8,5 +8,6 @@ from uoarm_ros2._middleware._environment import environment
 from uoarm_ros2._middleware._participant import Participant
 from uoarm_ros2._middleware._peer import Peer
 from uoarm_ros2._middleware._station import Station
+from uoarm_ros2._middleware._type_support import untyped_class
 
-__all__ = ["Participant", "Peer", "Station", "environment"]
+__all__ = ["Participant", "Peer", "Station", "environment", "untyped_class"]

@@ -3,22 +3,43 @@
 from __future__ import annotations
 
 import atexit
+import os
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from rclpy.context import Context
 
+from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._station import Station
 
 __all__ = ["Participant"]
 
 _EXIT_SECONDS = 2.0
+_TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_setting = threading.Lock()  # what is set is the environment of the whole process
 
 
 class Participant:
-    """One rclpy context and the stations in it; the context goes when the last station has."""
+    """One rclpy context and the stations in it; the context goes when the last station has.
 
-    def __init__(self, domain_id: int | None, namespace: str) -> None:
+    Args:
+        domain_id: of DDS; None: what the environment says.
+        namespace: of every station's node.
+        shared_memory: MiB through which messages go to readers on this machine; None: the
+            middleware's own.
+
+    Raises:
+        BridgeError: the environment says what does not go with `shared_memory`.
+    """
+
+    def __init__(
+        self, domain_id: int | None, namespace: str, shared_memory: int | None = None
+    ) -> None:
+        _check_transports(shared_memory)
+        self._shared_memory = shared_memory
         self._namespace = namespace
         self._lock = threading.Lock()
         self._stations: list[Station] = []
@@ -40,7 +61,8 @@ class Participant:
         with self._lock:
             self._alive += 1
         try:
-            station = Station(self._context, name, self._namespace, self._release)
+            with _transports(self._shared_memory):
+                station = Station(self._context, name, self._namespace, self._release)
         except BaseException:
             self._release()
             raise
@@ -77,3 +99,36 @@ class Participant:
         if last:
             self._context.try_shutdown()
             self._context.destroy()
+
+
+def _check_transports(mebibytes: int | None) -> None:
+    """Raise BridgeError if a size of shared memory is asked for that would have no effect."""
+    text = ""
+    if mebibytes is not None and "?" in os.environ.get(_TRANSPORTS, ""):
+        text = f"{_TRANSPORTS}={os.environ[_TRANSPORTS]} has options of its own"
+    elif mebibytes is not None and os.environ.get(_RANGE) == "LOCALHOST":
+        text = f"with {_RANGE}=LOCALHOST, ROS 2 makes its own transports"
+    if text:
+        why = f"the option shared_memory has no effect: {text}; take one away"
+        raise BridgeError(why, FailureReason.UNSUPPORTED)
+
+
+@contextmanager
+def _transports(mebibytes: int | None) -> Iterator[None]:
+    """Have Fast DDS make participants with so much shared memory, which only its environment says.
+
+    It reads the variable when the first node of a context makes the participant, and shares twice
+    the size of its sockets' buffers; the kernel gives sockets what it allows.
+    """
+    if mebibytes is None:
+        yield
+        return
+    with _setting:
+        before = os.environ.get(_TRANSPORTS)
+        os.environ[_TRANSPORTS] = f"{before or 'DEFAULT'}?sockets_size={mebibytes * 2**19}"
+        try:
+            yield
+        finally:
+            del os.environ[_TRANSPORTS]
+            if before is not None:
+                os.environ[_TRANSPORTS] = before

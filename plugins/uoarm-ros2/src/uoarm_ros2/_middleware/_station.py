@@ -140,23 +140,25 @@ class Station:
         native: type,
         topic: str,
         policies: Policies,
-        take: Callable[[Any], None],
+        take: Callable[[bytes], None],
         *,
-        raw: bool,
         events: dict[str, Notify],
     ) -> Any:
-        """Create a subscription; events that the middleware does not have are left out."""
+        """Create a subscription, which hands on messages as they are serialised.
+
+        Events that the middleware does not have are left out.
+        """
         made = self.node.create_subscription(
             native,
             topic,
             _nothing_with,
             new_profile(policies),
-            raw=raw,
+            raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         known = _rclpy.rcl_subscription_event_type_t
         heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events)
-        return self._wait_for(made, SubscriptionEntity(made.handle, native, take, raw=raw), *heard)
+        return self._wait_for(made, SubscriptionEntity(made.handle, native, take), *heard)
 
     def advertise(
         self,
@@ -204,11 +206,14 @@ class Station:
         """Return the subscriptions of a topic that are on the graph now."""
         return tuple(map(read_peer, self.node.get_subscriptions_info_by_topic(topic)))
 
+    def ends(self, topic: str) -> tuple[Peer, ...]:
+        """Return the publishers and subscriptions of a topic that are on the graph now."""
+        return (*self.publishers(topic), *self.subscriptions(topic))
+
     def own_definition(self, topic: str, type_name: str) -> str:
         """Return the hash of our definition of a type, as our own end of a topic tells it."""
         node = self.node.get_fully_qualified_name()
-        ends = (*self.publishers(topic), *self.subscriptions(topic))
-        own = (end for end in ends if (end.node, end.type) == (node, type_name))
+        own = (end for end in self.ends(topic) if (end.node, end.type) == (node, type_name))
         return next((end.definition for end in own), "")
 
     def has_server(self, service: str) -> bool:

@@ -48,21 +48,18 @@ class Entity(ABC):
 
 
 class SubscriptionEntity(Entity):
-    """A subscription; messages go to `deliver`, serialised when `raw`."""
+    """A subscription; messages go to `deliver`, serialised as they are."""
 
     kind = "subscription"
 
-    def __init__(
-        self, handle: Any, native: type, deliver: Callable[[Any], None], *, raw: bool
-    ) -> None:
+    def __init__(self, handle: Any, native: type, deliver: Callable[[bytes], None]) -> None:
         super().__init__(handle)
         self._native = native
         self._deliver = deliver
-        self._raw = raw
 
     def take(self) -> bool:
         """Deliver one message, if there is one."""
-        taken = self.handle.take_message(self._native, self._raw)
+        taken = self.handle.take_message(self._native, True)
         if taken is None:
             return False
         self._deliver(taken[0])

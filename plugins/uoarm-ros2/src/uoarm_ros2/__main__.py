@@ -1,0 +1,105 @@
+"""`uoarm ros2`: a look at the graph, at its types and at what is installed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from uoarm.errors import PluginError, UoarmError
+from uoarm.plugins import Command, hookimpl
+from uoarm_ros2 import missing
+from uoarm_ros2._types import type_mistake
+
+__all__ = ["main", "uoarm_commands"]
+
+_USAGE, _BRIDGE, _INTERRUPTED = 2, 4, 130
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit status: 2 for wrong words, 4 where ROS 2 has it not."""
+    given = _parser().parse_args(arguments)
+    mistake = type_mistake(given.type) if getattr(given, "type", "") else ""
+    if mistake:
+        return _fail(mistake, _USAGE)
+    try:
+        return _show(given)
+    except UoarmError as error:
+        return _fail(str(error), _BRIDGE)
+    except KeyboardInterrupt:
+        return _fail("interrupted", _INTERRUPTED)
+
+
+@hookimpl
+def uoarm_commands() -> list[Command]:
+    """Return `uoarm ros2`."""
+    return [Command("ros2", main, contract=1)]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="uoarm ros2", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    printing = argparse.ArgumentParser(add_help=False)
+    printing.add_argument("--json", action="store_true", help="print JSON")
+    asking = argparse.ArgumentParser(add_help=False, parents=[printing])
+    asking.add_argument("--domain", type=int, help="default: ROS_DOMAIN_ID, else 0")
+    commands.add_parser("list", parents=[asking], help="list nodes with what they offer and take")
+    commands.add_parser("types", parents=[asking], help="list the types that nodes talk")
+    commands.add_parser("interfaces", parents=[printing], help="list the types that are installed")
+    echo = commands.add_parser(
+        "echo-structure",
+        parents=[asking],
+        help="print the structure of the messages of a topic, a service or an action",
+    )
+    echo.add_argument("name")
+    echo.add_argument("type", nargs="?", default="", help="package/msg/Name; default: the graph's")
+    return parser
+
+
+def _show(given: argparse.Namespace) -> int:
+    try:
+        from uoarm_ros2 import _commands  # noqa: PLC0415 - imports the middleware
+    except ImportError as error:
+        raise PluginError(missing(error)) from error
+    if given.command == "interfaces":
+        return _print(given, _commands.installed(), lambda names: names)
+    options = {} if given.domain is None else {"domain_id": given.domain}
+    with _commands.seen(options) as bridge:
+        if given.command == "list":
+            return _print(given, _commands.graph(bridge), _node_lines)
+        if given.command == "types":
+            return _print(given, _commands.types(bridge), _type_lines)
+        found = _commands.structure(bridge, given.name, given.type)
+        return _print(given, found, lambda each: [json.dumps(each, indent=2)])
+
+
+def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
+    text = json.dumps(found, indent=2) if given.json else "\n".join(lines(found))
+    sys.stdout.write(text + "\n" if text else "")
+    sys.stdout.flush()
+    return 0
+
+
+def _node_lines(rows: list[Any]) -> Iterable[str]:
+    for row in rows:
+        yield row["node"]
+        for each in row["endpoints"]:
+            yield f"  {each['role']:8}{each['name']}  {each['type']}"
+        if "missing" in row:
+            yield f"  {row['missing']}"
+
+
+def _type_lines(rows: list[Any]) -> Iterable[str]:
+    for row in rows:
+        yield f"{row['type']}  {row['known'] or 'not known'}  {', '.join(row['nodes'])}"
+
+
+def _fail(text: str, status: int) -> int:
+    sys.stderr.write(f"{text}\n")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

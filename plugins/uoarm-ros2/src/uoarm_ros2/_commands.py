@@ -1,0 +1,110 @@
+"""What `uoarm ros2` shows, as values that can be printed as JSON; no terminal here."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from uoarm.bridge import Bridge
+from uoarm.model import Endpoint, Options, Role
+from uoarm_ros2._bridge import Ros2Bridge
+from uoarm_ros2._types import import_type, kind_of, type_mistake
+
+__all__ = ["graph", "installed", "seen", "structure", "types"]
+
+Row = dict[str, Any]
+_INDEX = "share/ament_index/resource_index/rosidl_interfaces"
+
+
+@contextmanager
+def seen(options: Options) -> Iterator[Bridge]:
+    """Have a bridge for one command.
+
+    Raises:
+        BridgeError: it cannot be made.
+    """
+    bridge = Ros2Bridge("ros2_command", options)
+    try:
+        yield bridge
+    finally:
+        bridge.close()
+
+
+def graph(bridge: Bridge) -> list[Row]:
+    """Return every node with its topics, services and actions."""
+    return [
+        {
+            "node": each.name,
+            "endpoints": [
+                {"role": at.role.value, "name": at.address[0], "type": at.address[1]}
+                for at, _ in each.endpoints
+            ],
+            **({"missing": each.detail} if each.detail else {}),
+        }
+        for each in bridge.discover()
+    ]
+
+
+def types(bridge: Bridge) -> list[Row]:
+    """Return every type on the graph: whether it is installed, or known from a node."""
+    found: dict[str, Row] = {}
+    for component in bridge.discover():
+        for at, told in component.endpoints:
+            name = at.address[1]
+            row = found.setdefault(name, {"type": name, "known": "", "nodes": []})
+            if component.name not in row["nodes"]:
+                row["nodes"].append(component.name)
+            if not row["known"] and (told.message or told.request):
+                row["known"] = "installed" if _is_installed(name) else "described by its node"
+    return [found[name] for name in sorted(found)]
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        import_type(name)
+    except Exception:  # noqa: BLE001 - the answer, whatever the reason
+        return False
+    return True
+
+
+def structure(bridge: Bridge, name: str, type_name: str) -> Row:
+    """Return the structures of a topic, a service or an action, with the type if it is given.
+
+    Raises:
+        BridgeError: it is not there, or its type is not known.
+    """
+    address = (name, type_name) if type_name else (name,)
+    is_message = kind_of(type_name) == "msg" if type_name else _is_topic(bridge, name)
+    options: Options = {"peer": "optional"} if type_name else {}
+    role = Role.OUTPUT if is_message else Role.SERVICE
+    at = Endpoint(bridge.name, name, role, address, options=options)
+    told = bridge.describe(at)
+    parts = {"message": told.message, "request": told.request, "reply": told.reply}
+    return {
+        part: {"type": each.native_type, "structure": each.schema}
+        for part, each in parts.items()
+        if each is not None
+    }
+
+
+def _is_topic(bridge: Bridge, name: str) -> bool:
+    """Whether a name is a topic's, as far as the graph tells; what is nothing counts as one."""
+    everything = [at for each in bridge.discover() for at, _ in each.endpoints]
+    kinds = {at.role for at in everything if at.address[0].strip("/") == name.strip("/")}
+    return kinds != {Role.SERVICE}
+
+
+def installed() -> list[str]:
+    """Return the types whose definitions are installed, as the index of ROS 2 lists them."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    found = set()
+    for prefix in filter(None, prefixes):
+        folder = Path(prefix) / _INDEX
+        for package in folder.iterdir() if folder.is_dir() else ():
+            lines = package.read_text().splitlines()
+            found |= {f"{package.name}/{each.rpartition('.')[0]}" for each in lines}
+    return sorted(name for name in found if not type_mistake(name))

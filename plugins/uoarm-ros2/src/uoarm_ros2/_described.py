@@ -1,0 +1,123 @@
+"""Types that are installed nowhere here, from the description that a node gives of them.
+
+A description is what `type_description_interfaces/srv/GetTypeDescription` replies, as a message.
+It comes from another process: names are checked before they reach generated code, and sizes before
+work.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Message
+from uoarm_ros2._middleware import untyped_class
+from uoarm_ros2._shape import Field, Listing, Record, Scalar, Shape, Text
+from uoarm_ros2._types import type_mistake
+
+__all__ = ["described_type"]
+
+_FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,254}")
+_EMPTY = "structure_needs_at_least_one_member"  # what stands in C for a message without fields
+_KINDS = 48  # numbers of types: one value, then arrays, bounded and unbounded sequences of each
+_NESTED = 1
+_TEXTS = {17: False, 18: True, 21: False, 22: True}
+_BOUNDED_TEXTS = (21, 22)
+_SCALARS = {
+    2: "int8",
+    3: "uint8",
+    4: "int16",
+    5: "uint16",
+    6: "int32",
+    7: "uint32",
+    8: "int64",
+    9: "uint64",
+    10: "float32",
+    11: "float64",
+    13: "uint8",
+    15: "bool",
+    16: "byte",
+}
+_MOST_TYPES = 256
+_MOST_FIELDS = 4096
+_MOST_DEPTH = 32
+
+
+def described_type(description: Message, name: str, definition: str) -> type:
+    """Return a class for a type of which there is only a description.
+
+    Args:
+        description: a `TypeDescription` as a message.
+        name: of the type that was asked for.
+        definition: the hash of its definition.
+
+    Raises:
+        BridgeError: the description is none of this type, or is more than is taken.
+    """
+    reading = _Reading(description, name)
+    return reading.record(name, definition, 0).native
+
+
+class _Reading:
+    """One description; the types that it refers to are read where they are used."""
+
+    def __init__(self, description: Message, name: str) -> None:
+        self._name = name
+        referenced = description["referenced_type_descriptions"]
+        if len(referenced) > _MOST_TYPES:
+            raise self._refused(f"it refers to {len(referenced)} types, more than {_MOST_TYPES}")
+        own = description["type_description"]
+        self._types = {each["type_name"]: each["fields"] for each in (*referenced, own)}
+        self._left = _MOST_FIELDS
+
+    def record(self, name: str, definition: str, depth: int) -> Record:
+        """Return the shape of one of the types."""
+        fields = self._types.get(name)
+        if fields is None:
+            raise self._refused(f"{name} is not in it")
+        if type_mistake(name):
+            raise self._refused(type_mistake(name))
+        if depth > _MOST_DEPTH:
+            raise self._refused(f"nested more than {_MOST_DEPTH} deep")
+        self._left -= len(fields)
+        if self._left < 0:
+            raise self._refused(f"more than {_MOST_FIELDS} fields")
+        read = tuple(self._field(each, depth) for each in fields if each["name"] != _EMPTY)
+        slots = tuple(each.attribute for each in read)
+        if len(set(slots)) != len(slots):
+            raise self._refused(f"{name} has two fields of one name")
+        native: Any = untyped_class(name, definition, {"__slots__": slots})
+        record = Record(name, native, read, {}, slots)
+        native.described = record
+        return record
+
+    def _field(self, field: Mapping[str, Any], depth: int) -> Field:
+        name = field["name"]
+        if not _FIELD.fullmatch(name):
+            raise self._refused(f"a field is called {name!r:.60}")
+        return Field(name, f"_{name}", self._shape(field["type"], depth))
+
+    def _shape(self, kind: Mapping[str, Any], depth: int) -> Shape:
+        many, number = divmod(kind["type_id"] - 1, _KINDS)
+        element = self._element(number + 1, kind, depth)
+        if many == 0:
+            return element
+        if many == 1:
+            return Listing(element, kind["capacity"], fixed=True)
+        return Listing(element, kind["capacity"] if many == 2 else None)  # noqa: PLR2004 - bounded
+
+    def _element(self, number: int, kind: Mapping[str, Any], depth: int) -> Scalar | Text | Record:
+        if number == _NESTED:
+            return self.record(kind["nested_type_name"], "", depth + 1)
+        if number in _TEXTS:
+            bound = kind["string_capacity"] if number in _BOUNDED_TEXTS else None
+            return Text(wide=_TEXTS[number], bound=bound)
+        if number in _SCALARS:
+            return Scalar(_SCALARS[number])
+        raise self._refused(f"there is a field of the type number {kind['type_id']}")
+
+    def _refused(self, why: str) -> BridgeError:
+        text = f"the description of {self._name} that its node gives cannot be used: {why}"
+        return BridgeError(text, FailureReason.UNSUPPORTED)

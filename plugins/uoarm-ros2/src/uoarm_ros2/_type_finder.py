@@ -1,0 +1,81 @@
+"""Where types come from: packages that are installed, else the nodes that talk them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import Message
+from uoarm_ros2._described import described_type
+from uoarm_ros2._middleware import Peer
+from uoarm_ros2._types import import_type
+
+__all__ = ["DESCRIPTION_SERVICE", "TypeFinder"]
+
+DESCRIPTION_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
+_MOST_KEPT = 512
+
+
+class TypeFinder:
+    """Finds the classes of message types; what nodes described is kept by its hash.
+
+    Args:
+        ask: asks the node of a full name for the description of a type; raises BridgeError.
+        peers: returns the ends of a topic.
+    """
+
+    def __init__(
+        self,
+        ask: Callable[[str, Message], Message],
+        peers: Callable[[str], Iterable[Peer]],
+    ) -> None:
+        self._ask = ask
+        self._peers = peers
+        self._lock = threading.Lock()
+        self._described: dict[tuple[str, str], type] = {}
+
+    def find(self, name: str, topic: str) -> type:
+        """Return the class of a type that a topic carries; blocks while nodes are asked.
+
+        Raises:
+            BridgeError: its package is not installed, and no node on the topic describes it.
+        """
+        try:
+            return import_type(name)
+        except BridgeError as error:
+            if error.reason is not FailureReason.NOT_FOUND:
+                raise
+            missing = error
+        asked: list[str] = []
+        for peer in self._peers(topic):
+            if peer.type != name or not peer.definition:
+                continue
+            key = name, peer.definition
+            with self._lock:
+                known = self._described.get(key)
+            if known is not None:
+                return known
+            try:
+                made = self._from(peer)
+            except BridgeError as error:
+                asked.append(f"{peer.node} does not describe it ({error})")
+                continue
+            with self._lock:
+                if len(self._described) >= _MOST_KEPT:
+                    self._described.clear()
+                return self._described.setdefault(key, made)
+        why = "; ".join(asked) or f"no node on {topic} describes it"
+        raise BridgeError(f"{missing}; {why}", FailureReason.NOT_FOUND) from missing
+
+    def _from(self, peer: Peer) -> type:
+        request = {
+            "type_name": peer.type,
+            "type_hash": peer.definition,
+            "include_type_sources": False,
+        }
+        reply = self._ask(peer.node, request)
+        if not reply["successful"]:
+            text = f"it says {reply['failure_reason']!r:.200}"
+            raise BridgeError(text, FailureReason.REFUSED)
+        return described_type(reply["type_description"], peer.type, peer.definition)

@@ -1,0 +1,66 @@
+"""`uoarm ros2`: nodes, types and structures, with exit statuses."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from peers import Peer
+from uoarm_ros2.__main__ import main
+
+from uoarm.testing import wait
+
+Run = Callable[..., Any]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command; returns its status, its output (of --json as values), its errors."""
+
+    def run_it(*words: str) -> tuple[int, Any, str]:
+        status = main(list(words))
+        told = capsys.readouterr()
+        is_json = "--json" in words and not status
+        return status, json.loads(told.out) if is_json else told.out, told.err
+
+    return run_it
+
+
+def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer]) -> None:
+    peer("talker").do("advertise", topic="/numbers")
+    numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64"}
+
+    def listed() -> bool:
+        status, rows, _ = run("list", "--json")
+        return status == 0 and {"node": "/talker", "endpoints": [numbers]} in rows
+
+    wait(listed)
+    assert "  output  /numbers  std_msgs/msg/Int64" in run("list")[1].splitlines()
+    known = {"type": "std_msgs/msg/Int64", "known": "installed", "nodes": ["/talker"]}
+    assert known in run("types", "--json")[1]
+    status, found, _ = run("echo-structure", "/numbers", "--json")
+    assert status == 0
+    assert found["message"]["structure"]["properties"]["data"]["maximum"] == 2**63 - 1
+
+
+def test_what_is_installed_is_listed_without_a_graph(run: Run) -> None:
+    status, names, _ = run("interfaces", "--json")
+    assert status == 0
+    assert {"std_msgs/msg/Int64", "std_srvs/srv/SetBool"} <= {*names}
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (("echo-structure", "/nowhere"), 4, "topic /nowhere is not on the graph"),
+        (("echo-structure", "/x", "std_msgs/Int64"), 2, "did you mean 'std_msgs/msg/Int64'"),
+    ],
+)
+def test_what_cannot_be_shown_says_why(
+    run: Run, words: tuple[str, ...], status: int, text: str
+) -> None:
+    got, _, told = run(*words)
+    assert got == status
+    assert text in told

@@ -1,0 +1,105 @@
+"""Types whose package is not installed: known from what their nodes say, and talked both ways."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from endpoints import Inbox, endpoint, known, sink, source
+from messages import same
+from peers import Peer
+from uoarm_ros2._described import described_type
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Role
+
+SEQUENCES = "test_msgs/msg/UnboundedSequences"
+
+
+@pytest.fixture
+def uninstalled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if nobody had installed test_msgs here; peers have it."""
+    for name in [each for each in sys.modules if each.split(".")[0] == "test_msgs"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "test_msgs", None)
+
+
+@pytest.mark.usefixtures("uninstalled")
+def test_a_type_that_nobody_installed_is_talked_both_ways(
+    bridge: Bridge, peer: Callable[..., Peer]
+) -> None:
+    there = peer("there", "threads")
+    there.do("pass_on", come="/come", go="/go", kind=SEQUENCES.rsplit("/", 1)[1])
+    known(bridge, "/there")
+    at = endpoint(Role.INPUT, "/come", SEQUENCES)
+    structure = bridge.describe(at).message
+    assert structure is not None
+    assert structure.native_type == SEQUENCES
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "/go"), inbox)
+    out = sink(bridge, at)
+    schema: Any = structure.schema
+    message: dict[str, Any] = {name: [] for name in schema["properties"]}
+    message |= {
+        "alignment_check": 7,
+        "string_values": ["a", "\N{SNOWMAN}"],
+        "float64_values": [0.5],
+        "bool_values": [True],
+        "byte_values": [1, 2],
+        "basic_types_values": [_basic(schema["properties"]["basic_types_values"]["items"])],
+    }
+    out.send(message)
+    assert same(inbox.wait_for(1)[0], message)
+    with pytest.raises(MessageError, match="alignment_check"):
+        out.send({**message, "alignment_check": "seven"})
+    (found,) = [each for each in bridge.discover() if each.name == "/there"]
+    assert {each.port for each, told in found.endpoints if told.message} >= {"come", "go"}
+
+
+def _basic(schema: Any) -> dict[str, object]:
+    made = {"boolean": True, "integer": 3, "number": 0.25}
+    return {name: made[kind["type"]] for name, kind in schema["properties"].items()}
+
+
+@pytest.mark.usefixtures("uninstalled")
+def test_a_type_that_nobody_describes_says_what_to_install(
+    bridge: Bridge, peer: Callable[..., Peer]
+) -> None:
+    there = peer("there", "silent")
+    there.do("pass_on", come="/come", go="/go", kind="Strings")
+    known(bridge, "/there", bare=True)
+    with pytest.raises(BridgeError, match=r"install ros-.*there is no service") as raised:
+        bridge.describe(endpoint(Role.INPUT, "/come", "test_msgs/msg/Strings"))
+    assert raised.value.reason is FailureReason.NOT_FOUND
+
+
+def description(**changes: Any) -> Any:
+    kind = {"type_id": 2, "capacity": 0, "string_capacity": 0, "nested_type_name": "", **changes}
+    field = {"name": kind.pop("name", "x"), "type": kind, "default_value": ""}
+    own = {"type_name": "a/msg/B", "fields": [field]}
+    return {"type_description": own, "referenced_type_descriptions": []}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"name": "x: __import__('os')"}, "a field is called"),
+        ({"type_id": 1, "nested_type_name": "a/msg/C"}, "a/msg/C is not in it"),
+        ({"type_id": 1, "nested_type_name": "a/msg/B"}, "nested more than 32 deep"),
+        ({"type_id": 12}, "type number 12"),
+        ({"type_id": 0}, "type number 0"),
+    ],
+)
+def test_a_description_is_checked_before_it_is_used(changes: Any, words: str) -> None:
+    with pytest.raises(BridgeError, match=words):
+        described_type(description(**changes), "a/msg/B", "")
+
+
+def test_a_description_of_too_much_is_refused() -> None:
+    whole = description()
+    whole["type_description"]["fields"] *= 5000
+    with pytest.raises(BridgeError, match="more than 4096 fields"):
+        described_type(whole, "a/msg/B", "")
