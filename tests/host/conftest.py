@@ -15,10 +15,15 @@ from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.testing import Census, patience
 
 
+@pytest.fixture(scope="session")
+def _a_link_has_been(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Have what stays for the next link: Zenoh's own threads."""
+    hosted.bridge(tmp_path_factory.mktemp("first")).close()
+
+
 @pytest.fixture
-def nothing_is_left(tmp_path: Path) -> Iterator[None]:
+def nothing_is_left(_a_link_has_been: None) -> Iterator[None]:
     """Hold that threads, descriptors, folders and processes return to where they were."""
-    hosted.bridge(tmp_path).close()  # what stays for the next one, Zenoh's own threads, is there
     before = Census()
     yield
     before.check()

@@ -16,6 +16,9 @@ from collections.abc import Iterator
 def count() -> Iterator[int]:
     yield from range(1000)
 
+def few() -> Iterator[int]:
+    yield from range(64)
+
 def forever() -> Iterator[int]:
     number = 0
     while True:

@@ -13,6 +13,7 @@ from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
+from uoarm.testing import slowness
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
 KINDS = {
@@ -23,7 +24,7 @@ KINDS = {
     "echoed": "geometry_msgs/msg/PoseStamped",  # by way of a node in another process
 }
 BOUND_OCTETS = 22  # of test_msgs/msg/Strings
-WAIT_SECONDS = 1.0  # a fifth of it would do with the discovery of these tests
+WAIT_SECONDS = slowness()  # a fifth of it would do with the discovery of these tests
 SILENT_SECONDS = 3.0
 SERVICE = "test_msgs/srv/BasicTypes"
 
