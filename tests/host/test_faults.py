@@ -17,6 +17,7 @@ from tests.host import hosted
 from tests.host.hosted import ANY, Events, at, lives
 
 from uoarm._host import RemoteBridge
+from uoarm.bridge import HealthEvent
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
@@ -71,6 +72,22 @@ def test_a_stopped_host_is_given_up_after_its_silence(tmp_path: Path) -> None:
         os.kill(far.process, signal.SIGSTOP)
 
     _harmed(tmp_path, stop, "has not answered", slowness())
+
+
+def test_a_host_that_is_given_up_is_gone_before_anybody_is_told(tmp_path: Path) -> None:
+    """What it took after its losses were counted would be counted twice."""
+    bridge = hosted.bridge(tmp_path, silence=0.5)
+    lived: list[bool] = []
+
+    def told(event: HealthEvent) -> None:
+        if event.health is Health.LOST:
+            lived.append(lives(bridge.process))
+
+    bridge.watch(told)
+    os.kill(bridge.process, signal.SIGSTOP)
+    wait(lambda: lived)
+    bridge.close()
+    assert lived == [False]
 
 
 def test_a_host_that_hangs_with_the_interpreter_lock_is_given_up(tmp_path: Path) -> None:

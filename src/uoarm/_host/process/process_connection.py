@@ -28,6 +28,7 @@ __all__ = ["ProcessConnection", "link_folder"]
 
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
+_KILLED_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
 _LEASE_SECONDS = 10.0
 # Every large message would otherwise be given back to the system and be faulted in anew, which
@@ -65,6 +66,7 @@ class ProcessConnection:
     ) -> None:
         self._name = spec.name
         self._memory = settings.memory
+        self._given_up = ""
         self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
         self._transport: Transport | None = None
         self._started: HostProcess | None = None
@@ -195,14 +197,17 @@ class ProcessConnection:
         return greeting
 
     def _exited(self, how: str) -> None:
-        self._liveness.die(
-            f"{how}; it might have {self._memory} of memory" if self._memory else how
-        )
+        if self._memory:
+            how = f"{how}; it might have {self._memory} of memory"
+        self._liveness.die(self._given_up or how)
 
     def _give_up(self, silent: float) -> None:
-        self._liveness.die(f"it has not answered for {silent:.1f} s")
-        if self._started is not None:
-            self._started.kill()
+        """End it before anybody is told: what it took after that would be counted as lost, too."""
+        assert self._started is not None, "it has a heartbeat"
+        self._given_up = f"it has not answered for {silent:.1f} s"
+        self._started.kill()
+        self._started.wait(_KILLED_SECONDS)
+        self._liveness.die(self._given_up)
 
 
 def _folder_with_counters(name: str) -> tuple[Path, SharedCounters]:
