@@ -49,16 +49,18 @@ LEAKS = {
     "signal.signal(signal.SIGTERM, signal.SIG_IGN)": "the handler of SIGTERM changed*",
     "locale.setlocale(locale.LC_ALL, 'C')": "the locale changed*",
 }
-LEAKING = """
+LEAKING = f"""
     import locale, os, signal, socket, subprocess, tempfile, threading
+    import pytest
 
     kept = []
 
     def test_before():
         pass
 
-    def test_leaking():
-        {leak}
+    @pytest.mark.parametrize("number, leak", {[*enumerate(LEAKS)]!r})
+    def test_leaking(number, leak):
+        exec(leak)
 
     def test_after():
         pass
@@ -66,14 +68,14 @@ LEAKING = """
 
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
-@pytest.mark.parametrize("leak", LEAKS)
-def test_a_leak_fails_the_test_that_made_it_by_name(run: Run, leak: str) -> None:
+def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
     found = run(
-        LEAKING.format(leak=leak),
+        LEAKING,
         set_up="from tests.harness import _leaks\n_leaks.patience = lambda: 1.0",
     )
-    found.assert_outcomes(passed=3, errors=1)
-    found.stdout.fnmatch_lines(["*test_leaking left behind:", f"*{LEAKS[leak]}*"])
+    found.assert_outcomes(passed=len(LEAKS) + 2, errors=len(LEAKS))
+    for number, says in enumerate(LEAKS.values()):
+        found.stdout.fnmatch_lines([f"*test_leaking?{number}-* left behind:", f"*{says}*"])
     assert "processes left behind" not in found.stdout.str()
 
 
