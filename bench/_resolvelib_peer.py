@@ -76,6 +76,7 @@ class _Provider(AbstractProvider[Any, Any, str]):
             taken.by_port[f"input.{port.name}"],
             port.mapping,
             port.allow_loss,
+            port.meaning,
         ).compatible
 
     def get_dependencies(self, candidate: Component) -> Iterable[_Requirement]:

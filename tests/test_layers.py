@@ -26,6 +26,7 @@ LAYERS = [
     {"model"},
     {"_wire"},
     {"_bounded", "_deadlines"},
+    {"_meaning"},
     {"_adapt"},
     {"_hints"},
     {"bridge"},
@@ -178,6 +179,7 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
         "cbor2",
         "prometheus_client",
         "cryptography",
+        "pint",
     ]
     code = f"import sys, uoarm; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run(

@@ -17,6 +17,7 @@ from uoarm.model import (
     Endpoint,
     Function,
     Input,
+    Meaning,
     MessageStructure,
     Output,
     PortRef,
@@ -33,6 +34,7 @@ class Verdict:
     reasons: tuple[Reason, ...] = (Reason("they differ"),)
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
 
 
 class World:
@@ -56,6 +58,7 @@ class World:
         consumer: MessageStructure,
         mapping: Mapping[str, object] | None,
         allow_loss: tuple[str, ...],
+        meaning: Meaning,
     ) -> Verdict:
         return Verdict((_number(producer), _number(consumer)) not in self.forbidden)
 
@@ -288,6 +291,7 @@ class Heavy(World):
         consumer: MessageStructure,
         mapping: Mapping[str, object] | None,
         allow_loss: tuple[str, ...],
+        meaning: Meaning,
     ) -> Verdict:
         self.clock.advance(1.0)
         return Verdict(compatible=True)

@@ -10,6 +10,7 @@ from attrs import frozen
 from uoarm._adapt._compile import Maker, build_object, constant, each_item, mapped, reader
 from uoarm._adapt._mapping import Clamp, Each, Entry, Mapped, Path, Scale, write_path
 from uoarm._adapt._walk import Field, Structure, UnfitError
+from uoarm._meaning import INHERITED, SCALED
 
 __all__ = ["Adaptation", "adapt"]
 
@@ -162,7 +163,10 @@ def _scaled(scale: Scale, source: Structure, schema: Any, where: str) -> Any:
     if scale.factor < 0:
         low, high = high, low
     bounds = {key: one for key, one in (("minimum", low), ("maximum", high)) if one is not None}
-    return {"type": "integer" if stays_whole else "number", **bounds}
+    kept = {key: plain[key] for key in INHERITED if key in plain}
+    if "x-unit" in kept:
+        kept[SCALED] = (scale.factor, scale.offset)
+    return {"type": "integer" if stays_whole else "number", **bounds, **kept}
 
 
 def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[Any, Clamp]:
@@ -182,7 +186,7 @@ def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[
     least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
     low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
     high = clamp.high if most is None else min(max(most, clamp.low), clamp.high)
-    kept = {key: plain[key] for key in ("x-nonfinite",) if key in plain}
+    kept = {key: plain[key] for key in ("x-nonfinite", SCALED, *INHERITED) if key in plain}
     return {"type": kind, "minimum": low, "maximum": high, **kept}, Clamp(low, high)
 
 

@@ -1,4 +1,4 @@
-"""The verdict on one edge: mapping applied, containment proven, losses allowed by name."""
+"""The verdict on one edge: mapping applied, containment proven, losses allowed, meaning judged."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from typing import Any
 from attrs import evolve, frozen
 
 from uoarm._adapt._adaptation import Adaptation, adapt
+from uoarm._adapt._convert import converting_map
 from uoarm._adapt._mapping import MappingError, parse
 from uoarm._adapt._suggest import suggest
 from uoarm._adapt._walk import UnfitError
-from uoarm.model import Edge, Message, MessageStructure, Reason
+from uoarm._meaning import Difference, judge, write_places
+from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
 from uoarm.schema import Budget, SchemaError, Verdict, check
 
 __all__ = ["EdgeVerdict", "check_edge", "transfer"]
 
 _CHECK_SECONDS = 10.0
 _SUGGEST_SECONDS = 5.0
+_STATED = Meaning()
 
 
 @frozen
@@ -30,12 +33,16 @@ class EdgeVerdict:
         reasons: why not; the first carries configuration lines that would mend it, if any.
         losses: producer's fields that are dropped, all allowed by name.
         warnings: what a careful reader should know.
+        unstated: paths of numbers and octets of whose meaning one side says nothing.
+        differences: what both sides state of the meaning and do not agree on.
     """
 
     compatible: bool
     reasons: tuple[Reason, ...] = ()
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
+    differences: tuple[Difference, ...] = ()
 
 
 def check_edge(
@@ -43,6 +50,7 @@ def check_edge(
     consumer: MessageStructure,
     mapping: Mapping[str, object] | None = None,
     allow_loss: tuple[str, ...] = (),
+    meaning: Meaning = _STATED,
     *,
     seconds: float = _CHECK_SECONDS,
     suggest_seconds: float = _SUGGEST_SECONDS,
@@ -57,10 +65,11 @@ def check_edge(
         consumer: structure of what is taken.
         mapping: the adapter, None to pass messages unchanged.
         allow_loss: fields that may be dropped.
+        meaning: how the meaning of what fits in shape is judged.
         seconds: for the proof, about.
         suggest_seconds: for a suggestion of what would mend a refusal; 0: there is none.
     """
-    verdict = _judge(producer, consumer, mapping, allow_loss, Budget(seconds=seconds))
+    verdict = _judge(producer, consumer, mapping, allow_loss, meaning, Budget(seconds=seconds))
     is_told = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
     if is_told or not suggest_seconds:
         return verdict
@@ -70,9 +79,12 @@ def check_edge(
         return Budget(seconds=max(0.0, end - time.monotonic()))
 
     def fits(mapping: Mapping[str, Any], losses: tuple[str, ...]) -> bool:
-        return _judge(producer, consumer, mapping, losses, left()).compatible
+        return _judge(producer, consumer, mapping, losses, meaning, left()).compatible
 
-    lines = suggest(producer, consumer, fits, left)
+    lines = ""
+    if mapping is None and any(one.conversion for one in verdict.differences):
+        lines = converting_map(producer, consumer, verdict.differences, fits)
+    lines = lines or suggest(producer, consumer, fits, left, meaning)
     if not lines:
         return verdict
     first, *rest = verdict.reasons
@@ -92,20 +104,42 @@ def _judge(
     consumer: MessageStructure,
     mapping: Mapping[str, Any] | None,
     allow_loss: tuple[str, ...],
+    meaning: Meaning,
     budget: Budget,
 ) -> EdgeVerdict:
     try:
         if mapping is None:
-            checked = check(producer.schema, consumer.schema, budget=budget)
-            return _verdict(checked, (), allow_loss)
-        adapted = adapt(parse(mapping), producer.schema, consumer.schema)
-        return _with_losses(adapted, consumer, allow_loss, budget)
+            emitted = producer.schema
+            verdict = _verdict(check(emitted, consumer.schema, budget=budget), (), allow_loss)
+        else:
+            adapted = adapt(parse(mapping), producer.schema, consumer.schema)
+            emitted = adapted.schema
+            verdict = _with_losses(adapted, consumer, allow_loss, budget)
+        return _with_meaning(verdict, emitted, consumer.schema, meaning)
     except MappingError as error:
         return EdgeVerdict(False, (Reason(f"the map cannot be understood: {error}"),))
     except UnfitError as error:
         return EdgeVerdict(False, (Reason(str(error), path=error.path),))
     except SchemaError as error:
         return EdgeVerdict(False, (Reason(f"a structure is no JSON Schema: {error}"),))
+
+
+def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meaning) -> EdgeVerdict:
+    """Judge the meaning of what fits in shape."""
+    if not verdict.compatible or meaning.level is MeaningLevel.OFF:
+        return verdict
+    found = judge(emitted, taken, meaning.alike)
+    unstated = tuple(map(write_places, found.unstated))
+    reasons = [
+        Reason(one.sentence, write_places(one.path), one.producer, one.consumer)
+        for one in found.differences
+    ]
+    if meaning.level is MeaningLevel.STRICT:
+        sentence = "nothing says what it means on both sides, which meaning: strict demands"
+        reasons += [Reason(sentence, path) for path in unstated]
+    if reasons:
+        return EdgeVerdict(False, tuple(reasons), unstated=unstated, differences=found.differences)
+    return evolve(verdict, warnings=(*verdict.warnings, *found.notes), unstated=unstated)
 
 
 def _with_losses(

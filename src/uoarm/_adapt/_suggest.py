@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -11,16 +12,27 @@ from attrs import frozen
 
 from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, parse, write_path
-from uoarm._adapt._units import Conversion, conversion, unit_of
 from uoarm._adapt._walk import Structure, UnfitError, leaves
-from uoarm.model import MessageStructure
+from uoarm._meaning import Conversion, UnitError, conversion, judge
+from uoarm.model import Meaning, MeaningLevel, MessageStructure
 from uoarm.schema import Budget, check
 
-__all__ = ["suggest"]
+__all__ = ["flow", "suggest"]
 
 _MAX_FIELDS = 60
 _ALIKE = 0.6
-_AS_IT_IS = Conversion(1.0, 0.0)
+_AS_IT_IS = Conversion()
+# Words at the end of a field's name that are a unit and nothing else.
+_UNITS = frozenset({
+    "kelvin", "celsius", "fahrenheit", "rad", "radian", "radians", "deg", "degree", "degrees",
+    "rpm", "m", "metre", "metres", "meter", "meters", "cm", "centimetres", "centimeters", "mm",
+    "millimetres", "millimeters", "km", "kilometres", "kilometers", "feet", "ft", "inch", "inches",
+    "mph", "kmh", "s", "sec", "secs", "seconds", "ms", "millis", "milliseconds", "us", "micros",
+    "microseconds", "ns", "nanos", "nanosec", "nanosecs", "nanoseconds", "minutes", "hours", "Pa",
+    "hPa", "kPa", "pascal", "kg", "kilograms", "grams", "volts", "mV", "millivolts", "amps",
+    "amperes", "mA", "milliamps", "percent",
+})  # fmt: skip
+_WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
 def suggest(
@@ -28,6 +40,7 @@ def suggest(
     consumer: MessageStructure,
     fits: Callable[[Mapping[str, Any], tuple[str, ...]], bool],
     left: Callable[[], Budget],
+    meaning: Meaning,
 ) -> str:
     """Return lines to paste that make the edge fit, or nothing.
 
@@ -36,10 +49,11 @@ def suggest(
         consumer: structure of what is taken.
         fits: judges a mapping with its allowed losses.
         left: what each question may cost; with no time left there is no suggestion.
+        meaning: how meaning is judged; no field is offered for one that means something else.
     """
     source, target = Structure(producer.schema), Structure(consumer.schema)
     try:
-        mapping = _draft(source, target, _Likeness(source, target, left))
+        mapping = _draft(source, target, _Likeness(source, target, left, meaning))
         if mapping is None:
             return ""
         losses = adapt(parse(mapping), producer.schema, consumer.schema).losses
@@ -47,8 +61,8 @@ def suggest(
         return ""
     if not fits(mapping, losses):
         return ""
-    lines = f"map: {_flow(mapping)}"
-    return f"{lines}\nallow_loss: {_flow(list(losses))}" if losses else lines
+    lines = f"map: {flow(mapping)}"
+    return f"{lines}\nallow_loss: {flow(list(losses))}" if losses else lines
 
 
 class _NoTimeError(Exception):
@@ -62,13 +76,19 @@ class _Likeness:
     source: Structure
     target: Structure
     left: Callable[[], Budget]
+    meaning: Meaning
 
     def accepts(self, one: Any, other: Any) -> bool:
         budget = self.left()
         if not budget.seconds:
             raise _NoTimeError
         producer = _with_definitions(one, self.source)
-        return check(producer, _with_definitions(other, self.target), budget=budget).compatible
+        consumer = _with_definitions(other, self.target)
+        if not check(producer, consumer, budget=budget).compatible:
+            return False
+        # What a conversion would mend is found by its unit, not as one that is accepted.
+        off = self.meaning.level is MeaningLevel.OFF
+        return off or not judge(producer, consumer, self.meaning.alike).differences
 
 
 def _draft(source: Structure, target: Structure, likeness: _Likeness) -> dict[str, Any] | None:
@@ -104,11 +124,11 @@ def _best(
 
     One in another unit is taken only where it can be converted, and is.
     """
-    unit = unit_of(name, schema)
+    unit = _unit_of(name, schema)
     fitting: dict[Path, Conversion] = {}
     for path, one in have:
-        told = unit_of(path[-1], one) if path else None
-        by = conversion(told, unit)
+        told = _unit_of(path[-1], one) if path else None
+        by = _convert(told, unit)
         if by is None and None in {told, unit} and _are_alike(name, path):
             by = _AS_IT_IS
         if by is None:
@@ -135,25 +155,36 @@ def _is_numeric(schema: Any) -> bool:
 
 
 def _is_same_unit(name: str, one: Any, other: Any) -> bool:
-    units = unit_of(name, one), unit_of(name, other)
-    by = conversion(*units)
+    units = _unit_of(name, one), _unit_of(name, other)
+    by = _convert(*units)
     return None in units or (by is not None and not by.changes)
+
+
+def _unit_of(name: str, schema: Any) -> str | None:
+    """Return the unit of a field by `x-unit`, else by the end of its name; None: neither says."""
+    if isinstance(schema, Mapping) and isinstance(unit := schema.get("x-unit"), str) and unit:
+        return unit
+    words = _WORDS.findall(name)
+    last = words[-1] if words else ""
+    for unit in (last, last.lower()):
+        if unit in _UNITS and (len(unit) > 1 or len(words) > 1):
+            return unit
+    return None
+
+
+def _convert(one: str | None, other: str | None) -> Conversion | None:
+    """Return how numbers in a unit become those in another; None: not, or nobody knows."""
+    if one == other:
+        return Conversion()
+    try:
+        return conversion(one, other) if one and other else None
+    except UnitError:
+        return None
 
 
 def _entry(path: Path, by: Conversion) -> Any:
     """Return what a map says of a field that comes from a path."""
-    if not by.changes:
-        return write_path(path)
-    change = {"scale": by.scale, "offset": by.offset}
-    idle = {"scale": 1.0, "offset": 0.0}
-    return {
-        "from": write_path(path),
-        **{name: _short(one) for name, one in change.items() if one != idle[name]},
-    }
-
-
-def _short(number: float) -> float:
-    return int(number) if number.is_integer() else number
+    return {"from": write_path(path), **by.lines} if by.changes else write_path(path)
 
 
 def _with_definitions(schema: Any, structure: Structure) -> Any:
@@ -171,12 +202,12 @@ def _only_value(schema: Any) -> Any:
     return None
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
     """Write a value as a YAML flow collection that reads back as itself."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_word(k)}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_word(k)}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(_flow(one) for one in value) + "]"
+        return "[" + ", ".join(flow(one) for one in value) + "]"
     return _word(value) if isinstance(value, str) else json.dumps(value)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from attrs import frozen
 
 from uoarm._adapt._mapping import Path, write_path
+from uoarm._meaning import INHERITED
 
 __all__ = ["Field", "Structure", "UnfitError", "leaves"]
 
@@ -62,12 +63,13 @@ class Structure:
         raise UnfitError(path, "the references go in a circle")
 
     def at(self, path: Path) -> Field:
-        """Return the field at a path.
+        """Return the field at a path, with what the objects around it say of its meaning.
 
         Raises:
             UnfitError: there is no such field, or a choice stands in the way.
         """
         schema, always = self.schema, True
+        said: dict[str, Any] = {}
         for number, part in enumerate(path):
             where = write_path(path[: number + 1])
             one = self.plain(schema, where)
@@ -78,8 +80,9 @@ class Structure:
             if any(key in one for key in ("anyOf", "oneOf", "allOf", "if")):
                 raise UnfitError(where, "a choice of structures stands in the way")
             always = always and part in one.get("required", ())
+            said |= {key: one[key] for key in INHERITED if key in one}
             schema = fields[part]
-        return Field(schema, always)
+        return Field({**said, **schema} if said and schema is not True else schema, always)
 
     def fields(self) -> Mapping[str, Any]:
         """Return the named fields of the whole message, none for what is no object."""

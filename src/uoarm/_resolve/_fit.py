@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from attrs import field, frozen
 
 from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
-from uoarm.model import Component, Edge, Input, MessageStructure, Output, Reason
+from uoarm.model import Component, Edge, Input, Meaning, MessageStructure, Output, Reason
 
 __all__ = ["Fit"]
 
@@ -22,10 +22,11 @@ class _Key:
     consumer: MessageStructure
     mapping: Mapping[str, object] | None
     allow_loss: tuple[str, ...]
+    meaning: Meaning
     digest: int = field(init=False)
 
     def __attrs_post_init__(self) -> None:
-        whole = (self.producer, self.consumer, id(self.mapping), self.allow_loss)
+        whole = (self.producer, self.consumer, id(self.mapping), self.allow_loss, self.meaning)
         object.__setattr__(self, "digest", hash(whole))
 
     def __hash__(self) -> int:
@@ -36,6 +37,7 @@ class _Key:
             isinstance(other, _Key)
             and self.mapping is other.mapping
             and self.allow_loss == other.allow_loss
+            and self.meaning == other.meaning
             and self.producer == other.producer
             and self.consumer == other.consumer
         )
@@ -72,7 +74,7 @@ class Fit:
             return (Reason(wanted.sentence),)
         sent = structures.by_port[f"output.{output.name}"]
         taken = wanted.by_port[f"input.{port.name}"]
-        judged = self._judge(_Key(sent, taken, port.mapping, port.allow_loss))
+        judged = self._judge(_Key(sent, taken, port.mapping, port.allow_loss, port.meaning))
         if not judged.compatible:
             return tuple(judged.reasons)
         return Edge(
@@ -88,12 +90,15 @@ class Fit:
                 f"{producer.name}.{output.name} -> {consumer.name}.{port.name}: {one}"
                 for one in judged.warnings
             ),
+            unstated=tuple(judged.unstated),
         )
 
     def _judge(self, key: _Key) -> Judgement:
         judged = self._judged.get(key)
         if judged is None:
-            judged = self._check_edge(key.producer, key.consumer, key.mapping, key.allow_loss)
+            judged = self._check_edge(
+                key.producer, key.consumer, key.mapping, key.allow_loss, key.meaning
+            )
             if len(self._judged) >= _REMEMBERED:
                 self._judged.clear()
             self._judged[key] = judged

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias
 
 from attrs import frozen
 
-from uoarm.model import Component, MessageStructure, Reason
+from uoarm.model import Component, Meaning, MessageStructure, Reason
 
 __all__ = ["Catalogue", "EdgeCheck", "Judgement", "Structures", "Unavailable"]
 
@@ -53,8 +53,18 @@ class Judgement(Protocol):
     def warnings(self) -> tuple[str, ...]:
         """What a careful reader should know."""
 
+    @property
+    def unstated(self) -> tuple[str, ...]:
+        """Paths of what fits in shape, of whose meaning one side says nothing."""
+
 
 EdgeCheck: TypeAlias = Callable[
-    [MessageStructure, MessageStructure, "Mapping[str, object] | None", "tuple[str, ...]"],
+    [
+        MessageStructure,
+        MessageStructure,
+        "Mapping[str, object] | None",
+        "tuple[str, ...]",
+        Meaning,
+    ],
     Judgement,
 ]

@@ -5,7 +5,7 @@ from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._difference import Difference, compare
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._merging import merge
-from uoarm.config._shape import published_schema
+from uoarm.config._shape import published_schema, structure_schema
 from uoarm.config._suggestion import suggest
 
 __all__ = [
@@ -22,5 +22,6 @@ __all__ = [
     "loads",
     "merge",
     "published_schema",
+    "structure_schema",
     "suggest",
 ]

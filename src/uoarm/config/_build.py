@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
+from attrs import evolve
+
 from uoarm.model import (
     BridgeSpec,
     Component,
@@ -16,6 +18,8 @@ from uoarm.model import (
     Function,
     Input,
     Listening,
+    Meaning,
+    MeaningLevel,
     MessageStructure,
     Need,
     Output,
@@ -33,7 +37,8 @@ __all__ = ["bridge_options", "build"]
 def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
     """Return the robot that a checked configuration describes."""
     bridges = {name: _bridge(name, bridge, origin) for name, bridge in value["bridges"].items()}
-    functions = {name: _function(name, one) for name, one in value["functions"].items()}
+    meaning = _meaning(value)
+    functions = {name: _function(name, one, meaning) for name, one in value["functions"].items()}
     asked = value.get("applications", {})
     applications = {name: tuple(names) for name, names in asked.items()}
     failover = _failover(value.get("failover", {}))
@@ -79,8 +84,19 @@ def bridge_options(plugin: str, written: Mapping[str, Any], origin: str) -> dict
     return options
 
 
-def _function(name: str, value: Mapping[str, Any]) -> Function:
-    components = [_component(name, one) for one in value.get("components", ())]
+def _meaning(value: Mapping[str, Any]) -> Meaning:
+    """Return how the robot judges meaning where no function and no input says otherwise."""
+    alike = tuple(frozenset(names) for names in value.get("alike", ()))
+    return _at_level(value, Meaning(alike=alike))
+
+
+def _at_level(value: Mapping[str, Any], meaning: Meaning) -> Meaning:
+    return evolve(meaning, level=MeaningLevel(value["meaning"])) if "meaning" in value else meaning
+
+
+def _function(name: str, value: Mapping[str, Any], meaning: Meaning) -> Function:
+    meaning = _at_level(value, meaning)
+    components = [_component(name, one, meaning) for one in value.get("components", ())]
     components.sort(key=lambda one: -one.priority)
     needs = _need(value["needs"]) if "needs" in value else None
     return Function(name, tuple(components), value.get("description", ""), needs)
@@ -107,7 +123,7 @@ def _need(value: Mapping[str, Any]) -> Need:
     )
 
 
-def _component(function: str, value: Mapping[str, Any]) -> Component:
+def _component(function: str, value: Mapping[str, Any], meaning: Meaning) -> Component:
     def endpoint(port: str, settings: Mapping[str, Any], role: Role) -> Endpoint:
         return Endpoint(
             bridge=value["bridge"],
@@ -126,7 +142,7 @@ def _component(function: str, value: Mapping[str, Any]) -> Component:
         bridge=value["bridge"],
         priority=int(value.get("priority", 0)),
         inputs=tuple(
-            _input(port, one, endpoint(port, one, Role.INPUT))
+            _input(port, one, endpoint(port, one, Role.INPUT), meaning)
             for port, one in _ports(value, "input", "inputs").items()
         ),
         outputs=tuple(
@@ -149,7 +165,7 @@ def _component(function: str, value: Mapping[str, Any]) -> Component:
     )
 
 
-def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint) -> Input:
+def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint, meaning: Meaning) -> Input:
     return Input(
         name=port,
         endpoint=endpoint,
@@ -158,6 +174,7 @@ def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint) -> Input:
         allow_loss=tuple(value.get("allow_loss", ())),
         declared=_structure(value, "structure"),
         queue=_queue(value["queue"]) if "queue" in value else None,
+        meaning=_at_level(value, meaning),
     )
 
 

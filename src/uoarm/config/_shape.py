@@ -8,6 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from uoarm._meaning import unit_mistake
 from uoarm._mistakes import TYPES, Mistake, any_of, mistakes, near
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from jsonschema.exceptions import ValidationError
     from jsonschema.protocols import Validator
 
-__all__ = ["ShapeChecker", "published_schema"]
+__all__ = ["ShapeChecker", "published_schema", "structure_schema"]
 
 _DIALECT = "https://json-schema.org/draft/2020-12/"
 _RULE_KINDS = ("from", "const", "each")
@@ -31,6 +32,14 @@ def published_schema() -> dict[str, Any]:
     return schema
 
 
+@cache
+def structure_schema() -> dict[str, Any]:
+    """Return the JSON Schema of message structures: the dialect, and what values mean."""
+    text = files("uoarm.config").joinpath("structure.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
 class ShapeChecker:
     """Holds a document against the published schema, and its structures against JSON Schema."""
 
@@ -39,7 +48,7 @@ class ShapeChecker:
         self._file = file
         self._speller = speller
         self._published: Validator = _validator(published_schema())
-        self._meta: Validator = _validator({"$ref": f"{_DIALECT}schema"})
+        self._meta: Validator = _validator(structure_schema())
         self._sound: set[str] = set()
 
     def problems(self) -> Iterator[Problem]:
@@ -59,7 +68,10 @@ class ShapeChecker:
             yield self._problem((path, "this structure is nested too deeply", "", False))
             return
         if not found:
-            self._sound.add(text)
+            units = list(_unit_mistakes(structure, path))
+            if not units:
+                self._sound.add(text)
+            yield from map(self._problem, units)
         for error in found:
             for where, sentence, hint, at_key in _mistakes(error, self._speller):
                 told = f"not a JSON Schema: {sentence}"
@@ -71,6 +83,20 @@ class ShapeChecker:
         return Problem(
             place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
         )
+
+
+def _unit_mistakes(structure: Any, path: Path) -> Iterator[Mistake]:
+    """Yield the units that are none, wherever in a structure that is sound otherwise."""
+    waiting: list[tuple[Any, Path]] = [(structure, path)]
+    for value, where in waiting:
+        if isinstance(value, dict):
+            unit = value.get("x-unit")
+            told = unit_mistake(unit) if isinstance(unit, str) else ""
+            if told:
+                yield (*where, "x-unit"), told, "", False
+            waiting.extend((one, (*where, name)) for name, one in value.items())
+        elif isinstance(value, list):
+            waiting.extend((one, (*where, number)) for number, one in enumerate(value))
 
 
 def _validator(schema: Mapping[str, Any]) -> Validator:

@@ -19,6 +19,8 @@ __all__ = [
     "Function",
     "Input",
     "Match",
+    "Meaning",
+    "MeaningLevel",
     "Need",
     "Output",
     "PortRef",
@@ -101,6 +103,28 @@ class Output:
     expect: Expectation | None = None
 
 
+class MeaningLevel(Enum):
+    """What must be known of the meaning of what passes between two components."""
+
+    STRICT = "strict"
+    STATED = "stated"
+    OFF = "off"
+
+
+@frozen
+class Meaning:
+    """How the meaning of what passes is judged, after its shape.
+
+    Attributes:
+        level: `STATED`: what both sides state must agree; `STRICT`: both must state it, too;
+            `OFF`: shape alone.
+        alike: names of nominal types that stand for the same, beside those that uoarm knows.
+    """
+
+    level: MeaningLevel = MeaningLevel.STATED
+    alike: tuple[frozenset[str], ...] = ()
+
+
 @frozen
 class Input:
     """A stream that a component takes, from another function or from the application.
@@ -110,6 +134,7 @@ class Input:
         mapping: the adapter as written in the configuration (`map`), None to pass unchanged.
         allow_loss: fields of the source that may be dropped on the way, by path.
         queue: what to do when the component is slower than its source; None: the default.
+        meaning: how the meaning of what its source emits is judged.
     """
 
     name: str
@@ -119,6 +144,7 @@ class Input:
     allow_loss: tuple[str, ...] = ()
     declared: MessageStructure | None = None
     queue: QueuePolicy | None = None
+    meaning: Meaning = Meaning()
 
 
 @frozen

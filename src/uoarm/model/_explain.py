@@ -14,6 +14,7 @@ __all__ = ["tell_plan", "tell_rejections", "tell_status"]
 
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
+_MAX_PATHS = 8
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
     "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
@@ -38,6 +39,11 @@ def tell_plan(plan: Plan) -> str:
         how = " through a map" if edge.mapping is not None else ""
         lines.append(f"  {edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}{how}")
         lines.extend(f"      allowed loss: {loss}" for loss in edge.losses)
+        if edge.unstated:
+            shown = [one or "the whole message" for one in edge.unstated[:_MAX_PATHS]]
+            more = len(edge.unstated) - len(shown)
+            rest = f" and {more} more" if more else ""
+            lines.append(f"      rests on shape alone: {', '.join(shown)}{rest}")
     if plan.rejected:
         lines.append("passed over")
         lines.append(tell_rejections(plan.rejected))

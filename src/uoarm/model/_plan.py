@@ -51,7 +51,11 @@ class Rejection:
 
 @frozen
 class Edge:
-    """A checked connection from one component's output to another's input."""
+    """A checked connection from one component's output to another's input.
+
+    `unstated` has the paths of numbers and octets that fit in shape and of whose meaning one side
+    says nothing.
+    """
 
     producer: str
     output: str
@@ -62,6 +66,7 @@ class Edge:
     mapping: Mapping[str, object] | None = field(default=None, hash=False)
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    unstated: tuple[str, ...] = ()
 
 
 @frozen

@@ -129,7 +129,7 @@ def _losses_here(one: Node, other: Node, path: Path) -> list[Loss]:
     if mine.get("x-nonfinite") and not theirs.get("x-nonfinite"):
         sentence = "the producer may emit NaN or infinity, the consumer does not expect them"
         found.append(Loss(where, "nonfinite", sentence))
-    for keyword in ("format", "contentEncoding", "contentMediaType", "x-unit"):
+    for keyword in ("format", "contentEncoding", "contentMediaType"):
         if keyword in theirs and mine.get(keyword) != theirs[keyword]:
             mine_says = mine.get(keyword)
             sentence = (

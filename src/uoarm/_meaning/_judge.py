@@ -1,0 +1,398 @@
+"""The judgement of meaning: what two structures say of each value that passes between them.
+
+It follows containment and changes nothing of it. Only what both sides state is compared; a number
+or octets of which one side says nothing rests on shape alone, and is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from fractions import Fraction
+from typing import Any, TypeAlias
+
+from attrs import define, field, frozen
+
+from uoarm._meaning._alike import are_alike, name_of_type
+from uoarm._meaning._units import Conversion, UnitError, conversion
+from uoarm._meaning._vocabulary import INHERITED, SCALED, VOCABULARY
+
+__all__ = ["Difference", "Meanings", "judge", "write_places"]
+
+Path: TypeAlias = "tuple[str, ...]"
+Said: TypeAlias = "Mapping[str, Any]"
+
+ITEMS = "[]"
+_MOST_PAIRS = 50_000
+_MOST_DEPTH = 100
+_MOST_VIEWS = 32
+_MOST_TOLD = 200
+_NUMBERS = frozenset({"number", "integer"})
+# How exact the factor of a map must be: what people write, 57.3 or 0.01745, will do.
+_TOLERANCE = 1e-3
+_NOTHING: Said = {}
+_MEASURES = ("x-unit", "x-quantity", "x-time")
+_WORDS_SAID = frozenset(VOCABULARY)
+_CHOICES = frozenset({"$ref", "allOf", "anyOf", "oneOf"})
+_WORDS = {
+    "x-quantity": "quantities", "x-frame": "frames", "x-encoding": "encodings",
+    "x-time": "kinds of time",
+}  # fmt: skip
+
+
+@frozen
+class Difference:
+    """What two sides state of one value and do not agree on.
+
+    Attributes:
+        path: of the consumer's value; `[]` stands for the items of an array.
+        sentence: what is different.
+        producer: what the producer states.
+        consumer: what the consumer states.
+        conversion: what would turn the one into the other, None where nothing does.
+    """
+
+    path: Path
+    sentence: str
+    producer: str
+    consumer: str
+    conversion: Conversion | None = None
+
+
+@frozen
+class Meanings:
+    """What comes of a judgement.
+
+    Attributes:
+        differences: what both sides state otherwise.
+        unstated: numbers and octets of which a side says nothing; they rest on shape alone.
+        notes: what a careful reader should know.
+    """
+
+    differences: tuple[Difference, ...] = ()
+    unstated: tuple[Path, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) -> Meanings:
+    """Compare what two schemas mean, of which one contains the other. Pure; raises nothing.
+
+    Args:
+        producer: JSON Schema of what is emitted.
+        consumer: JSON Schema of what is taken.
+        alike: names of types that are declared to stand for the same.
+    """
+    walk = _Walk(producer, consumer, alike)
+    found = _Found()
+    walk.compare(producer, consumer, (), _NOTHING, _NOTHING, False, found)
+    return Meanings(
+        tuple(found.differences[:_MOST_TOLD]),
+        tuple(dict.fromkeys(found.unstated[:_MOST_TOLD])),
+        tuple(found.notes[:_MOST_TOLD]),
+    )
+
+
+@define
+class _Found:
+    differences: list[Difference] = field(factory=list)
+    unstated: list[Path] = field(factory=list)
+    notes: list[str] = field(factory=list)
+
+    def add(self, other: _Found) -> None:
+        self.differences += other.differences
+        self.unstated += other.unstated
+        self.notes += other.notes
+
+
+@define
+class _Walk:
+    """One judgement.
+
+    Its steps take what the values around a place say of all within them, `mine` and `theirs`, and
+    whether types of one name stand around it, which say what is within. They are plain arguments,
+    as there are as many steps as parts of a structure.
+    """
+
+    producer: Any
+    consumer: Any
+    alike: tuple[frozenset[str], ...]
+    pairs: int = 0
+    referred: set[tuple[int, int, str]] = field(factory=set)
+
+    def compare(
+        self,
+        one: Any,
+        other: Any,
+        path: Path,
+        mine: Said,
+        theirs: Said,
+        covered: bool,  # noqa: FBT001 - as above
+        found: _Found,
+    ) -> None:
+        """Compare two schemas and all within them."""
+        # What is read from JSON is a dict, and told from others faster.
+        if not (one.__class__ is dict or isinstance(one, Mapping)) or not (
+            other.__class__ is dict or isinstance(other, Mapping)
+        ):
+            return
+        self.pairs += 1
+        if self.pairs > _MOST_PAIRS or len(path) > _MOST_DEPTH:
+            found.unstated.append(path)
+            return
+        if _CHOICES.isdisjoint(one) and _CHOICES.isdisjoint(other):
+            self._compare_views(one, other, path, mine, theirs, covered, found)
+            return
+        if "$ref" in one or "$ref" in other:
+            # What refers to itself says the same again.
+            key = (id(one), id(other), f"{mine} {theirs} {covered}")
+            if key in self.referred:
+                return
+            self.referred.add(key)
+        try:
+            made, taken = self._views(one, self.producer), self._views(other, self.consumer)
+        except _NotFollowedError:
+            if not covered:
+                found.unstated.append(path)
+            return
+        for view in made:
+            # A consumer with a choice takes a value as what agrees with it most.
+            best: _Found | None = None
+            for each in taken:
+                if len(made) == len(taken) == 1 or _may_be_alike(view, each):
+                    told = _Found()
+                    self._compare_views(view, each, path, mine, theirs, covered, told)
+                    if best is None or len(told.differences) < len(best.differences):
+                        best = told
+            if best is not None:
+                found.add(best)
+
+    def _compare_views(
+        self,
+        one: Said,
+        other: Said,
+        path: Path,
+        mine: Said,
+        theirs: Said,
+        covered: bool,  # noqa: FBT001 - as in `compare`
+        found: _Found,
+    ) -> None:
+        if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
+            said_here = one.keys() & _WORDS_SAID, other.keys() & _WORDS_SAID
+            known = self._compare_types(one, other, path, found)
+            if known is False:
+                return
+            covered = covered or known is True
+            if not said_here[0].isdisjoint(INHERITED):
+                mine = {**mine, **{key: one[key] for key in INHERITED if key in one}}
+            if not said_here[1].isdisjoint(INHERITED):
+                theirs = {**theirs, **{key: other[key] for key in INHERITED if key in other}}
+            stated = said_here[0] | said_here[1]
+            if "x-unit" in stated:
+                _compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
+            _compare_words(stated, {**one, **mine}, {**other, **theirs}, path, found)
+        if "x-octets" in one or "x-octets" in other:
+            if not covered and not ("x-encoding" in one and "x-encoding" in other):
+                found.unstated.append(path)
+            return
+        if "properties" in one or "additionalProperties" in one:
+            for name, child, taken in _fields(one, other):
+                self.compare(child, taken, (*path, name), mine, theirs, covered, found)
+        if "items" in one or "prefixItems" in one:
+            for name, child, taken in _items(one, other):
+                self.compare(child, taken, (*path, name), mine, theirs, covered, found)
+        if covered or (mine and theirs and any(key in mine and key in theirs for key in _MEASURES)):
+            return
+        if _is_number(one) and _is_number(other):
+            found.unstated.append(path)
+
+    def _compare_types(self, one: Said, other: Said, path: Path, found: _Found) -> bool | None:
+        """Say whether types are named that stand for the same; None: not on both sides."""
+        mine, theirs = name_of_type(one.get("x-type")), name_of_type(other.get("x-type"))
+        if not mine or not theirs:
+            return None
+        if not are_alike(mine, theirs, self.alike):
+            sentence = f"the types differ: {mine} is not {theirs}"
+            told = f"x-type {mine}", f"x-type {theirs}"
+            found.differences.append(Difference(path, sentence, *told))
+            return False
+        for key in ("version", "hash"):
+            said = [_of_type(each, key) for each in (one, other)]
+            if mine == theirs and None not in said and said[0] != said[1]:
+                where = write_places(path) or "message"
+                found.notes.append(
+                    f"{where}: the producer's {mine} has {key} {said[0]}, the consumer's {said[1]}"
+                )
+        return True
+
+    def _views(self, schema: Any, root: Any, depth: int = 0) -> list[Said]:
+        """Return the plain schemas that a schema is a choice of; references are followed."""
+        self.pairs += 1
+        if depth > _MOST_VIEWS or self.pairs > _MOST_PAIRS:
+            raise _NotFollowedError
+        if not isinstance(schema, Mapping):
+            return []
+        if schema.keys().isdisjoint(_CHOICES):
+            return [schema]
+        bases: list[Said] = [{key: one for key, one in schema.items() if key not in _CHOICES}]
+        if "$ref" in schema:
+            bases = self._all([_target(root, schema["$ref"])], bases, root, depth)
+        bases = self._all(schema.get("allOf", ()), bases, root, depth)
+        for key in ("anyOf", "oneOf"):
+            if key in schema:
+                views = [
+                    view for part in schema[key] for view in self._views(part, root, depth + 1)
+                ]
+                bases = _product(views, bases)
+        return bases
+
+    def _all(self, parts: Iterable[Any], bases: list[Said], root: Any, depth: int) -> list[Said]:
+        for part in parts:
+            views = self._views(part, root, depth + 1)
+            if views:
+                bases = _product(views, bases)
+        return bases
+
+
+def _compare_words(
+    stated: Collection[str], one: Said, other: Said, path: Path, found: _Found
+) -> None:
+    for keyword, words in _WORDS.items():
+        if keyword not in stated:
+            continue
+        mine, theirs = one.get(keyword), other.get(keyword)
+        if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
+            sentence = f"the {words} differ: {mine} is not {theirs}"
+            told = f"{keyword} {mine}", f"{keyword} {theirs}"
+            found.differences.append(Difference(path, sentence, *told))
+
+
+def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Found) -> None:
+    if mine == theirs or not (isinstance(mine, str) and isinstance(theirs, str)):
+        return
+    told = f"x-unit {mine}", f"x-unit {theirs}"
+    scaled = one.get(SCALED)
+    try:
+        by = conversion(mine, theirs)
+    except UnitError as error:
+        sentence = f"{mine} and {theirs} cannot be compared: {error}"
+        found.differences.append(Difference(path, sentence, *told))
+        return
+    if scaled is not None:
+        sentence = _of_scaled(scaled, by, mine, theirs)
+        if sentence:
+            found.differences.append(Difference(path, sentence, *told))
+        elif by is None:
+            where = write_places(path)
+            found.notes.append(f"{where}: the map makes {theirs} of {mine} by a factor")
+    elif by is None:
+        sentence = f"the units differ: {mine} measures something else than {theirs}"
+        found.differences.append(Difference(path, sentence, *told))
+    elif by.changes:
+        lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
+        sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
+        found.differences.append(Difference(path, sentence, *told, by))
+
+
+class _NotFollowedError(Exception):
+    """A reference leads out of the document, or choices multiply beyond what is looked at."""
+
+
+def _product(views: list[Said], bases: list[Said]) -> list[Said]:
+    if len(views) * len(bases) > _MOST_VIEWS:
+        raise _NotFollowedError
+    return [_merged(view, base) for base in bases for view in views]
+
+
+def _merged(inner: Said, outer: Said) -> Said:
+    fields = {**inner.get("properties", {}), **outer.get("properties", {})}
+    return {**inner, **outer, **({"properties": fields} if fields else {})}
+
+
+def _target(root: Any, reference: Any) -> Any:
+    """Follow a JSON pointer into the same document."""
+    if not isinstance(reference, str) or not reference.startswith("#"):
+        raise _NotFollowedError
+    found = root
+    for part in reference[1:].split("/")[1:]:
+        name = part.replace("~1", "/").replace("~0", "~")
+        try:
+            found = found[int(name)] if isinstance(found, list) else found[name]
+        except (LookupError, TypeError, ValueError):
+            raise _NotFollowedError from None
+    if reference[1:2] not in {"", "/"}:
+        raise _NotFollowedError
+    return found
+
+
+def _fields(one: Said, other: Said) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the fields of the same name of two plain schemas."""
+    mine, theirs = one.get("properties") or {}, other.get("properties") or {}
+    rest = other.get("additionalProperties")
+    for name, child in mine.items():
+        taken = theirs.get(name, rest)
+        if taken is not None:
+            yield name, child, taken
+    if isinstance(one.get("additionalProperties"), Mapping):
+        for name, taken in theirs.items():
+            if name not in mine:
+                yield name, one["additionalProperties"], taken
+        if rest is not None:
+            yield "*", one["additionalProperties"], rest
+
+
+def _items(one: Said, other: Said) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the items of two plain schemas that stand at the same place."""
+    first, second = one.get("prefixItems", ()), other.get("prefixItems", ())
+    for number in range(max(len(first), len(second))):
+        child = first[number] if number < len(first) else one.get("items")
+        taken = second[number] if number < len(second) else other.get("items")
+        yield f"[{number}]", child, taken
+    yield ITEMS, one.get("items"), other.get("items")
+
+
+def _is_number(schema: Said) -> bool:
+    """Say whether values are numbers that measure something: no codes, no constants."""
+    kinds = schema.get("type")
+    if isinstance(kinds, list):
+        kinds = next((one for one in kinds if one in _NUMBERS), None)
+    return kinds in _NUMBERS and "enum" not in schema and "const" not in schema
+
+
+def _may_be_alike(one: Said, other: Said) -> bool:
+    kinds = []
+    for each in (one, other):
+        told = each.get("type")
+        kind = {told} if isinstance(told, str) else set(told or ())
+        kinds.append({"number" if name == "integer" else name for name in kind})
+    return not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1])
+
+
+def _of_scaled(scaled: Any, by: Conversion | None, mine: str, theirs: str) -> str:
+    """Say what is wrong with the factor of a map, or nothing.
+
+    One between different quantities, such as the radius of a wheel, is the configuration's own.
+    """
+    if by is None:
+        return ""
+    factor, offset = (Fraction(one) for one in scaled)
+    right = abs(abs(factor) - by.factor) <= _TOLERANCE * by.factor
+    if by.offset:
+        right = right and abs(offset - by.offset) <= _TOLERANCE * abs(by.offset)
+    if right:
+        return ""
+    has = Conversion(factor, offset).lines or {"scale": 1}
+    needs = by.lines or {"scale": 1}
+    said = [", ".join(f"{name}: {one}" for name, one in lines.items()) for lines in (has, needs)]
+    return f"the map has {said[0]}, but {mine} becomes {theirs} with {said[1]}"
+
+
+def _of_type(schema: Said, key: str) -> Any:
+    told = schema.get("x-type")
+    return told.get(key) if isinstance(told, Mapping) else None
+
+
+def write_places(path: Path) -> str:
+    """Write a path as reasons do: `pose.points[].x`."""
+    text = ""
+    for part in path:
+        text += part if part.startswith("[") else f".{part}" if text else part
+    return text

@@ -1,0 +1,252 @@
+"""Units: UCUM codes and common names, read by pint, compared and converted exactly.
+
+What UCUM spells otherwise than pint does is told here. Angles are kept apart from ratios, so that
+`rad/s` is not `Hz` and `deg` is not `%`.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from functools import cache, lru_cache
+from typing import Any
+
+from attrs import frozen
+
+from uoarm._origin import install_command
+
+__all__ = ["Conversion", "UnitError", "conversion", "is_available", "unit_mistake"]
+
+_MOST_CHARACTERS = 60
+_MOST_POWER = 12
+_MOST_KNOWN = 10_000
+
+
+class UnitError(ValueError):
+    """A unit that cannot be read, or not without pint; the text says which and why."""
+
+
+@frozen
+class Conversion:
+    """How a number in one unit becomes one in another: `factor * number + offset`, exactly."""
+
+    factor: Fraction = Fraction(1)
+    offset: Fraction = Fraction(0)
+
+    @property
+    def changes(self) -> bool:
+        """Whether numbers become others at all."""
+        return self.factor != 1 or self.offset != 0
+
+    @property
+    def lines(self) -> dict[str, float]:
+        """What a map says of it: `scale` and `offset`, each only where it does something."""
+        told = {"scale": (self.factor, 1), "offset": (self.offset, 0)}
+        return {
+            name: int(one) if one.denominator == 1 else float(one)
+            for name, (one, idle) in told.items()
+            if one != idle
+        }
+
+    def apply(self, number: float) -> float:
+        """Return a number in the other unit, rounded once."""
+        return float(self.factor * Fraction(number) + self.offset)
+
+
+@frozen
+class _Unit:
+    """What a unit comes to: `factor * number + offset` of the base units with their powers."""
+
+    base: tuple[tuple[str, Fraction], ...]
+    factor: Fraction
+    offset: Fraction = Fraction(0)
+
+
+# UCUM's codes by their names in pint, where they differ; and names that people write.
+_IN_PINT: Mapping[str, str] = {
+    "Cel": "degC", "cel": "degC", "°C": "degC", "[degF]": "degF", "°F": "degF", "[degR]": "degR",
+    "[degRe]": "degRe", "°": "degree", "'": "arcminute", "''": "arcsecond", "gon": "gradian",
+    "circ": "turn", "[in_i]": "inch", "[ft_i]": "foot", "[yd_i]": "yard", "[mi_i]": "mile",
+    "[nmi_i]": "nautical_mile", "[kn_i]": "knot", "[lb_av]": "pound", "[oz_av]": "ounce",
+    "[lbf_av]": "pound_force", "[psi]": "psi", "[g]": "standard_gravity", "[gal_us]": "gallon",
+    "[HP]": "horsepower", "[Btu_IT]": "Btu_it", "[ppm]": "ppm", "[ppth]": "permille",
+    "[c]": "speed_of_light", "m[Hg]": "meter_Hg", "mm[Hg]": "mmHg", "[in_i'Hg]": "inch_Hg",
+    "cm[H2O]": "cmH2O", "%": "percent", "Ohm": "ohm",
+    "mOhm": "milliohm", "kOhm": "kiloohm", "MOhm": "megaohm", "mho": "siemens", "By": "byte",
+    "kBy": "kilobyte", "MBy": "megabyte", "GBy": "gigabyte", "b": "barn", "st": "stere",
+    "t": "metric_ton", "u": "unified_atomic_mass_unit", "P": "poise", "sb": "stilb", "a": "year",
+    "mo": "month", "wk": "week", "d": "day", "ar": "are", "amp": "ampere", "amps": "ampere",
+    "gal": "gallon", "Torr": "torr",
+}  # fmt: skip
+_EXPRESSIONS: Mapping[str, str] = {
+    "rpm": "{rev}/min", "{rpm}": "{rev}/min", "Nm": "N.m", "mNm": "mN.m", "kmh": "km/h",
+    "Ah": "A.h", "mAh": "mA.h", "Wh": "W.h", "kWh": "kW.h", "bpm": "{beats}/min", "mps": "m/s",
+}  # fmt: skip
+# An annotation says nothing in UCUM; but a turn is an angle to whoever writes it.
+_TURNS = frozenset({"{rev}", "{revolution}", "{revolutions}", "{turn}", "{turns}"})
+_TOKEN = re.compile(
+    r"(?P<note>\{[^{}]*\})|(?P<operator>\*(?!\*)|[./·()])|(?P<ten>10(?:\*|\^)[+-]?\d+)"
+    r"|(?P<number>\d+)|(?P<name>(?:[^\W\d]+(?:\[[^\[\]]+\])?|\[[^\[\]]+\]|''?|%|°[CF]?)_?)"
+    r"(?P<power>(?:\^|\*\*)?[+-]?\d+)?"
+)
+_LOCK = threading.Lock()
+_known: dict[str, _Unit] = {}
+
+
+def conversion(one: str, other: str) -> Conversion | None:
+    """Return how numbers in a unit become those in another; None: they measure different things.
+
+    The first two different units of a process cost about a second, in which pint is loaded.
+
+    Raises:
+        UnitError: one of them is not known, or pint is not installed.
+    """
+    if one == other:
+        return Conversion()
+    first, second = _read(one), _read(other)
+    if first.base != second.base:
+        return None
+    return Conversion(first.factor / second.factor, (first.offset - second.offset) / second.factor)
+
+
+def unit_mistake(unit: str) -> str:
+    """Return what is wrong with a unit; where pint is not installed, with its spelling alone."""
+    try:
+        if is_available():
+            _read(unit)
+        else:
+            _powers(unit)
+    except UnitError as error:
+        return str(error)
+    return ""
+
+
+@cache
+def is_available() -> bool:
+    """Whether pint is installed, without which units are only equal or not."""
+    try:
+        _registry()
+    except UnitError:
+        return False
+    return True
+
+
+@cache
+def _registry() -> Any:
+    try:
+        import pint  # noqa: PLC0415 - half a second, for those who state units
+    except ImportError as error:
+        command = install_command("uoarm", "units")
+        raise UnitError(f"to compare units this needs: {command}") from error
+    return pint.UnitRegistry(non_int_type=Fraction)
+
+
+def _read(text: str) -> _Unit:
+    found = _known.get(text)
+    if found is None:
+        with _LOCK:  # pint's registry fills itself as it is asked
+            found = _unit(text)
+        if len(_known) >= _MOST_KNOWN:
+            _known.clear()
+        _known[text] = found
+    return found
+
+
+def _unit(text: str) -> _Unit:
+    powers = _powers(text)
+    alone = len(powers) == 1 and next(iter(powers.values())) == 1
+    base: Counter[str] = Counter()
+    factor, offset = Fraction(1), Fraction(0)
+    for name, power in powers.items():
+        if isinstance(name, Fraction):
+            factor *= name**power
+            continue
+        one = _atom(name, text)
+        factor *= one.factor**power
+        for dimension, exponent in one.base:
+            base[dimension] += exponent * power  # type: ignore[assignment]
+        if alone:
+            offset = one.offset
+    kept = tuple(sorted((name, Fraction(power)) for name, power in base.items() if power))
+    return _Unit(kept, factor, offset)
+
+
+@lru_cache(maxsize=1_000)
+def _atom(name: str, text: str) -> _Unit:
+    registry = _registry()
+    try:
+        known = registry.get_name(_IN_PINT.get(name, name))
+        zero, unity, two = (
+            registry.Quantity(Fraction(number), known).to_root_units() for number in range(3)
+        )
+        values = [Fraction(one.magnitude) for one in (zero, unity, two)]
+    except Exception as error:  # pint raises whatever its parts do
+        if type(error).__name__ == "UndefinedUnitError":
+            raise UnitError(f"the unit {text!r} is not known: nothing is named {name!r}") from None
+        raise UnitError(f"the unit {text!r} is not proportional to others") from error
+    if values[2] - values[1] != values[1] - values[0]:
+        raise UnitError(f"the unit {text!r} is not proportional to others")
+    base = tuple((str(part), Fraction(power)) for part, power in zero._units.items())  # noqa: SLF001
+    return _Unit(base, values[1] - values[0], values[0])
+
+
+def _powers(text: str) -> Counter[str | Fraction]:
+    """Return the atoms of a unit with their powers, numbers among them.
+
+    Raises:
+        UnitError: it is no expression of units.
+    """
+    written = _EXPRESSIONS.get(text, text).strip()
+    if not written or len(written) > _MOST_CHARACTERS:
+        raise UnitError(f"a unit has 1 to {_MOST_CHARACTERS} characters, {text[:80]!r} has not")
+    found: Counter[str | Fraction] = Counter()
+    signs, sign, awaiting = [1], 1, True
+    for kind, part, power in _tokens(written, text):
+        if kind == "operator":
+            if part == "(":
+                if not awaiting:
+                    break
+                signs.append(signs[-1] * sign)
+                sign = 1
+            elif part == ")":
+                if awaiting or len(signs) == 1:
+                    break
+                signs.pop()
+            elif awaiting and (part != "/" or found or len(signs) > 1):
+                break
+            else:
+                sign, awaiting = (-1 if part == "/" else 1), True
+            continue
+        if not awaiting and kind != "note":
+            break
+        awaiting = False
+        if kind == "note" and part not in _TURNS:
+            continue
+        name: str | Fraction = "turn" if kind == "note" else part
+        if kind in {"number", "ten"}:
+            name = Fraction(int(part) if kind == "number" else 10)
+        found[name] += signs[-1] * sign * power
+    else:
+        if not awaiting and len(signs) == 1:
+            return found
+    raise UnitError(f"{text!r} is no unit: write it as in UCUM, such as m/s2, Cel or N.m")
+
+
+def _tokens(written: str, text: str) -> Iterator[tuple[str, str, int]]:
+    position = 0
+    while position < len(written):
+        match = _TOKEN.match(written, position)
+        if match is None:
+            raise UnitError(f"{text!r} is no unit: {written[position]!r} stands in none")
+        kind = next(key for key in ("note", "operator", "ten", "number", "name") if match[key])
+        told = match["power"] or "1"
+        if kind == "ten":
+            told = match["ten"][3:]
+        power = int(told.lstrip("^*"))
+        if abs(power) > (_MOST_CHARACTERS if kind == "ten" else _MOST_POWER):
+            raise UnitError(f"{text!r} is no unit: a power of {power} is beyond sense")
+        yield kind, match[kind], power
+        position = match.end()

@@ -1,0 +1,293 @@
+"""The judgement of meaning: what agrees, what is converted, what is refused, what nobody says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uoarm._adapt import check_edge, transfer
+from uoarm._meaning import judge
+from uoarm.model import Edge, Meaning, MeaningLevel, MessageStructure
+
+NUMBER: dict[str, Any] = {"type": "number"}
+OCTETS: dict[str, Any] = {
+    "type": "array", "items": {"type": "integer", "minimum": 0, "maximum": 255}, "x-octets": True
+}  # fmt: skip
+STRICT, OFF = Meaning(MeaningLevel.STRICT), Meaning(MeaningLevel.OFF)
+
+
+def unit(name: str) -> dict[str, Any]:
+    return {**NUMBER, "x-unit": name}
+
+
+def record(**fields: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": fields,
+        "required": list(fields),
+        "additionalProperties": False,
+    }
+
+
+def named(name: Any, **fields: Any) -> dict[str, Any]:
+    return {**record(**fields), "x-type": name}
+
+
+def edge(one: Any, other: Any, mapping: Any = None, **more: Any) -> Any:
+    return check_edge(MessageStructure(one), MessageStructure(other), mapping, **more)
+
+
+def test_degrees_are_not_radians_and_the_line_converts_them() -> None:
+    verdict = edge(record(yaw=unit("deg")), record(yaw=unit("rad")))
+    assert not verdict.compatible
+    (reason,) = verdict.reasons
+    assert (reason.path, reason.producer, reason.consumer) == ("yaw", "x-unit deg", "x-unit rad")
+    assert reason.suggestion == "map: {yaw: {from: yaw, scale: 0.017453292519943295}}"
+
+
+def pasted(one: Any, other: Any) -> Any:
+    """Return the function that the suggested lines make of an edge."""
+    (first, *_) = edge(one, other).reasons
+    mapping = yaml.safe_load(first.suggestion)["map"]
+    assert edge(one, other, mapping).compatible
+    made = transfer(
+        Edge("a", "b", "c", "d", MessageStructure(one), MessageStructure(other), mapping)
+    )
+    assert made is not None
+    return made
+
+
+def test_lines_to_paste_reach_into_objects_and_arrays_and_keep_what_stands_beside() -> None:
+    def scan(angle: str, length: str) -> dict[str, Any]:
+        return record(
+            name={"type": "string"},
+            pose=record(x=unit(length), yaw=unit(angle), at=record(z=unit(length), k=NUMBER)),
+            ranges={"type": "array", "items": unit(length)},
+            points={"type": "array", "items": record(x=unit(length), id=NUMBER)},
+            plain=unit("s"),
+        )
+
+    convert = pasted(scan("deg", "mm"), scan("deg", "m"))
+    message = {
+        "name": "n", "pose": {"x": 1000, "yaw": 90, "at": {"z": 5000, "k": 7}},
+        "ranges": [500, 250], "points": [{"x": 2000, "id": 3}], "plain": 4,
+    }  # fmt: skip
+    assert convert(message) == {
+        "name": "n", "pose": {"x": 1.0, "yaw": 90, "at": {"z": 5.0, "k": 7}},
+        "ranges": [0.5, 0.25], "points": [{"x": 2.0, "id": 3}], "plain": 4,
+    }  # fmt: skip
+
+
+def test_a_whole_message_that_is_one_number_is_converted() -> None:
+    assert pasted(unit("Cel"), unit("[degF]"))(100) == 212
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "said"),
+    [
+        (unit("m"), unit("s"), "m measures something else than s"),
+        (unit("rad"), unit("1"), "rad measures something else than 1"),
+        (unit("m"), unit("smoots"), "'smoots' is not known"),
+        (
+            {**unit("N.m"), "x-quantity": "torque"},
+            {**unit("J"), "x-quantity": "energy"},
+            "the quantities differ: torque is not energy",
+        ),
+        ({**NUMBER, "x-frame": "map"}, {**NUMBER, "x-frame": "odom"}, "map is not odom"),
+        ({**NUMBER, "x-time": "epoch"}, {**NUMBER, "x-time": "duration"}, "epoch is not duration"),
+        ({**OCTETS, "x-encoding": "jpeg"}, {**OCTETS, "x-encoding": "rgb8"}, "jpeg is not rgb8"),
+        (named("a/B", x=NUMBER), named("a/C", x=NUMBER), "the types differ: a/B is not a/C"),
+    ],
+)
+def test_what_means_something_else_is_refused_with_its_path(
+    one: Any, other: Any, said: str
+) -> None:
+    verdict = edge(record(v=one), record(v=other))
+    assert not verdict.compatible
+    assert verdict.reasons[0].path == "v"
+    assert said in verdict.reasons[0].sentence
+    assert not verdict.reasons[0].suggestion
+    assert edge(record(v=one), record(v=other), meaning=OFF).compatible
+
+
+@pytest.mark.parametrize("key", ["x-frame", "x-encoding"])
+def test_what_each_message_says_itself_is_not_guessed(key: str) -> None:
+    by_field = {**OCTETS, key: {"field": "header.frame_id"}}
+    assert edge(by_field, {**OCTETS, key: "map"}).compatible
+
+
+def test_what_an_object_says_holds_for_what_is_in_it() -> None:
+    whole = {**record(x=NUMBER, y=unit("rad")), "x-unit": "mm"}
+    verdict = edge(whole, record(x=unit("m"), y=unit("rad")))
+    assert [one.path for one in verdict.reasons] == ["x"]
+    assert edge(whole, record(x=unit("mm"), y=unit("rad"))).unstated == ()
+
+
+def test_what_nobody_says_rests_on_shape_and_is_named() -> None:
+    flag, code = {"type": "boolean"}, {"enum": [1, 2]}
+    one = record(a=NUMBER, b=unit("m"), c=flag, d=code, e=OCTETS, f=unit("m"))
+    verdict = edge(one, record(a=NUMBER, b=NUMBER, c=flag, d=code, e=OCTETS, f=unit("m")))
+    assert verdict.compatible
+    assert verdict.unstated == ("a", "b", "e")
+    strict = edge(one, one, meaning=STRICT)
+    assert [reason.path for reason in strict.reasons] == ["a", "e"]
+    assert "strict" in strict.reasons[0].sentence
+
+
+def test_equal_types_say_what_is_within() -> None:
+    one = named({"name": "x/Reading", "version": "1"}, value=NUMBER)
+    assert edge(one, one, meaning=STRICT).compatible
+    other = {**one, "x-type": {"name": "x/Reading", "version": "2"}}
+    verdict = edge(one, other)
+    assert verdict.compatible
+    assert "has version 1, the consumer's 2" in verdict.warnings[0]
+
+
+def test_types_are_alike_by_declaration_or_by_the_built_in_table() -> None:
+    one, other = named("my/Point", x=unit("m")), named("their::Point", x=unit("m"))
+    declared = Meaning(alike=(frozenset({"my/Point", "their::Point"}),))
+    assert not edge(one, other).compatible
+    assert edge(one, other, meaning=declared).compatible
+    assert edge(other, one, meaning=declared).compatible
+    ros, foxglove = (
+        named(name, x=NUMBER, y=NUMBER, z=NUMBER)
+        for name in ("geometry_msgs/msg/Vector3", "foxglove.Vector3")
+    )
+    assert edge(ros, foxglove).compatible
+    assert not edge(ros, {**foxglove, "x-type": "foxglove.Point3"}).compatible
+
+
+def test_a_map_is_judged_at_what_it_carries_over() -> None:
+    producer = named("ros/Scan", range=unit("mm"), stamp=NUMBER)
+    consumer = named("rtc/Distance", metres=unit("m"))
+    right = {"metres": {"from": "range", "scale": 0.001}}
+    losses = ("stamp",)
+    assert edge(producer, consumer, right, allow_loss=losses).compatible
+    for wrong in (
+        "range",
+        {"from": "range", "scale": 1000},
+        {"from": "range", "scale": 0.01, "clamp": [0, 9]},
+    ):
+        verdict = edge(producer, consumer, {"metres": wrong}, allow_loss=losses)
+        assert not verdict.compatible
+        assert verdict.reasons[0].path == "metres"
+    assert edge(
+        producer, consumer, {"metres": {"const": 3}}, allow_loss=("range", "stamp")
+    ).compatible
+
+
+def test_a_map_may_correct_a_value_and_cross_quantities_by_a_factor() -> None:
+    calibrated = {"v": {"from": "v", "scale": 1.02, "offset": -0.3}}
+    assert edge(record(v=unit("m")), record(v=unit("m")), calibrated).compatible
+    wheel = edge(
+        record(v=unit("rad/s")), record(v=unit("m/s")), {"v": {"from": "v", "scale": 0.05}}
+    )
+    assert wheel.compatible
+    assert "makes m/s of rad/s" in wheel.warnings[0]
+    celsius = {"v": {"from": "v", "scale": 1.8}}
+    forgotten = edge(record(v=unit("Cel")), record(v=unit("[degF]")), celsius)
+    assert "scale: 1.8, offset: 32" in forgotten.reasons[0].sentence
+
+
+def test_a_choice_is_judged_branch_by_branch() -> None:
+    none = {"type": "null"}
+    one = {"anyOf": [unit("m"), none]}
+    assert edge(one, {"anyOf": [unit("m"), none]}).compatible
+    assert not edge(one, {"anyOf": [unit("s"), none]}).compatible
+    assert edge(
+        unit("m"), {"oneOf": [unit("s"), unit("m")], "x-any": 1}, meaning=OFF
+    ).compatible is (
+        False  # oneOf: both branches take every number
+    )
+    assert edge(unit("m"), {"anyOf": [unit("s"), unit("m")]}).compatible
+
+
+def test_structures_that_refer_to_themselves_are_judged_once_around() -> None:
+    def tree(name: str) -> dict[str, Any]:
+        node = record(value=unit(name), children={"type": "array", "items": {"$ref": "#/$defs/n"}})
+        return {"$ref": "#/$defs/n", "$defs": {"n": node}}
+
+    assert not judge(tree("m"), tree("m")).differences
+    assert {one.path for one in judge(tree("m"), tree("mm")).differences} == {
+        ("value",), ("children", "[]", "value")
+    }  # fmt: skip
+
+
+def test_choices_that_multiply_are_not_followed_and_cost_little() -> None:
+    wide = {"allOf": [{"anyOf": [{"minimum": n}, {"maximum": n}]} for n in range(500)]}
+    assert judge(wide, wide).unstated == ((),)
+    level: Any = False
+    for _ in range(30):
+        level = {"anyOf": [level, level]}
+    assert judge(level, level).unstated == ((),)
+
+
+def test_a_suggestion_crosses_neither_types_nor_units() -> None:
+    here, there = named("a/Pose", x=NUMBER), named("a/Twist", x=NUMBER)
+    assert not edge(record(pose=here), record(posture=there)).reasons[0].suggestion
+    assert not edge(record(length=unit("m")), record(lengths=unit("s"))).reasons[0].suggestion
+    assert edge(record(pose=here), record(posture=here)).reasons[0].suggestion
+
+
+# Properties ------------------------------------------------------------------------------------
+
+statements = st.fixed_dictionaries(
+    {},
+    optional={
+        "x-unit": st.sampled_from(["m", "mm", "[ft_i]", "rad", "deg", "Cel", "K", "1", "N.m", "J"]),
+        "x-quantity": st.sampled_from(["torque", "energy"]),
+        "x-frame": st.sampled_from(["map", "odom"]),
+        "x-time": st.sampled_from(["epoch", "duration"]),
+    },
+)
+numbers = statements.map(lambda said: {**NUMBER, **said})
+types = st.sampled_from(["a/A", "b/B", "c/C", None])
+
+
+def _typed(fields: dict[str, Any], name: str | None) -> dict[str, Any]:
+    return record(**fields) if name is None else named(name, **fields)
+
+
+structures = st.recursive(
+    numbers,
+    lambda inner: st.one_of(
+        st.builds(lambda one: {"type": "array", "items": one}, inner),
+        st.builds(_typed, st.dictionaries(st.sampled_from("abc"), inner, max_size=3), types),
+    ),
+    max_leaves=8,
+)
+
+
+@given(structures)
+def test_judging_is_reflexive(one: Any) -> None:
+    assert not judge(one, one).differences
+
+
+@given(structures, structures, st.lists(st.frozensets(st.sampled_from(["a/A", "b/B", "c/C"]))))
+def test_alike_is_symmetric(one: Any, other: Any, alike: list[frozenset[str]]) -> None:
+    there = judge(one, other, tuple(alike)).differences
+    back = judge(other, one, tuple(alike)).differences
+    assert {each.path for each in there} == {each.path for each in back}
+    for each in there:
+        mates = [
+            found
+            for found in back
+            if (found.path, found.producer, found.consumer)
+            == (each.path, each.consumer, each.producer)
+        ]
+        assert mates
+        assert (mates[0].conversion is None) == (each.conversion is None)
+
+
+@given(structures, structures)
+def test_strict_implies_stated_and_stated_implies_off(one: Any, other: Any) -> None:
+    strict, stated, off = (
+        edge(one, other, meaning=Meaning(level)).compatible
+        for level in (MeaningLevel.STRICT, MeaningLevel.STATED, MeaningLevel.OFF)
+    )
+    assert stated or not strict
+    assert off or not stated
