@@ -187,10 +187,9 @@ def test_suggestions_for_hostile_structures_are_given_up() -> None:
     assert time.thread_time() - start < 2
 
 
-def test_a_hostile_structure_ends_with_a_clear_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uoarm._adapt._edge._CHECK_SECONDS", 0.2)
+def test_a_hostile_structure_ends_with_a_clear_reason() -> None:
     producer, consumer = map(MessageStructure, HOSTILE["500 open choices"]())
-    verdict = check_edge(producer, consumer)
+    verdict = check_edge(producer, consumer, seconds=0.2)
     assert not verdict.compatible
     assert "the budget of time ran out" in verdict.reasons[0].sentence
 
