@@ -125,6 +125,10 @@ def test_what_an_object_says_holds_for_what_is_in_it() -> None:
     verdict = edge(whole, record(x=unit("m"), y=unit("rad")))
     assert [one.path for one in verdict.reasons] == ["x"]
     assert edge(whole, record(x=unit("mm"), y=unit("rad"))).unstated == ()
+    framed = {**record(at={**record(x=NUMBER), "x-frame": "map"}), "x-unit": "mm"}
+    assert edge(framed, framed).unstated == ()
+    carried = edge(record(at=whole), record(x=unit("m")), {"x": "at.x"}, allow_loss=("at.y",))
+    assert carried.reasons[0].sentence == "the units differ: mm becomes m with scale: 0.001"
 
 
 def test_what_nobody_says_rests_on_shape_and_is_named() -> None:
