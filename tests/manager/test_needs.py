@@ -27,8 +27,13 @@ class Showing(MemoryBridge):
     def __init__(self, name: str) -> None:
         super().__init__(name, {})
         self.hidden: set[str] = set()
+        self.shown_at = 0
+        self.rounds = 0
 
     def _discover(self) -> tuple[Discovered, ...]:
+        self.rounds += 1
+        if self.rounds == self.shown_at:
+            self.hidden.clear()
         return tuple(one for one in super()._discover() if one.name not in self.hidden)
 
 
@@ -47,6 +52,7 @@ class Lab:
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Lab:
     monkeypatch.setattr(_candidate_watch, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(_candidate_watch, "_SETTLE_SECONDS", 0.0)
     return Lab()
 
 
@@ -145,6 +151,17 @@ def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) 
         wait(lambda: len(camera.gaps) == 1)
         second.emit(2)
         assert [camera.get(timeout=patience()) for _ in range(2)] == [1, 2]
+
+
+def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_candidate_watch, "_SETTLE_SECONDS", patience())
+    lab.lab.emitter("head", NUMBER)
+    lab.lab.hidden.add("head")
+    lab.lab.shown_at = 3
+    with lab.manager(CAMERA) as manager:
+        assert manager.resolve("camera").provider.component.name == "camera@lab/head"
 
 
 def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> None:

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from uoarm._control._discovery import discover
 from uoarm._control._executor import Executor
@@ -18,6 +19,10 @@ from uoarm.model import BridgeFindings, Endpoint, Robot
 __all__ = ["CandidateWatch"]
 
 _EVERY_SECONDS = 2.0
+_SETTLE_SECONDS = (
+    3.0  # frameworks learn of each other after their start, ROS 2 within a second or two
+)
+_SETTLE_EVERY = 0.25
 _REST = 4.0
 _ASK_SECONDS = 5.0
 _TURN_SECONDS = 1.0
@@ -31,7 +36,9 @@ class CandidateWatch:
     One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
     takes. However often components come and go meanwhile, a round changes the candidates once at
     most. The thread begins with the first who needs candidates. A bridge that does not answer
-    shows what it showed before, for three rounds.
+    shows what it showed before, for three rounds. In a new configuration's first three seconds
+    the rounds are shorter, until every function with needs has a candidate: so long those wait who
+    ask for one.
 
     Args:
         revisions: of the configuration.
@@ -90,6 +97,8 @@ class CandidateWatch:
             thread.join(_TURN_SECONDS)
 
     def _run(self) -> None:
+        settling: Robot | None = None
+        settles_at = 0.0
         while True:
             begun = time.monotonic()
             revision = self._revisions.current
@@ -101,17 +110,30 @@ class CandidateWatch:
                 _log.warning("looking for candidates failed: %s", error)
             except Exception:  # noqa: BLE001 - the next round may do better
                 _log.exception("looking for candidates failed")
-            took = time.monotonic() - begun
+            now = time.monotonic()
+            if settling is not base:
+                settling, settles_at = base, now + _SETTLE_SECONDS
+            is_settled = now >= settles_at or self._has_all(base)
             with self._changed:
-                self._matched = base
-                self._changed.notify_all()
-                pause = max(_EVERY_SECONDS, _REST * took)
-                self._changed.wait_for(
-                    lambda: self._is_closed or self._matched is not self._revisions.current.base,
-                    pause,
-                )
+                if is_settled:
+                    self._matched = base
+                    self._changed.notify_all()
+                pause = max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
+                self._changed.wait_for(partial(self._is_outdated, base), pause)
                 if self._is_closed:
                     return
+
+    def _is_outdated(self, base: Robot) -> bool:
+        return self._is_closed or base is not self._revisions.current.base
+
+    def _has_all(self, base: Robot) -> bool:
+        """Say whether every function with needs has a candidate that was discovered."""
+        revision = self._revisions.current
+        return revision.base is base and all(
+            any(one.match is not None for one in function.components)
+            for function in revision.robot.functions.values()
+            if function.needs is not None
+        )
 
     def _round(self, base: Robot) -> None:
         findings = [self._shown_by(one) for one in discover(base, self._get, _ASK_SECONDS)]
