@@ -74,7 +74,7 @@ ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
     "_yaml": {"_yaml"},
-    "local": {"local", "bridge", "_hints", "model", "errors", "_mistakes", "_spelling"},
+    "local": {"local", "bridge", "_hints", "model", "errors", "_mistakes", "_spelling", "_workers"},
 }
 
 # Within the hosts' package: what each part may import of it; what is not a folder may import all.

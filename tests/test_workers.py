@@ -236,3 +236,23 @@ begun.wait()
 def test_a_call_that_hangs_keeps_no_process_alive() -> None:
     done = subprocess.run([sys.executable, "-c", ENDS], check=False, timeout=patience())
     assert done.returncode == 0
+
+
+def test_a_spare_thread_takes_the_next_call_and_ends_with_the_pool() -> None:
+    before = Census()
+    pool = WorkerPool("test", has_spare=True)
+    gate, ran = threading.Event(), list[int | None]()
+
+    def act() -> None:
+        ran.append(threading.current_thread().ident)
+        gate.wait(patience())
+
+    pool.submit(act)
+    wait(lambda: len(pool._idle) == 1)
+    spare = {one.ident for one in threading.enumerate() if one.name == "test"} - set(ran)
+    pool.submit(act)
+    wait(lambda: len(ran) == 2)
+    assert {ran[1]} == spare
+    gate.set()
+    pool.close()
+    before.check()

@@ -36,22 +36,20 @@ class _Hanging:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._steps: Counter[str] = Counter()
+        self.steps: Counter[str] = Counter()
 
     def add(self, step: str) -> None:
         with self._lock:
-            self._steps[step] += 1
+            self.steps[step] += 1
 
     def remove(self, step: str) -> None:
         with self._lock:
-            self._steps -= Counter({step: 1})
+            self.steps -= Counter({step: 1})
 
     def check(self, step: str) -> None:
         """Refuse to begin a step of which too many hang."""
-        if not self._steps:
-            return
         with self._lock:
-            same, every = self._steps[step], self._steps.total()
+            same, every = self.steps[step], self.steps.total()
         if same >= _HANGING_EACH or every >= _HANGING_IN_ALL:
             which = f"{same} of these" if same >= _HANGING_EACH else f"{every} calls of frameworks"
             raise BridgeError(
@@ -69,7 +67,7 @@ class _Job(Generic[T]):
         self.step = step
         self.limit = limit
         self.deadline = time.monotonic() + limit
-        self._given_up = False
+        self.given_up = False
         self._hangs_in = ""
         self._action = action
         self._on_late = on_late
@@ -78,9 +76,6 @@ class _Job(Generic[T]):
         self._verdict = threading.Lock()
         self._result: T
         self._error: BaseException | None = None
-
-    def given_up(self) -> bool:
-        return self._given_up
 
     def work(self) -> None:
         _current.job = self
@@ -92,7 +87,7 @@ class _Job(Generic[T]):
             _current.job = None
         with self._verdict:
             self._finished.release()
-            late = self._given_up
+            late = self.given_up
         if late:
             _hanging.remove(self._hangs_in)
             self._put_away()
@@ -113,7 +108,7 @@ class _Job(Generic[T]):
             with self._verdict:
                 if self._finished.acquire(blocking=False):
                     break
-                self._given_up = True
+                self.given_up = True
                 self._hangs_in = self.step
                 _hanging.add(self._hangs_in)
             raise BridgeTimeoutError(
@@ -161,9 +156,10 @@ def run(
         BridgeError: it was not begun, because too many like it hang already.
         BaseException: whatever the action raised.
     """
-    _hanging.check(step)
+    if _hanging.steps:
+        _hanging.check(step)
     outer = _current.job
-    if outer is None or outer.given_up():
+    if outer is None or outer.given_up:
         job = _Job(step, limit, action, on_late)
         _workers.submit(job.work)
         return job.wait()
@@ -185,9 +181,9 @@ def _run_inside(
     try:
         result = action()
     finally:
-        if not outer.given_up():
+        if not outer.given_up:
             outer.step, outer.limit, outer.deadline = before
-    if outer.given_up():
+    if outer.given_up:
         if on_late is not None:
             on_late(result)
         raise BridgeTimeoutError(f"{step} finished only after it had been given up")

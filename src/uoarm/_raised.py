@@ -42,21 +42,25 @@ class LimitedLog:
     A record says how many were left out since the one before it.
 
     Args:
-        logger: where records go.
+        logger: where records go, or its name: many of these never write anything.
         burst: how many records in ten seconds.
         clock: seconds.
     """
 
+    _lock = threading.Lock()  # one for all: there are thousands of these, and few write
+    _room = 0
+    _next: float | None = None
+    _left_out = 0
+
     def __init__(
-        self, logger: logging.Logger, burst: int = 1, clock: Callable[[], float] = time.monotonic
+        self,
+        logger: logging.Logger | str,
+        burst: int = 1,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._logger = logger
         self._burst = burst
         self._clock = clock
-        self._lock = threading.Lock()
-        self._room = 0
-        self._next: float | None = None
-        self._left_out = 0
 
     def write(self, level: int, text: str, error: BaseException | None = None) -> None:
         """Write a record, with the traceback of an error, or count it as left out."""
@@ -70,4 +74,7 @@ class LimitedLog:
             self._room -= 1
             left_out, self._left_out = self._left_out, 0
         more = f" (and {left_out} more since the last record)" if left_out else ""
-        self._logger.log(level, "%s%s", text, more, exc_info=error)
+        logger = self._logger
+        if isinstance(logger, str):
+            logger = logging.getLogger(logger)
+        logger.log(level, "%s%s", text, more, exc_info=error)

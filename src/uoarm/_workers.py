@@ -6,6 +6,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -51,6 +52,8 @@ class WorkerPool:
         limit: threads at most; a call that finds all at work waits for one, in order, so that a
             pool with one thread keeps the order. None: a thread for each call that is under way.
         idle_seconds: how long a thread waits for the next call.
+        has_spare: whether the thread that takes a call starts another one first, if none is idle:
+            then the next call need not wait for the start of a thread.
 
     Example:
         >>> pool = WorkerPool("uoarm-describe", limit=4)
@@ -59,11 +62,17 @@ class WorkerPool:
     """
 
     def __init__(
-        self, name: str, limit: int | None = None, *, idle_seconds: float = _IDLE_SECONDS
+        self,
+        name: str,
+        limit: int | None = None,
+        *,
+        idle_seconds: float = _IDLE_SECONDS,
+        has_spare: bool = False,
     ) -> None:
         self._name = name
         self._limit = float("inf") if limit is None else limit
         self._idle_seconds = idle_seconds
+        self._has_spare = has_spare
         self._lock = threading.Lock()
         self._waiting: deque[_Task[Any]] = deque()
         self._idle: list[SimpleQueue[_Task[Any] | None]] = []
@@ -113,10 +122,8 @@ class WorkerPool:
                 self._waiting.append(task)
                 return True
             self._threads += 1
-        inbox: SimpleQueue[_Task[Any] | None] = SimpleQueue()
-        inbox.put(task)  # not an argument of the thread, which would hold it until its end
         try:
-            threading.Thread(target=self._work, args=(inbox,), name=self._name, daemon=True).start()
+            self._start(task)
         except RuntimeError:
             with self._lock:
                 self._threads -= 1
@@ -148,9 +155,30 @@ class WorkerPool:
             self._conclude(task, None, error)
         return len(dropped)
 
-    def _work(self, inbox: SimpleQueue[_Task[Any] | None]) -> None:
-        task = inbox.get()
+    def _start(self, task: _Task[Any] | None) -> None:
+        """Start a thread, already counted, that begins with a task; None: it waits for one."""
+        inbox: SimpleQueue[_Task[Any] | None] = SimpleQueue()
+        if task is not None:
+            inbox.put(task)  # not an argument of the thread, which would hold it until its end
+        work = partial(self._work, inbox, begins=task is not None)
+        threading.Thread(target=work, name=self._name, daemon=True).start()
+
+    def _start_spare(self) -> None:
+        with self._lock:
+            if self._idle or self._closed or self._threads >= self._limit:
+                return
+            self._threads += 1
+        try:
+            self._start(None)
+        except RuntimeError:  # the system gives no more: then the next call starts its own
+            with self._lock:
+                self._threads -= 1
+
+    def _work(self, inbox: SimpleQueue[_Task[Any] | None], *, begins: bool) -> None:
+        task = inbox.get() if begins else self._next(inbox)
         while task is not None:
+            if self._has_spare:
+                self._start_spare()
             result, error = None, None
             try:
                 result = task.call(*task.args)

@@ -210,7 +210,7 @@ class Draft:
         Who waits for the batch of somebody else looks again when that is over.
         """
         missing = self.missing(placement)
-        if placement.batch or not missing or any(part in self.parts for part in missing):
+        if placement.batch or not missing or not self.parts.keys().isdisjoint(missing):
             return placement
         batch = self.new_id()
         for part in missing:

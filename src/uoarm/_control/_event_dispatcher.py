@@ -72,7 +72,7 @@ class EventDispatcher:
         kind, _, name = event.subject.partition(" ")
         key = kind if kind == "connection" else event.subject, event.change
         if key not in self._records:
-            logger = logging.getLogger(f"uoarm.component.{name}") if kind == "component" else _log
+            logger = f"uoarm.component.{name}" if kind == "component" else "uoarm"
             self._records[key] = LimitedLog(logger, _BURST)
         self._records[key].write(logging.WARNING, f"{event.subject} {event.change}: {event.cause}")
 

@@ -38,7 +38,7 @@ class FailureWatch:
         self._clock = clock
         self._tell = tell
         self._lock = threading.Lock()
-        self._records = LimitedLog(logging.getLogger(f"uoarm.component.{name}"), clock=clock)
+        self._records = LimitedLog(f"uoarm.component.{name}", clock=clock)
         self.failed = 0
         self.last_error = ""
         self.cause = ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 
 from uoarm._control._failure_watch import FailureWatch, InputWatch
 from uoarm._dataplane import Outlet
@@ -81,7 +80,8 @@ class LiveComponent:
         Raises:
             BridgeError: the bridge could not open it.
         """
-        with self._alone():
+        self._take_turn()
+        try:
             if name not in self._sources:
                 output = self.component.output(name)
                 assert output is not None, "the resolver checked every output"
@@ -92,6 +92,8 @@ class LiveComponent:
                     timeout=_OPEN_SECONDS,
                 )
                 self.outlets[name].retain(source.latched)
+        finally:
+            self._end_turn()
 
     def open_input(
         self, name: str, is_over: Callable[[], bool]
@@ -106,7 +108,8 @@ class LiveComponent:
         Raises:
             BridgeError: the bridge could not open it.
         """
-        with self._alone():
+        self._take_turn()
+        try:
             if name not in self._sinks:
                 endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
                 sink = self._sinks[name] = self.bridge.open_sink(
@@ -116,6 +119,8 @@ class LiveComponent:
                 watch.is_later = sink.watch(watch.told_later)
             sink = self._sinks[name]
             turn = self._turns.setdefault(name, threading.Lock())
+        finally:
+            self._end_turn()
 
         def send(message: Message) -> None:
             while not turn.acquire(timeout=_TURN_SECONDS):
@@ -152,16 +157,17 @@ class LiveComponent:
             *_channel_statuses("input", self._sinks),
         )
 
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
+    def _take_turn(self) -> None:
+        """Open nothing beside whoever opens something of it already; end it with `_end_turn`."""
         if not self._busy.acquire(timeout=_BUSY_SECONDS):
             raise BridgeError(f"component {self.component.name!r} is still being opened")
-        try:
-            if self._doomed:
-                raise ConnectionClosedError(f"component {self.component.name!r} was closed")
-            yield
-        finally:
-            self._busy.release()
+        if self._doomed:
+            self._end_turn()
+            raise ConnectionClosedError(f"component {self.component.name!r} was closed")
+
+    def _end_turn(self) -> None:
+        self._busy.release()
+        if self._doomed:
             self._sweep()
 
     def _sweep(self) -> None:

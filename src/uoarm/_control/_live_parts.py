@@ -304,6 +304,8 @@ class LiveParts:
         self._bridges.retire_replaced(self.uses)
 
     def _refuse_hanging(self, name: str) -> None:
+        if not self._hanging:
+            return
         hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
         if hanging:
             self._hanging[name] = hanging

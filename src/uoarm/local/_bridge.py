@@ -7,10 +7,10 @@ import threading
 import time
 from collections.abc import Mapping
 from typing import Any, TypeAlias
-from weakref import WeakSet
 
 from attrs import define, field
 
+from uoarm._workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
     BridgeType,
@@ -33,6 +33,7 @@ from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Op
 __all__ = ["PythonBridge", "uoarm_bridge_types"]
 
 _SOURCE_SECONDS = 0.25
+_GLANCE_SECONDS = 0.005
 _HANDLER_SECONDS = 10.0
 _OPTIONS = {
     "type": "object",
@@ -87,7 +88,7 @@ class PythonBridge(Bridge):
         self._loop = LoopThread(f"uoarm-{name}-loop")
         self._slots: dict[_Key, _Slot] = {}
         self._services: dict[_Key, Endpoint] = {}
-        self._sources: WeakSet[threading.Thread] = WeakSet()
+        self._workers = WorkerPool(f"uoarm-{name}-source", has_spare=True)
         self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -118,11 +119,10 @@ class PythonBridge(Bridge):
         instance.add_receiver(endpoint.port, channel, deliver)
         if source is not None:
             try:
-                thread = source.add_listener(channel, lambda failure: self._ended(channel, failure))
+                source.add_listener(channel, lambda failure: self._ended(channel, failure))
             except BaseException:
                 leave()
                 raise
-            self._sources.add(thread)
         return channel
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
@@ -140,9 +140,10 @@ class PythonBridge(Bridge):
     ) -> Message:
         del structures
         instance = self._enter(endpoint, self._target(endpoint))
+        key = _key(endpoint)
         with self._counting:
-            is_first = _key(endpoint) not in self._services
-            self._services.setdefault(_key(endpoint), endpoint)
+            is_first = key not in self._services
+            self._services.setdefault(key, endpoint)
         try:
             return instance.answer(endpoint, message, timeout)
         finally:
@@ -158,9 +159,11 @@ class PythonBridge(Bridge):
         for endpoint in self._services.values():
             self._leave(endpoint)
         self._services.clear()
+        self._workers.close(drop=False)
         deadline = time.monotonic() + _SOURCE_SECONDS
-        for thread in list(self._sources):
-            thread.join(max(0.0, deadline - time.monotonic()))
+        pause = threading.Event()
+        while self._workers.busy and time.monotonic() < deadline:
+            pause.wait(_GLANCE_SECONDS)
         self._loop.close()
 
     def _target(self, endpoint: Endpoint) -> Target:
@@ -174,26 +177,30 @@ class PythonBridge(Bridge):
 
     def _enter(self, endpoint: Endpoint, target: Target) -> Instance:
         """Return the component's instance; one that is slow to build holds up nobody else."""
+        key = _key(endpoint)
         with self._counting:
-            slot = self._slots.setdefault(_key(endpoint), _Slot())
+            slot = self._slots.get(key)
+            if slot is None:
+                slot = self._slots[key] = _Slot()
             slot.users += 1
         try:
             with slot.building:
                 if slot.instance is None:
                     coroutines = Coroutines(self._loop, self._handler_seconds)
-                    slot.instance = Instance(target, endpoint.parameters, coroutines)
+                    slot.instance = Instance(target, endpoint.parameters, coroutines, self._workers)
                 return slot.instance
         except BaseException:
             self._leave(endpoint)
             raise
 
     def _leave(self, endpoint: Endpoint) -> None:
+        key = _key(endpoint)
         with self._counting:
-            slot = self._slots[_key(endpoint)]
+            slot = self._slots[key]
             slot.users -= 1
             if slot.users:
                 return
-            del self._slots[_key(endpoint)]
+            del self._slots[key]
         if slot.instance is not None:
             slot.instance.close()
 
@@ -207,7 +214,8 @@ class PythonBridge(Bridge):
 
 def _key(endpoint: Endpoint) -> _Key:
     """Tell a component from the one of its name in another revision of the configuration."""
-    return endpoint.component, endpoint.address, json.dumps(endpoint.parameters, default=id)
+    given = endpoint.parameters
+    return endpoint.component, endpoint.address, json.dumps(given, default=id) if given else ""
 
 
 def _check_endpoint(address: tuple[str, ...], options: Options) -> str:

@@ -8,10 +8,11 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from uoarm._hints.convert import plain
+from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
 from uoarm.local._source import Source
-from uoarm.local._target import Emit, Target
+from uoarm.local._target import Emit, Target, Waits
 from uoarm.model import Deliver, Endpoint, Message, Options
 
 __all__ = ["Instance"]
@@ -26,13 +27,17 @@ class Instance:
         target: the Python object.
         parameters: handed to a class when it is built, to a function at each call.
         coroutines: runs what is asynchronous.
+        workers: gives a source its thread.
 
     Raises:
         BridgeError: the parameters do not fit. What a class raises passes through.
     """
 
-    def __init__(self, target: Target, parameters: Options, coroutines: Coroutines) -> None:
+    def __init__(
+        self, target: Target, parameters: Options, coroutines: Coroutines, workers: WorkerPool
+    ) -> None:
         self._target = target
+        self._workers = workers
         self._parameters = target.build_parameters(parameters)
         self._coroutines = coroutines
         self._receivers: dict[str, tuple[tuple[Hashable, Deliver], ...]] = {}
@@ -49,7 +54,7 @@ class Instance:
         if self._source is None:
             write = self._target.writer(endpoint)
             name = f"uoarm-{self._target.name}"
-            self._source = Source(self._iterator, partial(self._emit, write), name)
+            self._source = Source(self._iterator, partial(self._emit, write), name, self._workers)
         return self._source
 
     def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
@@ -69,7 +74,7 @@ class Instance:
         target, handler = self._target, self._handler(endpoint)
         read = target.reader(endpoint)
         write = target.writer(endpoint)
-        kept = self._awaiting(handler)
+        kept = self._awaiting(endpoint, handler)
         call = kept if read is None else lambda message: kept(read(message))
 
         def take(message: Message) -> None:
@@ -101,7 +106,7 @@ class Instance:
         target, handler = self._target, self._handler(endpoint)
         read = target.reader(endpoint)
         write = target.writer(endpoint) or plain
-        is_coroutine = _is(inspect.iscoroutinefunction, handler)
+        is_coroutine = target.waits(endpoint, handler) is Waits.REPLY
 
         def answer(message: Message, timeout: float) -> Message:
             reply = handler(message if read is None else read(message))
@@ -123,12 +128,12 @@ class Instance:
         after = {name: one for name, one in self._parameters.items() if name not in before}
         return partial(self._object, *(self._parameters[name] for name in before), **after)
 
-    def _awaiting(self, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def _awaiting(self, endpoint: Endpoint, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a handler that waits in its caller's thread for what is asynchronous."""
-        name = self._target.name
-        if _is(inspect.iscoroutinefunction, handler):
+        name, waits = self._target.name, self._target.waits(endpoint, handler)
+        if waits is Waits.REPLY:
             return lambda value: self._coroutines.run(name, handler(value))
-        if _is(inspect.isasyncgenfunction, handler):
+        if waits is Waits.MESSAGES:
             return lambda value: self._coroutines.iterate(name, handler(value))
         return handler
 
@@ -163,8 +168,3 @@ class Instance:
                 message = plain(message)
             for _, deliver in receivers:
                 deliver(message)
-
-
-def _is(kind: Callable[[Any], bool], handler: Any) -> bool:
-    """Ask about a function, or about how an object is called."""
-    return kind(handler) or kind(getattr(handler, "__call__", None))  # noqa: B004 - the method

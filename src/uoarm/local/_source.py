@@ -6,44 +6,57 @@ import threading
 from collections.abc import Callable, Hashable, Iterator
 from typing import Any
 
+from uoarm._workers import WorkerPool
+from uoarm.errors import BridgeError, FailureReason
+
 __all__ = ["Source"]
 
 Finished = Callable[[Exception | None], None]
 
 
 class Source:
-    """Iterates in a daemon thread from the first listener's coming to the last one's leaving.
+    """Iterates in a worker thread from the first listener's coming to the last one's leaving.
 
     May be used from any thread.
 
     Args:
         iterate: makes the iterator; called in the listener's thread, so that it may refuse.
         emit: takes each message, in the source's thread.
-        name: of the thread.
+        name: of the thread meanwhile.
+        workers: give the thread.
     """
 
     def __init__(
-        self, iterate: Callable[[], Iterator[Any]], emit: Callable[[Any], None], name: str
+        self,
+        iterate: Callable[[], Iterator[Any]],
+        emit: Callable[[Any], None],
+        name: str,
+        workers: WorkerPool,
     ) -> None:
         self._iterate = iterate
         self._emit = emit
         self._name = name
+        self._workers = workers
         self._changing = threading.Lock()
         self._listeners: dict[Hashable, Finished] = {}
         self._run: _Run | None = None
 
-    def add_listener(self, key: Hashable, finished: Finished) -> threading.Thread:
-        """Start iterating unless it does already, and return the thread.
+    def add_listener(self, key: Hashable, finished: Finished) -> None:
+        """Start iterating unless it does already.
 
         `finished` hears of the end, with the exception if there was one, unless `key` was removed
         before.
+
+        Raises:
+            BridgeError: the workers were closed.
         """
         with self._changing:
             if self._run is None:
-                self._run = _Run(self._iterate(), self._emit, self._ended, self._name)
-                self._run.thread.start()
+                run = _Run(self._iterate(), self._emit, self._ended, self._name)
+                if not self._workers.submit(run.work):
+                    raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
+                self._run = run
             self._listeners[key] = finished
-            return self._run.thread
 
     def remove_listener(self, key: Hashable) -> None:
         """Forget a listener; after the last one the iteration ends with the next message."""
@@ -86,10 +99,18 @@ class _Run:
         self._messages = messages
         self._emit = emit
         self._ended = ended
+        self._name = name
         self.stopped = False
-        self.thread = threading.Thread(target=self._work, name=name, daemon=True)
 
-    def _work(self) -> None:
+    def work(self) -> None:
+        thread = threading.current_thread()
+        before, thread.name = thread.name, self._name
+        try:
+            self._iterate()
+        finally:
+            thread.name = before
+
+    def _iterate(self) -> None:
         failure: Exception | None = None
         try:
             for message in self._messages:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
+from enum import Enum
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -20,7 +21,7 @@ from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Emit", "Target", "find", "structure"]
+__all__ = ["Emit", "Target", "Waits", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -53,25 +54,36 @@ def structure(
     return mark
 
 
+class Waits(Enum):
+    """What is asynchronous of a handler: nothing, its reply, or each of its messages."""
+
+    NOTHING = "nothing"
+    REPLY = "reply"
+    MESSAGES = "messages"
+
+
 @frozen
 class Target:
     """A Python object that can be a component: a function, a generator function or a class.
 
     Its hints and signatures are read once, and what converts its messages is made once: that takes
     longer than all else of an opening.
+
+    Attributes:
+        is_class: whether an instance is built for each component.
     """
 
     name: str
     value: Any
+    is_class: bool = field(init=False)
     _hints_of: dict[Any, dict[str, Any]] = field(factory=dict, init=False, eq=False, repr=False)
     _parameters_of: dict[Any, list[inspect.Parameter]] = field(
         factory=dict, init=False, eq=False, repr=False
     )
     _converters: dict[Hashable, Any] = field(factory=dict, init=False, eq=False, repr=False)
 
-    @property
-    def is_class(self) -> bool:
-        """Whether an instance is built for each component."""
+    @is_class.default
+    def _is_class(self) -> bool:
         return inspect.isclass(self.value)
 
     def source_name(self) -> str | None:
@@ -130,10 +142,26 @@ class Target:
 
     def takes_messages(self, endpoint: Endpoint) -> bool:
         """Say whether the callable behind a port is called with messages, or is a source."""
-        if self.is_class and endpoint.role is Role.OUTPUT:
-            return self.source_name() is None
-        method = self.method(endpoint)
-        return self.first_unfilled(method, endpoint.parameters) is not None
+
+        def judge() -> bool:
+            if self.is_class and endpoint.role is Role.OUTPUT:
+                return self.source_name() is None
+            return self.first_unfilled(self.method(endpoint), endpoint.parameters) is not None
+
+        return self._made("takes", endpoint, judge)
+
+    def waits(self, endpoint: Endpoint, handler: Callable[..., Any]) -> Waits:
+        """Say what calling the handler of a port, or the object that it is, gives to wait for."""
+
+        def judge() -> Waits:
+            for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
+                if inspect.iscoroutinefunction(asked):
+                    return Waits.REPLY
+                if inspect.isasyncgenfunction(asked):
+                    return Waits.MESSAGES
+            return Waits.NOTHING
+
+        return self._made("waits", endpoint, judge)
 
     def reader(self, endpoint: Endpoint) -> Callable[[Message], Any] | None:
         """Return what makes the value that a port takes of a message; None: the message is that.
@@ -190,8 +218,13 @@ class Target:
         Raises:
             BridgeError: they do not fit.
         """
+        if not given and "parameters" in self._converters:  # none were right before
+            return {}
         self.require_parameters(given)
-        return build_parameters(self._accepted(given)[1], given, self.name)
+        built = build_parameters(self._accepted(given)[1], given, self.name)
+        if not given:
+            self._converters["parameters"] = None
+        return built
 
     def _accepted(self, given: Options) -> tuple[dict[str, inspect.Parameter], dict[str, Any]]:
         """Return the parameters of a component, and their hints."""

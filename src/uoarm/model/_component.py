@@ -38,6 +38,8 @@ class Role(Enum):
     OUTPUT = "output"
     SERVICE = "service"
 
+    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
+
 
 @frozen
 class Endpoint:

@@ -34,6 +34,8 @@ class Health(Enum):
     FINISHED = "finished"
     LOST = "lost"
 
+    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
+
 
 class ConnectionState(Enum):
     """Life of a connection; it moves down this list only, but for WAITING and RUNNING.
@@ -47,6 +49,8 @@ class ConnectionState(Enum):
     CLOSING = "closing"
     CLOSED = "closed"
     FAILED = "failed"
+
+    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
 
 
 @frozen

@@ -32,7 +32,7 @@ class Workers:
         self._mailbox = mailbox
         self._asking = WorkerPool("uoarm-serve-call", limit)
         self._opening = WorkerPool("uoarm-serve-open", openings)
-        self._freeing = _freeing_pool()
+        self._freeing = WorkerPool("uoarm-serve-free", _FREEING)
 
     @property
     def busy(self) -> int:
@@ -75,7 +75,7 @@ class Workers:
         self._opening.close(drop=False)
         self._freeing.close(drop=False)
         # What was being opened until now is to be freed still, by threads that do not stay.
-        self._freeing = _freeing_pool(idle_seconds=0)
+        self._freeing = WorkerPool("uoarm-serve-free", _FREEING, idle_seconds=0)
 
     def _submit(
         self, pool: WorkerPool, action: Callable[[], T], *, queue: bool
@@ -90,10 +90,6 @@ class Workers:
                 raise BusyError("the server is closing")
             raise BusyError(f"all {self._limit} workers are taken by requests that still wait")
         return future
-
-
-def _freeing_pool(**settings: float) -> WorkerPool:
-    return WorkerPool("uoarm-serve-free", _FREEING, **settings)
 
 
 def _finish(future: asyncio.Future[T], result: T, error: BaseException | None) -> None:
