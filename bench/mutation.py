@@ -64,7 +64,16 @@ SUBJECTS = {
         "src/uoarm/_control",
         ("tests/control/test_transcripts.py", "tests/control/test_every_order.py"),
         "not greater_depth and not TestWalk",
-        ("_step", "_draft", "_endings", "_failover", "_failback", "_reconfiguration", "_state"),
+        (
+            "_step",
+            "_draft",
+            "_endings",
+            "_failover",
+            "_failback",
+            "_switchover",
+            "_reconfiguration",
+            "_state",
+        ),
     ),
 }
 _OUTCOMES = {

@@ -415,3 +415,45 @@ def test_what_appears_after_the_first_request_serves_the_next() -> None:
         second = robot.request("camera")
         assert second.plan.provider.component.name == "best"
         assert first.plan.provider.component.name == "next"
+
+
+def test_what_takes_over_shares_an_input_that_is_in_use_rather_than_feed_it_anew() -> None:
+    text = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components:
+      - {name: best, bridge: one, priority: 2, output: {endpoint: [best]}}
+      - {name: spare, bridge: two, priority: 1, output: {endpoint: [spare]}}
+  face:
+    components:
+      - {name: quick, bridge: one, priority: 2, output: {endpoint: [quick]}}
+      - name: finder
+        bridge: two
+        priority: 1
+        input: {from: camera, endpoint: [finder]}
+        output: {endpoint: [finder]}
+  name:
+    components:
+      - name: namer
+        bridge: two
+        input: {from: face, endpoint: [namer]}
+        output: {endpoint: [namer]}
+"""
+    one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
+    spare = two.emitter("spare", NUMBER)
+    two.loop("finder", NUMBER)
+    two.loop("namer", NUMBER)
+    with RobotManager(loads(text), bridges={"one": one, "two": two}) as robot:
+        first = robot.request("name")
+        assert [step.component.name for step in first.plan.steps] == ["spare", "finder", "namer"]
+        one.emitter("best", NUMBER)
+        one.emitter("quick", NUMBER)
+        robot.check_availability()
+        second = robot.request("face")
+        one.die("quick")
+        wait(lambda: second.gaps or second.ended)
+        assert [step.component.name for step in second.plan.steps] == ["spare", "finder"]
+        spare.emit(7)
+        assert second.get(patience()) == first.get(patience()) == 7

@@ -25,10 +25,22 @@ from uoarm._control._state import (
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Edge, Plan, Step, ValidationMode
 
-__all__ = ["Draft", "connection_of", "strictest"]
+__all__ = ["Draft", "InputInUseError", "connection_of", "strictest"]
 
 _STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
 _OF_COMPONENTS = frozenset({Kind.COMPONENT, Kind.OUTPUT})
+
+
+class InputInUseError(ResolutionError):
+    """An input is in use, fed by something else than a plan would feed it from.
+
+    Attributes:
+        producer: from which it would.
+    """
+
+    def __init__(self, text: str, producer: str) -> None:
+        super().__init__(text)
+        self.producer = producer
 
 
 class Draft:
@@ -118,7 +130,7 @@ class Draft:
             beside: whether its inputs may be fed by another edge until a switchover.
 
         Raises:
-            ResolutionError: an input is in use, fed by another component. Nothing has changed.
+            InputInUseError: an input is in use, fed by another component. Nothing has changed.
         """
         for edge in plan.edges:
             self._require_free(edge, beside=beside)
@@ -282,9 +294,13 @@ class Draft:
         waiting = self.beside.get(key)
         if beside and (waiting is None or self._is_origin(waiting, edge)):
             return
-        raise ResolutionError(
+        record = self.edges[standing]
+        was = self.components[record.producer].is_superseded
+        raise InputInUseError(
             f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
-            f"{self.edges[standing].edge.producer!r}; this plan feeds it from {edge.producer!r}"
+            f"{'.'.join(record.origin)}{' as it was configured before' if was else ''}; this plan "
+            f"feeds it from {edge.producer}.{edge.output}",
+            edge.producer,
         )
 
     def _is_origin(self, number: int, edge: Edge) -> bool:

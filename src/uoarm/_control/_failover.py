@@ -18,7 +18,7 @@ from uoarm._control._actions import (
     WakeAt,
     Warn,
 )
-from uoarm._control._draft import Draft
+from uoarm._control._draft import Draft, InputInUseError
 from uoarm._control._endings import cancel_switchover, drop_next, end, finish_if_asked, look_later
 from uoarm._control._events import HealthReported, ReplacementSought
 from uoarm._control._state import (
@@ -29,7 +29,7 @@ from uoarm._control._state import (
     names,
     recently,
 )
-from uoarm.errors import BridgeError, FailureReason, ResolutionError
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import ConnectionState, Health, Plan
 
 __all__ = [
@@ -205,14 +205,15 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     if event.plan is not None:
         try:
             placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
-        except ResolutionError as error:
+        except InputInUseError as error:
             if draft.configurers:  # others move from what is in the way
                 retry_at = draft.now + _AGAIN_SECONDS
                 draft.put(record, failure=evolve(failure, retry_at=retry_at))
                 draft.actions.append(WakeAt(retry_at))
                 return
             draft.actions.append(Warn(record.id, str(error)))
-            _seek_without(draft, record, _added(record, event.plan))
+            # What feeds the input now may well do: that one producer is all that cannot be used.
+            _seek_without(draft, record, frozenset({error.producer}))
             return
         advance(draft, draft.put(record, next=placement))
         return

@@ -14,7 +14,7 @@ from attrs import evolve
 
 from uoarm._control import _failback, _failover, _reconfiguration, _switchover
 from uoarm._control._actions import Action, Announce, Close, Forget, Publish, Reply
-from uoarm._control._draft import Draft
+from uoarm._control._draft import Draft, InputInUseError
 from uoarm._control._endings import end, finish_if_asked
 from uoarm._control._events import (
     CandidatesChanged,
@@ -97,11 +97,11 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
     record = draft.put(record, output=output)
     try:
         placement = draft.place(record, plan, record.id)
-    except ResolutionError as error:
+    except InputInUseError as error:
         if draft.configurers:  # others move from what is in the way
             draft.postponed = (*draft.postponed, record.id)
         else:
-            _refuse(draft, record, error)
+            _refuse(draft, record, ResolutionError(str(error)))
         return
     record = draft.put(record, current=placement)
     draft.actions += [Publish(record), Announce(f"connection {record.id}", record.state.value)]
