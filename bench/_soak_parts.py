@@ -29,12 +29,16 @@ def _journal(name: str) -> int:
 
 def numbers() -> Iterator[int]:
     """Emit some hundred numbers a second, until there are enough."""
-    sent = _journal("sent")
+    begun, unheard = _journal("begun"), _journal("unheard")
     number = 0
     while not (_folder() / "enough").exists():
         for _ in range(_EACH):
-            yield number
-            os.write(sent, b"x")  # not reached for one that came when nobody listened any more
+            os.write(begun, b"x")  # before, as it may wait long in the sending
+            try:
+                yield number
+            except GeneratorExit:  # it came when nobody listened any more
+                os.write(unheard, b"x")
+                raise
             number += 1
         time.sleep(_PAUSE_SECONDS)
     time.sleep(3600)

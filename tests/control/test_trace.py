@@ -1,8 +1,12 @@
-"""What a manager logged of its events leads to the same actions, without a thread or a bridge."""
+"""What a manager logged of its events leads to the same actions, without a thread or a bridge.
+
+Below `field` are logs of soaks that failed, pasted as they were written.
+"""
 
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import pytest
 from tests.control.world import FACE, Plans
@@ -15,7 +19,7 @@ from uoarm._control._state import State
 from uoarm._control._step import step
 from uoarm._control._trace import read
 from uoarm.config import loads
-from uoarm.model import Health, Plan
+from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
 from uoarm.testing import MemoryBridge, wait
 
 NUMBER = {"type": "integer"}
@@ -71,3 +75,78 @@ def test_a_log_of_events_replays_to_the_same_actions(
         event, now = read(line, find_plan)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
+
+
+SOAK = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}, three: {plugin: memory},
+          four: {plugin: memory}}
+functions:
+  numbers:
+    components:
+      - {name: first, bridge: one, priority: 2, output: {endpoint: [numbers]}}
+      - {name: second, bridge: two, priority: 1, output: {endpoint: [numbers]}}
+  found:
+    components:
+      - {name: near, bridge: three, priority: 2, input: {from: numbers, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+      - {name: far, bridge: four, priority: 1, input: {from: numbers, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+"""
+
+
+def _asked(action: act.Action) -> tuple[object, ...] | None:
+    """Return what comes back of an action; None: nothing."""
+    match action:
+        case act.Resolve():
+            return ev.Resolved, action.connection
+        case act.Open():
+            return ev.Opened, action.batch
+        case act.FindReplacement():
+            return ev.ReplacementSought, action.connection, action.attempt, action.switchover
+        case act.CheckPreferred():
+            return ev.PreferredChecked, action.connection
+        case act.SwitchInputs():
+            return ev.InputsSwitched, action.switchover
+    return None
+
+
+def _answered(event: ev.Event) -> tuple[object, ...] | None:
+    """Return which action an event answers; None: it answers none."""
+    match event:
+        case ev.Resolved() | ev.PreferredChecked():
+            return type(event), event.connection
+        case ev.Opened():
+            return type(event), event.batch
+        case ev.ReplacementSought():
+            return type(event), event.connection, event.attempt, event.switchover
+        case ev.InputsSwitched():
+            return type(event), event.switchover
+    return None
+
+
+def test_a_soak_that_took_waiting_for_the_end_goes_on() -> None:
+    """Both detectors had died within seconds, at a load of eight; the soak gave up, wrongly."""
+    plans = Plans(SOAK)
+    every = {one.name for one in plans.robot.components()}
+    policy = FailoverPolicy(wait=90.0, limit=1_000_000, return_after=0.5)
+    state = State(policy, {one.name: one.bridge for one in plans.robot.components()})
+    log = Path(__file__).parent / "field" / "both_detectors_died.jsonl"
+    asked: set[tuple[object, ...]] = set()
+    seen: list[tuple[ConnectionState, tuple[str, ...]]] = []
+    for line in log.read_text(encoding="utf-8").splitlines():
+        event, now = read(line, lambda name, these: plans(name, frozenset(every.difference(these))))
+        answer = _answered(event)
+        if answer is not None:
+            assert answer in asked, line
+            asked.remove(answer)
+        state, actions = step(state, event, now)
+        asked |= {one for one in map(_asked, actions) if one is not None}
+        assert all(one.error is None for one in actions if isinstance(one, act.Reply)), line
+        record = state.connections["c1"]
+        if record.current is not None:
+            now_seen = record.state, record.components
+            seen += [] if seen[-1:] == [now_seen] else [now_seen]
+    before = seen.index((ConnectionState.WAITING, ("first",)))
+    assert seen[before - 1] == (ConnectionState.RUNNING, ("first", "near"))
+    assert seen[before + 1] == (ConnectionState.RUNNING, ("first", "far"))

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import msgpack
 import pytest
 
+from uoarm._host.agent.flows import OutboundFlow
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
+from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import BridgeError, FailureReason, MessageError
+from uoarm.model import Endpoint, Role
 from uoarm.testing import patience, wait
 
 Ends = tuple[Transport, Transport]
@@ -190,6 +194,33 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     outgoing.send(2)
     assert not incoming._thread.is_alive()
     assert taker.got == [1]
+
+
+def test_a_message_counts_as_taken_from_when_something_comes_of_it(
+    ends: Ends, tmp_path: Path
+) -> None:
+    near, far = ends
+    counters = SharedCounters(tmp_path / "counters", make=True)
+    taken, given = counters.counter(), counters.counter()
+    assert taken is not None
+    assert given is not None
+    onward = FlowSender(near, "flow/2", patience=patience())  # which nobody confirms
+    endpoint = Endpoint("memory", "finder", Role.OUTPUT, ("finder",))
+    outbound = OutboundFlow(endpoint, onward, given)
+    FlowReceiver(
+        near,
+        "flow/1",
+        name="finder",
+        take=outbound.deliver,
+        ended=lambda _: None,
+        counter=taken,
+    )
+    outgoing = FlowSender(far, "flow/1", patience=patience())
+    for number in range(65):  # of the last one, what came of it waits for room
+        outgoing.send(number)
+    wait(lambda: (taken.read(), given.read()) == (65, 65))
+    assert onward.sent == 64
+    onward.close()
 
 
 HEADERS = [

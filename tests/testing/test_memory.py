@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import _thread
+import threading
 from typing import Any
 
 import pytest
@@ -233,6 +235,21 @@ def test_a_manual_clock_moves_forward_only() -> None:
     assert clock.advance(1.5) == clock.now() == clock() == 6.5
     with pytest.raises(ValueError, match="-1"):
         clock.advance(-1)
+
+
+def test_a_census_does_not_wait_for_threads_that_python_did_not_start() -> None:
+    census = Census()
+    known, gate = threading.Event(), threading.Event()
+
+    def call_into_python() -> None:
+        threading.current_thread()
+        known.set()
+        gate.wait(patience())
+
+    _thread.start_new_thread(call_into_python, ())
+    assert known.wait(patience())
+    census.check()
+    gate.set()
 
 
 def test_a_census_names_the_threads_that_stay() -> None:

@@ -19,7 +19,8 @@ _GLANCE_SECONDS = 0.02
 class Census:
     """The threads and descriptors at one moment, to be compared with a later one.
 
-    The core's own idle step threads do not count: they end by themselves.
+    The core's own idle step threads do not count: they end by themselves. Nor do threads that a
+    library started without Python, which call into it: Python does not know when they end.
     """
 
     def __init__(self) -> None:
@@ -52,7 +53,9 @@ class Census:
         return [
             thread
             for thread in threading.enumerate()
-            if thread not in self._threads and thread.name != _OF_THE_CORE
+            if thread not in self._threads
+            and thread.name != _OF_THE_CORE
+            and not isinstance(thread, threading._DummyThread)  # noqa: SLF001 - nobody joins these
         ]
 
 

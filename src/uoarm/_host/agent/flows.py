@@ -12,7 +12,7 @@ from attrs import astuple, define, field
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
-from uoarm._host.transport.shared_counters import SharedCounter, SharedCounters
+from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm._raised import LimitedLog
 from uoarm.bridge import Channel, Sink
@@ -58,6 +58,9 @@ class OutboundFlow:
         if self._counter is not None:
             self._taken += 1
             self._counter.set(self._taken)
+            # A death from here on finds both sides counted: what came of a message may wait long
+            # to be sent, and the message would be lost as well as what came of it delivered.
+            HANDLING.answered()
         try:
             self._outgoing.send(message)
         except UoarmError as error:

@@ -16,7 +16,7 @@ import msgpack
 from attrs import astuple, frozen
 
 from uoarm._host.transport.codec import pack, unpack
-from uoarm._host.transport.shared_counters import SharedCounter
+from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import BridgeError, FailureReason
@@ -283,10 +283,12 @@ class FlowReceiver:
             self._ended(ending)
         else:
             self.received += 1
+            HANDLING.counter, HANDLING.number = self._counter, self.received
             try:
                 self._take(unpack(frame))
             except Exception as error:  # noqa: BLE001 - a consumer may raise anything
                 self._fail(error)
+            HANDLING.counter = None
             if self._counter is not None:
                 self._counter.set(self.received)
         self._number = number

@@ -8,7 +8,7 @@ from array import array
 from collections import deque
 from pathlib import Path
 
-__all__ = ["SharedCounter", "SharedCounters"]
+__all__ = ["HANDLING", "SharedCounter", "SharedCounters"]
 
 _SLOTS = 4096
 _WIDTH = 8
@@ -49,6 +49,26 @@ class SharedCounters:
     def close(self) -> None:
         """Let go of the memory; counters stand still from now on."""
         self.numbers = array("q", self.numbers)  # the map ends with its last reader
+
+
+class Handling(threading.local):
+    """The message that this thread hands to a component.
+
+    Attributes:
+        counter: of those that the component has taken; None: this thread hands none.
+        number: of this one among them.
+    """
+
+    counter: SharedCounter | None = None
+    number = 0
+
+    def answered(self) -> None:
+        """Count the message as taken, as something comes of it: else it would be lost as well."""
+        if self.counter is not None:
+            self.counter.set(self.number)
+
+
+HANDLING = Handling()
 
 
 class SharedCounter:
