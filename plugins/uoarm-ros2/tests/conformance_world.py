@@ -55,9 +55,10 @@ class RosWorld(World):
         topic, native = f"/conformance/{kind}", KINDS[kind]
         if kind == "echoed":
             return Pair(at(Role.INPUT, "/asked", native), at(Role.OUTPUT, "/echoed", native))
+        qos = {"depth": 100}  # a burst is longer than what is kept of pictures by default
         return Pair(
-            at(Role.INPUT, topic, native, peer="optional"),
-            at(Role.OUTPUT, topic, native, peer="optional", wait=0),
+            at(Role.INPUT, topic, native, peer="optional", qos=qos),
+            at(Role.OUTPUT, topic, native, peer="optional", wait=0, qos=qos),
         )
 
     def missing(self) -> Endpoint:
