@@ -119,6 +119,10 @@ def test_who_raises_is_degraded_at_once_with_the_exception_and_its_neighbours_ar
         assert first.last_error == "OddError: first does not like 0"
         assert first.cause == "its input 'default' raised OddError: first does not like 0"
         assert (camera.health, camera.failed, camera.last_error) == (Health.OK, 0, "")
+        with pytest.raises(TimeoutError) as caught:
+            connection.get(0.001)
+        told = "no message within 0.001 s; first is degraded: its input 'default' raised OddError"
+        assert str(caught.value).startswith(told)
         scene.events.wait_for(lambda one: one.subject == "component first")
         assert connection.state is ConnectionState.RUNNING
 

@@ -128,7 +128,8 @@ class AsyncConnection(_Closing, Generic[T]):
                 return self._connection.get(0)
             except TimeoutError:
                 if deadline is not None and self._loop.time() >= deadline:
-                    raise TimeoutError(f"no message within {timeout:g} s") from None
+                    trouble = self._connection._trouble()  # noqa: SLF001 - its twin
+                    raise TimeoutError(f"no message within {timeout:g} s{trouble}") from None
                 await event_by(self._arrived, deadline)
 
     async def __aiter__(self) -> AsyncIterator[T]:

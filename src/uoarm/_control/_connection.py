@@ -14,7 +14,15 @@ from uoarm._control._state import ConnectionRecord
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
 from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.model import ConnectionState, ConnectionStatus, Gap, Message, Plan, RouteStatus
+from uoarm.model import (
+    ConnectionState,
+    ConnectionStatus,
+    Gap,
+    Health,
+    Message,
+    Plan,
+    RouteStatus,
+)
 
 __all__ = ["Connection"]
 
@@ -70,7 +78,7 @@ class Connection(Generic[T]):
         """Return the next message, waiting `timeout` seconds at most (None: until it ends).
 
         Raises:
-            TimeoutError: nothing came in time.
+            TimeoutError: nothing came in time; the text says which component is not well, and why.
             MessageError: a component gave something else than it had declared, so that no value
                 of `as_type` could be made. The next call goes on with the next message.
             ConnectionClosedError: the connection has ended and every message was read.
@@ -80,6 +88,10 @@ class Connection(Generic[T]):
             raise UsageError(f"function {self.plan.function!r} has no output to read")
         try:
             message = self._runtime.receiver.inbox.get(timeout)
+        except TimeoutError as error:
+            if not timeout:  # a look whether there is one
+                raise
+            raise TimeoutError(f"{error}{self._trouble()}") from None
         except QueueClosed:
             text = f"connection {self.id} to {self.plan.function!r} has ended"
             raise ConnectionClosedError(f"{text}: {self.cause}" if self.cause else text) from None
@@ -150,6 +162,19 @@ class Connection(Generic[T]):
     def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""
         self.kill()
+
+    def _trouble(self) -> str:
+        """Say what keeps messages from coming, as far as it is known; for the end of a sentence."""
+        record = self._record
+        told = (
+            [] if not record.cause else [f"the connection is {record.state.value}: {record.cause}"]
+        )
+        told += [
+            f"{one.name} is {one.health.value}: {one.cause or one.last_error}"
+            for one in self._executor.component_statuses()
+            if one.name in record.components and one.health is not Health.OK
+        ]
+        return "".join(f"; {one}" for one in told)
 
     def _on_wake(self, wake: Callable[[], None] | None) -> None:
         """Have `wake` called when a message or the end can be read; for event loops."""
