@@ -78,16 +78,28 @@ def test_off_makes_no_check() -> None:
     assert make_check(IMAGE, ValidationMode.OFF, "x") is None
 
 
-def test_sampled_checks_the_first_and_then_some() -> None:
+def test_sampled_checks_the_first_every_128th_and_those_after_one_that_does_not_match() -> None:
     checker = make_check(IMAGE, ValidationMode.SAMPLED, "x")
     assert checker is not None
-    failures = 0
-    for _ in range(1 + 2 * 128):
+
+    def is_found() -> bool:
         try:
             checker("wrong")
         except MessageError:
-            failures += 1
-    assert failures == 3
+            return True
+        return False
+
+    def pass_by(count: int) -> None:
+        for _ in range(count):
+            checker({"width": 1, "data": b""})
+
+    pass_by(1)
+    assert not any(is_found() for _ in range(127)), "between two samples"
+    assert all(is_found() for _ in range(5)), "the 129th, and then all"
+    pass_by(127)
+    assert is_found(), "within 128 of the last"
+    pass_by(128)
+    assert [is_found() for _ in range(124)] == [False] * 123 + [True], "the 513th"
 
 
 TEXTS = MessageStructure(

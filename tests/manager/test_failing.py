@@ -283,3 +283,33 @@ def test_deaths_and_takeovers_are_counted_for_as_long_as_the_manager_lives(scene
         scene.events.wait_for(lambda one: one.change == "replaced")
     status = scene.robot.status()
     assert (status.deaths, status.takeovers) == ((("first", 1),), (("filter", 1),))
+
+
+def test_who_gives_what_its_structure_does_not_allow_is_degraded_and_then_lost(
+    scene: Scene,
+) -> None:
+    with scene.robot.request("filter") as connection:
+        wrong = {"value": 1000}
+        scene.clock.advance(0.1)
+        scene.camera.emit(wrong)
+        wait(lambda: scene.component("camera").health is Health.DEGRADED)
+        camera, first = scene.component("camera"), scene.component("first")
+        expected = "its output 'default' gave what does not match its structure: camera.default: "
+        assert camera.cause.startswith(expected + "value: 1000 is greater than the maximum of 255")
+        assert (first.health, first.failed) == (Health.OK, 0), "its consumer is not to blame"
+        for _ in range(9):
+            scene.clock.advance(0.1)
+            scene.camera.emit(wrong)
+        wait(lambda: connection.ended)
+        assert (
+            "gives again and again what does not match its structure, 10 times" in connection.cause
+        )
+
+
+def test_who_gives_what_matches_again_is_well(scene: Scene) -> None:
+    with scene.robot.request("filter"):
+        scene.camera.emit({"value": 1000})
+        wait(lambda: scene.component("camera").health is Health.DEGRADED)
+        scene.emit(11, 1.0)
+        wait(lambda: scene.component("camera").health is Health.OK)
+        assert scene.component("camera").failed == 1

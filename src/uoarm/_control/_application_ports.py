@@ -52,7 +52,7 @@ class OutputReceiver:
                 route.take_back("replaced")
 
         place = f"{provider.component.name}.{output}"
-        check = make_check(provider.structures[f"output.{output}"], mode, place)
+        check = provider.check(output, provider.structures[f"output.{output}"], mode)
         route = Route(place, user, arrive, clock=clock, check=check)
         return route
 

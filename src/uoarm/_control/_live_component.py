@@ -6,11 +6,19 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
 
-from uoarm._control._failure_watch import FailureWatch, InputWatch
-from uoarm._dataplane import Outlet
+from uoarm._control._failure_watch import FailureWatch, InputWatch, OutputWatch
+from uoarm._dataplane import Outlet, make_check
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
-from uoarm.model import ChannelStatus, Component, Message, QueuePolicy, Step
+from uoarm.model import (
+    ChannelStatus,
+    Component,
+    Message,
+    MessageStructure,
+    QueuePolicy,
+    Step,
+    ValidationMode,
+)
 
 __all__ = ["LiveComponent", "facts_of"]
 
@@ -136,6 +144,13 @@ class LiveComponent:
     def watch(self, name: str) -> InputWatch:
         """Return what the routes into an input tell what became of messages."""
         return self._watches[name]
+
+    def check(
+        self, output: str, structure: MessageStructure, mode: ValidationMode
+    ) -> Callable[[Message], None] | None:
+        """Return what checks messages of an output for one route, and blames this component."""
+        place = f"{self.component.name}.{output}"
+        return make_check(structure, mode, place, OutputWatch(self.failures, output))
 
     def drain(self, timeout: float) -> None:
         """Wait until what is under way in its channels has arrived; inputs first.

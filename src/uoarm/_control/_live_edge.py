@@ -10,7 +10,7 @@ from attrs import define, field
 
 from uoarm._adapt import transfer
 from uoarm._control._live_component import LiveComponent, facts_of
-from uoarm._dataplane import Clock, Route, make_check
+from uoarm._dataplane import Clock, Route
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError
 from uoarm.model import Edge, Input, Message, RouteStatus, ValidationMode
@@ -87,8 +87,9 @@ class LiveEdge:
         if self.route is None:
             return
         with self._checking:
-            place = ".".join(self.origin)
-            self.route.check = make_check(self.edge.producer_structure, self.strictness(), place)
+            self.route.check = self.producer.check(
+                self.edge.output, self.edge.producer_structure, self.strictness()
+            )
 
     def status(self) -> RouteStatus | None:
         """Return what the status map shows; None while the edge is being opened."""

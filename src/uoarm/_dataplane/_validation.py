@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from attrs import define, field
 
@@ -21,18 +21,41 @@ __all__ = ["make_check"]
 _SAMPLE_EVERY = 128
 
 
+class Producer(Protocol):
+    """Told by a check what it found, so that who gives what does not match is blamed."""
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a message that matches should be told; read for each that is checked."""
+
+    def took(self) -> None:
+        """Take in that a message matched."""
+
+    def mismatched(self, error: MessageError) -> None:
+        """Take in that a message did not match."""
+
+
 def make_check(
-    structure: MessageStructure, mode: ValidationMode, place: str
+    structure: MessageStructure, mode: ValidationMode, place: str, watch: Producer | None = None
 ) -> Callable[[Message], None] | None:
     """Return a function that raises MessageError for a message of another structure.
 
     Args:
         structure: what the messages must match.
-        mode: OFF gives None; SAMPLED checks the first and then every 128th message.
+        mode: OFF gives None; SAMPLED checks the first and then every 128th message, and all of the
+            128 that come after one that does not match.
         place: the port, for the error's text.
+        watch: told what was found; None: nobody is.
     """
     if mode is ValidationMode.OFF:
         return None
+    check = _make_whole_check(structure, place)
+    if watch is not None:
+        check = _telling(check, watch)
+    return check if mode is ValidationMode.ALWAYS else _sampling(check)
+
+
+def _make_whole_check(structure: MessageStructure, place: str) -> Callable[[Message], None]:
     judgement = _judgement(structure)
     accepts = judgement.accepts
 
@@ -46,15 +69,35 @@ def make_check(
         if told:
             raise MessageError(f"{place}: {told}")
 
-    if mode is ValidationMode.ALWAYS:
-        return check
-    count = -1
+    return check
+
+
+def _telling(check: Callable[[Message], None], watch: Producer) -> Callable[[Message], None]:
+    def check_and_tell(message: Message) -> None:
+        try:
+            check(message)
+        except MessageError as error:
+            watch.mismatched(error)
+            raise
+        if watch.is_alert:
+            watch.took()
+
+    return check_and_tell
+
+
+def _sampling(check: Callable[[Message], None]) -> Callable[[Message], None]:
+    count, suspected = -1, 0
 
     def check_sample(message: Message) -> None:
-        nonlocal count
+        nonlocal count, suspected
         count += 1
-        if count % _SAMPLE_EVERY == 0:
-            check(message)
+        if suspected or count % _SAMPLE_EVERY == 0:
+            suspected = suspected and suspected - 1
+            try:
+                check(message)
+            except MessageError:
+                suspected = _SAMPLE_EVERY
+                raise
 
     return check_sample
 
