@@ -36,6 +36,7 @@ LAYERS = [
     {"_dataplane"},
     {"config"},
     {"_resolve"},
+    {"_lock"},
     {"_control"},
     {"__init__"},
     {"testing", "_pytest_plugin"},

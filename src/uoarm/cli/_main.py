@@ -19,6 +19,7 @@ from uoarm.cli._configured import assigned_options, environment_facts, optional_
 from uoarm.cli._discover import discover, suggest
 from uoarm.cli._env import env
 from uoarm.cli._host import host
+from uoarm.cli._lock import lock
 from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._plugin_commands import PluginGroup
 from uoarm.cli._run import call, request
@@ -174,6 +175,7 @@ main.add_command(certificates)
 main.add_command(discover)
 main.add_command(env)
 main.add_command(host)
+main.add_command(lock)
 main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)

@@ -351,7 +351,8 @@ def _return_hint(hints: Mapping[str, Any], role: Role) -> Any:
     if get_origin(hint) in {Union, UnionType}:
         messages = tuple(one for one in get_args(hint) if one not in others)
         return Union[messages] if messages else _NOTHING  # noqa: UP007 - of as many as there are
-    return _NOTHING if hint in others else hint
+    # Not `in`: one annotated with a dict has no hash.
+    return _NOTHING if any(hint is one for one in others) else hint
 
 
 def _import(name: str, modules: Modules) -> Any:

@@ -1,0 +1,16 @@
+"""The lock: what a robot's plans rest on, as a file, and what a difference of it breaks."""
+
+from uoarm._lock._compare import Finding, Outcome, compare
+from uoarm._lock._record import Lock, LockError, read_lock, read_schemas, record, write_lock
+
+__all__ = [
+    "Finding",
+    "Lock",
+    "LockError",
+    "Outcome",
+    "compare",
+    "read_lock",
+    "read_schemas",
+    "record",
+    "write_lock",
+]

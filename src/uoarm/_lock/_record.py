@@ -1,0 +1,205 @@
+"""What a lock holds: for each function its plan, and every structure once, by its content."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm._meaning import name_of_type
+from uoarm.errors import ConfigurationError
+from uoarm.model import (
+    Edge,
+    Input,
+    Meaning,
+    MeaningLevel,
+    MessageStructure,
+    Plan,
+    Robot,
+    from_json,
+    to_json,
+)
+
+__all__ = ["Lock", "LockError", "read_lock", "read_schemas", "record", "write_lock"]
+
+_VERSION = 1
+_MOST_OCTETS = 100_000_000
+_MOST_FILES = 10_000
+
+
+class LockError(ConfigurationError):
+    """A lock, or what it is compared with, cannot be read; the text says what is wrong with it."""
+
+
+@frozen
+class LockedPart:
+    """One component of a plan; `ports` names the structure of each by its content."""
+
+    component: str
+    function: str
+    bridge: str
+    plugin: str
+    ports: dict[str, str]
+
+
+@frozen
+class LockedEdge:
+    """One edge of a plan, with all that it was judged by but the structures."""
+
+    producer: str
+    output: str
+    consumer: str
+    input: str
+    map: dict[str, Any] | None
+    allow_loss: tuple[str, ...]
+    meaning: str
+    alike: tuple[tuple[str, ...], ...]
+    rests_on_shape: tuple[str, ...]
+
+
+@frozen
+class LockedFunction:
+    """The plan of a function, or why it has none."""
+
+    parts: tuple[LockedPart, ...] = ()
+    edges: tuple[LockedEdge, ...] = ()
+    passed_over: dict[str, str] = field(factory=dict)
+    refused: str = ""
+
+
+@frozen
+class LockedStructure:
+    """A message structure."""
+
+    native_type: str
+    structure: Any
+
+
+@frozen
+class Lock:
+    """What the plans of a robot rest on.
+
+    Attributes:
+        functions: by name.
+        structures: by fingerprint.
+    """
+
+    functions: dict[str, LockedFunction]
+    structures: dict[str, LockedStructure]
+    version: int = _VERSION
+
+    def structure(self, fingerprint: str) -> MessageStructure:
+        """Return the structure of that content."""
+        found = self.structures[fingerprint]
+        return MessageStructure(found.structure, native_type=found.native_type)
+
+
+def record(robot: Robot, plans: Mapping[str, Plan | str]) -> Lock:
+    """Return the lock of a robot.
+
+    Args:
+        robot: the configuration.
+        plans: for each function its plan, or why it has none.
+    """
+    structures: dict[str, LockedStructure] = {}
+    functions: dict[str, LockedFunction] = {}
+    for name, plan in sorted(plans.items()):
+        if isinstance(plan, str):
+            functions[name] = LockedFunction(refused=plan)
+            continue
+        inputs = {
+            (step.component.name, port.name): port
+            for step in plan.steps
+            for port in step.component.inputs
+        }
+        parts = []
+        for step in plan.steps:
+            one = step.component
+            for structure in step.structures.values():
+                structures[structure.fingerprint] = LockedStructure(
+                    structure.native_type, structure.schema
+                )
+            ports = {port: told.fingerprint for port, told in sorted(step.structures.items())}
+            plugin = robot.bridges[one.bridge].plugin
+            parts.append(LockedPart(one.name, one.function, one.bridge, plugin, ports))
+        edges = tuple(_edge(one, inputs[one.consumer, one.input]) for one in plan.edges)
+        passed_over = {
+            one.component: one.reasons[0].sentence if one.reasons else "" for one in plan.rejected
+        }
+        functions[name] = LockedFunction(tuple(parts), edges, passed_over)
+    return Lock(functions, dict(sorted(structures.items())))
+
+
+def _edge(edge: Edge, port: Input) -> LockedEdge:
+    alike = tuple(sorted(tuple(sorted(names)) for names in port.meaning.alike))
+    mapping = None if edge.mapping is None else dict(edge.mapping)
+    return LockedEdge(
+        edge.producer, edge.output, edge.consumer, edge.input, mapping, port.allow_loss,
+        port.meaning.level.value, alike, edge.unstated,
+    )  # fmt: skip
+
+
+def meaning_of(edge: LockedEdge) -> Meaning:
+    """Return how the meaning of an edge is judged."""
+    return Meaning(MeaningLevel(edge.meaning), tuple(map(frozenset, edge.alike)))
+
+
+def write_lock(lock: Lock) -> str:
+    """Return a lock as text: the same for the same plans, a line for each value."""
+    return json.dumps(to_json(lock), indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def read_lock(path: Path) -> Lock:
+    """Read a lock.
+
+    Raises:
+        LockError: there is none, or it is no lock of this version.
+    """
+    data = _json(path)
+    if not isinstance(data, dict) or data.get("version") != _VERSION:
+        told = data.get("version") if isinstance(data, dict) else None
+        raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {told}")
+    try:
+        lock = from_json(data, Lock)
+        for function in lock.functions.values():
+            for part in function.parts:
+                for fingerprint in part.ports.values():
+                    lock.structure(fingerprint)
+            for edge in function.edges:
+                meaning_of(edge)
+    except (ValueError, KeyError) as error:
+        raise LockError(f"{path}: this is no whole lock: {error}") from error
+    return lock
+
+
+def read_schemas(folder: Path) -> dict[str, Any]:
+    """Return the JSON Schemas of a folder by the types that they are of.
+
+    A type is what `x-type` says, else the title, else the name of the file; a file's name always
+    does, too.
+
+    Raises:
+        LockError: a file cannot be read, or there is none.
+    """
+    found: dict[str, Any] = {}
+    paths = sorted(folder.rglob("*.json"))
+    if not paths or len(paths) > _MOST_FILES:
+        raise LockError(f"{folder}: expected 1 to {_MOST_FILES:,} files *.json, got {len(paths):,}")
+    for path in paths:
+        schema = _json(path)
+        if isinstance(schema, dict):
+            names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
+            found |= {name: schema for name in names if isinstance(name, str) and name}
+    return found
+
+
+def _json(path: Path) -> Any:
+    try:
+        if path.stat().st_size > _MOST_OCTETS:
+            raise LockError(f"{path}: larger than {_MOST_OCTETS:,} octets")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise LockError(f"{path}: cannot be read: {error}") from error

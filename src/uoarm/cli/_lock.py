@@ -1,0 +1,109 @@
+"""`uoarm lock`: what plans rest on, as a file, and what a difference of it breaks."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from pathlib import Path
+
+import click
+
+from uoarm import RobotManager
+from uoarm._lock import (
+    Finding,
+    Lock,
+    Outcome,
+    compare,
+    read_lock,
+    read_schemas,
+    record,
+    write_lock,
+)
+from uoarm._whole_file import write_whole
+from uoarm.cli._shared import REFUSED, configuration_option, open_robot, print_json, reporting
+from uoarm.errors import ResolutionError
+from uoarm.model import Plan
+
+__all__ = ["lock"]
+
+
+@click.command()
+@configuration_option
+@click.option("--lock", "path", default="robot.lock", show_default=True, help="The lock's file.")
+@click.option("--check", is_flag=True, help="Write nothing; say what is different and breaks.")
+@click.option(
+    "--against",
+    type=click.Path(exists=True),
+    help="Compare with this lock, or with the JSON Schemas of this folder; no bridge is asked.",
+)
+@click.option(
+    "--format", "form", type=click.Choice(["text", "json", "github"]), default="text",
+    show_default=True, help="Of what --check says.",
+)  # fmt: skip
+def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -> None:
+    """Write down what the plans of all functions rest on, or check it.
+
+    Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
+    fit as it is; 3 a file cannot be read; 4 a bridge failed.
+    """
+    if against is not None and not check:
+        raise click.UsageError("--against belongs to --check")
+    with reporting():
+        if not check:
+            sys.exit(_write(file, Path(path)))
+        before = read_lock(Path(path))
+        if against is None:
+            with open_robot(file) as robot:
+                findings = list(compare(before, _lock_of(robot)))
+        else:
+            other = Path(against)
+            after = read_schemas(other) if other.is_dir() else read_lock(other)
+            findings = list(compare(before, after))
+    _tell(findings, form, path)
+    sys.exit(0 if all(one.outcome is Outcome.FITS for one in findings) else REFUSED)
+
+
+def _write(file: str, path: Path) -> int:
+    with open_robot(file) as robot:
+        made = _lock_of(robot)
+    write_whole(path, write_lock(made).encode())
+    refused = {name: one.refused for name, one in made.functions.items() if one.refused}
+    for name, why in refused.items():
+        click.echo(f"{click.style('warning:', fg='yellow')} {name} has no plan: {why}", err=True)
+    functions, structures = len(made.functions), len(made.structures)
+    click.echo(f"{path}: functions: {functions}, structures: {structures}")
+    return REFUSED if refused else 0
+
+
+def _lock_of(robot: RobotManager) -> Lock:
+    plans: dict[str, Plan | str] = {}
+    for name in robot.config.functions:
+        try:
+            plans[name] = robot.resolve(name)
+        except ResolutionError as error:
+            plans[name] = str(error)
+    return record(robot.config, plans)
+
+
+def _tell(findings: list[Finding], form: str, path: str) -> None:
+    if form == "json":
+        print_json({"findings": findings})
+        return
+    for one in findings:
+        if not one.changed:
+            continue
+        where = f"{one.path}: " if one.path else ""
+        told = f"{one.function}: {one.subject}: {one.outcome.value}"
+        if one.sentence:
+            told += f": {where}{one.sentence}"
+        if form == "github":
+            if one.outcome is not Outcome.FITS:
+                text = "%0A".join([told, *one.suggestion.splitlines()])
+                click.echo(f"::error file={path}::{text}")
+            continue
+        click.echo(told)
+        for line in one.suggestion.splitlines():
+            click.echo(f"    {line}")
+    if form == "text":
+        counts = Counter(one.outcome.value for one in findings)
+        click.echo(", ".join(f"{kind.value}: {counts[kind.value]}" for kind in Outcome))

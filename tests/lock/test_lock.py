@@ -1,0 +1,182 @@
+"""The lock: the same plans give the same text; what a difference breaks is told without a robot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from uoarm._lock import Outcome, compare, read_lock
+from uoarm.cli import main
+from uoarm.errors import ConfigurationError
+
+COMPONENTS = """
+from collections.abc import Iterator
+from typing import Annotated, TypedDict
+
+
+class Reading(TypedDict):
+    celsius: Annotated[float, {{"x-unit": "{unit}"}}]
+{more}
+
+class Taken(TypedDict):
+    celsius: Annotated[float, {{"x-unit": "Cel"}}]
+    hot: bool
+
+
+class Alarm(TypedDict):
+    hot: bool
+
+
+def thermometer() -> Iterator[Annotated[Reading, {{"x-type": "Reading"}}]]:
+    yield {{"celsius": 20.0, "hot": False}}
+
+
+def too_hot(reading: Taken) -> Alarm:
+    return {{"hot": True}}
+"""
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  temperature:
+    components:
+      - {name: thermometer, bridge: python, output: {endpoint: ["kitchen:thermometer"]}}
+  fireAlarm:
+    components:
+      - name: too_hot
+        bridge: python
+        input: {from: temperature, endpoint: ["kitchen:too_hot"]}
+        output: {endpoint: ["kitchen:too_hot"]}
+"""
+HOT = "    hot: bool\n"
+
+
+def robot(folder: Path, unit: str = "Cel", more: str = HOT) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "kitchen.py").write_text(COMPONENTS.format(unit=unit, more=more), encoding="utf-8")
+    (folder / "robot.yaml").write_text(ROBOT, encoding="utf-8")
+    return folder
+
+
+def run(folder: Path, *arguments: str) -> Result:
+    files = ["-f", str(folder / "robot.yaml"), "--lock", str(folder / "robot.lock")]
+    return CliRunner().invoke(main, ["lock", *files, *arguments])
+
+
+def locked(folder: Path, **more: str) -> Path:
+    done = run(robot(folder, **more))
+    assert done.exit_code == 0, done.output
+    return folder / "robot.lock"
+
+
+def test_a_lock_is_the_same_text_for_the_same_plans_and_fits_itself(tmp_path: Path) -> None:
+    one, other = locked(tmp_path / "a"), locked(tmp_path / "b")
+    assert one.read_bytes() == other.read_bytes()
+    checked = run(tmp_path / "a", "--check")
+    assert checked.exit_code == 0
+    assert "breaks: 0" in checked.output
+    data = json.loads(one.read_text())
+    (edge,) = data["functions"]["fireAlarm"]["edges"]
+    assert (edge["producer"], edge["consumer"], edge["meaning"]) == (
+        "thermometer", "too_hot", "stated",
+    )  # fmt: skip
+
+
+def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_told(tmp_path: Path) -> None:
+    locked(tmp_path / "a")
+    schemas = tmp_path / "schemas"
+    schemas.mkdir()
+    fields = {"celsius": {"type": "number", "x-unit": "[degF]"}, "hot": {"type": "boolean"}}
+    schema = {
+        "type": "object", "properties": fields, "required": [*fields],
+        "additionalProperties": False,
+    }  # fmt: skip
+    (schemas / "Reading.json").write_text(json.dumps(schema))
+    done = run(tmp_path / "a", "--check", "--against", str(schemas))
+    assert done.exit_code == 1
+    assert "thermometer.default -> too_hot.default: fits with a map: celsius: " in done.output
+    assert "map: {celsius: {from: celsius, scale: 0.5555555555555556, offset: -17.7" in done.output
+    # Applications that ask for the temperature take it for degrees Celsius.
+    assert "temperature: output.default: breaks: celsius" in done.output
+
+
+@pytest.mark.parametrize("form", ["text", "json", "github"])
+def test_a_field_that_went_breaks_and_says_so_in_each_form(tmp_path: Path, form: str) -> None:
+    locked(tmp_path / "a")
+    before = read_lock(tmp_path / "a" / "robot.lock")
+    after = json.loads((tmp_path / "a" / "robot.lock").read_text())
+    for one in after["structures"].values():
+        if "celsius" in one["structure"]["properties"] and one["structure"]["required"]:
+            one["structure"]["required"] = ["hot"]
+    # The producer's structure may do without the field now; its consumer's still demands it.
+    parts = after["functions"]["fireAlarm"]["parts"]
+    assert before.functions["fireAlarm"].parts
+    structure = after["structures"][parts[0]["ports"]["output.default"]]
+    after["structures"]["changed"] = structure
+    for function in after["functions"].values():
+        for part in function["parts"]:
+            if part["component"] == "thermometer":
+                part["ports"]["output.default"] = "changed"
+    other = tmp_path / "other.lock"
+    kept = json.loads((tmp_path / "a" / "robot.lock").read_text())["structures"]
+    after["structures"] = {**after["structures"], **kept, "changed": structure}
+    other.write_text(json.dumps(after))
+    done = run(tmp_path / "a", "--check", "--against", str(other), "--format", form)
+    assert done.exit_code == 1, done.output
+    if form == "json":
+        findings = json.loads(done.output)["findings"]
+        assert {one["outcome"] for one in findings} == {"fits", "breaks"}
+    else:
+        assert "thermometer.default -> too_hot.default: breaks" in done.output
+        # Who asks for temperature got the field always; now not.
+        assert "temperature: output.default: breaks" in done.output
+    assert done.output.startswith("::error") is (form == "github")
+
+
+def test_outputs_may_narrow_and_components_may_not_go(tmp_path: Path) -> None:
+    locked(tmp_path / "a")
+    lock = read_lock(tmp_path / "a" / "robot.lock")
+    narrower: Any = json.loads((tmp_path / "a" / "robot.lock").read_text())
+    for one in narrower["structures"].values():
+        fields = one["structure"]["properties"]
+        if "celsius" in fields and one["structure"].get("required"):
+            fields["celsius"] = {**fields["celsius"], "minimum": 0}
+    path = tmp_path / "narrower.lock"
+    path.write_text(json.dumps(narrower))
+    outcomes = {one.subject: one.outcome for one in compare(lock, read_lock(path))}
+    assert outcomes["output.default"] is Outcome.FITS
+    narrower["functions"].pop("temperature")
+    narrower["functions"].pop("fireAlarm")
+    path.write_text(json.dumps(narrower))
+    gone = list(compare(lock, read_lock(path)))
+    assert {one.outcome for one in gone} == {Outcome.BREAKS}
+    assert "no output.default of a component 'thermometer'" in " ".join(
+        one.sentence for one in gone
+    )
+
+
+NO_PORT = (
+    '{"version": 1, "functions": {"f": {"parts": [{"component": "a", "function": "f",'
+    ' "bridge": "b", "plugin": "p", "ports": {"x": "gone"}}]}}, "structures": {}}'
+)
+NO_FUNCTION = '{"version": 1, "functions": {"f": 3}, "structures": {}}'
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 2}', NO_FUNCTION, NO_PORT])
+def test_what_is_no_lock_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "robot.lock"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"robot\.lock"):
+        read_lock(path)
+    assert run(robot(tmp_path), "--check").exit_code == 3
+
+
+def test_a_function_without_a_plan_is_locked_as_refused(tmp_path: Path) -> None:
+    done = run(robot(tmp_path, unit="s"))
+    assert done.exit_code == 1
+    assert "fireAlarm has no plan" in done.output
+    assert read_lock(tmp_path / "robot.lock").functions["fireAlarm"].refused
