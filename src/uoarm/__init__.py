@@ -19,6 +19,7 @@ from uoarm._version import __version__
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
+    CommandRefusedError,
     ConfigurationError,
     ConnectionClosedError,
     ControlMessageError,
@@ -35,6 +36,7 @@ __all__ = [
     "AsyncRobotManager",
     "BridgeError",
     "BridgeTimeoutError",
+    "CommandRefusedError",
     "ConfigurationError",
     "Connection",
     "ConnectionClosedError",

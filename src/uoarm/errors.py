@@ -7,6 +7,7 @@ UoarmError
 ├── BridgeError            the operator or plugin author: a framework said no, raised, lied
 │   └── BridgeTimeoutError     ... or did not answer within its limit
 ├── MessageError           the sender: a message does not match its declared structure
+├── CommandRefusedError    the sender: what would move something came too late, or may not be
 ├── ControlMessageError    the client: a control message that cannot be read
 ├── ConnectionClosedError  the caller: the handle or manager was closed before the call
 └── UsageError             the caller: an operation that this connection does not have
@@ -21,6 +22,7 @@ from enum import Enum
 __all__ = [
     "BridgeError",
     "BridgeTimeoutError",
+    "CommandRefusedError",
     "ConfigurationError",
     "ConnectionClosedError",
     "ControlMessageError",
@@ -85,6 +87,19 @@ class BridgeTimeoutError(BridgeError, TimeoutError):
 
 class MessageError(UoarmError, ValueError):
     """A message does not match the structure that its port declares."""
+
+
+class CommandRefusedError(UoarmError):
+    """A command to an input that moves something was not sent.
+
+    Attributes:
+        reason: `late`, `beyond-limits`, `stopping`, `held` (the emergency stop is not released)
+            or `closed`: by it the command counts as dropped.
+    """
+
+    def __init__(self, text: str, reason: str) -> None:
+        super().__init__(text)
+        self.reason = reason
 
 
 class ControlMessageError(UoarmError, ValueError):

@@ -3,7 +3,7 @@
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._edge import EdgeVerdict, check_edge, transfer
 from uoarm._adapt._mapping import Entry, MappingError, parse
-from uoarm._adapt._walk import UnfitError
+from uoarm._adapt._walk import UnfitError, number_problem
 
 __all__ = [
     "Adaptation",
@@ -13,6 +13,7 @@ __all__ = [
     "UnfitError",
     "adapt",
     "check_edge",
+    "number_problem",
     "parse",
     "transfer",
 ]

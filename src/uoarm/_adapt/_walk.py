@@ -9,8 +9,9 @@ from attrs import frozen
 
 from uoarm._adapt._mapping import Path, write_path
 from uoarm._meaning import INHERITED
+from uoarm.model import MessageStructure
 
-__all__ = ["Field", "Structure", "UnfitError", "leaves"]
+__all__ = ["Field", "Structure", "UnfitError", "leaves", "number_problem"]
 
 _MAX_LEAVES = 500
 _MAX_DEPTH = 12
@@ -76,7 +77,7 @@ class Structure:
             fields = one.get("properties", {})
             if part not in fields:
                 has = ", ".join(fields) or "none"
-                raise UnfitError(where, f"the producer has no field {part!r} there; it has {has}")
+                raise UnfitError(where, f"there is no field {part!r}; there is {has}")
             if any(key in one for key in ("anyOf", "oneOf", "allOf", "if")):
                 raise UnfitError(where, "a choice of structures stands in the way")
             always = always and part in one.get("required", ())
@@ -109,3 +110,17 @@ def leaves(structure: Structure) -> Iterator[tuple[Path, Any]]:
             yield (*path, name), child
             if len(path) < _MAX_DEPTH:
                 waiting.append(((*path, name), child))
+
+
+def number_problem(structure: MessageStructure, path: str) -> str:
+    """Return why the field at a path is no number in every message; nothing where it is one."""
+    try:
+        walked = Structure(structure.schema)
+        parts = () if path == "." else tuple(path.split("."))
+        found = walked.at(parts)
+        kind = walked.plain(found.schema, path).get("type")
+    except UnfitError as error:
+        return f"{error.path}: {error}"
+    if kind not in ("number", "integer"):
+        return f"{path} is no number"
+    return "" if found.always else f"{path} may be missing"

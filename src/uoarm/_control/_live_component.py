@@ -15,6 +15,7 @@ from uoarm.model import (
     Component,
     Message,
     MessageStructure,
+    OverflowPolicy,
     QueuePolicy,
     Step,
     ValidationMode,
@@ -27,6 +28,7 @@ _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
 _TURN_SECONDS = 0.1
+_NEWEST = QueuePolicy(length=1, policy=OverflowPolicy.LATEST)
 _LOSSES = frozenset({"under_way", "lost_on_link"})
 
 
@@ -139,7 +141,10 @@ class LiveComponent:
             finally:
                 turn.release()
 
-        return send, sink.default_queue if sink.blocking else None
+        if not sink.blocking:
+            return send, None
+        # Of commands that wait, only the newest one is worth sending.
+        return send, sink.default_queue if sink.endpoint.command is None else _NEWEST
 
     def watch(self, name: str) -> InputWatch:
         """Return what the routes into an input tell what became of messages."""
@@ -222,4 +227,6 @@ def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterat
     for name, channel in tuple(channels.items()):
         facts = facts_of(channel)
         lost = dict(facts).get("lost_on_link", 0)
-        yield ChannelStatus(f"{direction}.{name}", facts, lost if isinstance(lost, int) else 0)
+        command = channel.command_status() if isinstance(channel, Sink) else None
+        lost = lost if isinstance(lost, int) else 0
+        yield ChannelStatus(f"{direction}.{name}", facts, lost, command)

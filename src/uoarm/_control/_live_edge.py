@@ -120,11 +120,15 @@ class LiveEdge:
 
     @property
     def _is_native(self) -> bool:
-        """Whether the bridge may connect both ends itself: they are its own, of one structure."""
+        """Whether the bridge may connect both ends itself: they are its own, of one structure.
+
+        Commands never go past the watchdog of their input.
+        """
         bridge = self.producer.bridge
         return (
             bridge is self.consumer.bridge
             and self.edge.mapping is None
+            and self._input.endpoint.command is None
             and self.edge.producer_structure == self.edge.consumer_structure
             and bridge.capabilities.link
         )

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from uoarm._dataplane._queue import BoundedQueue, QueueClosed
 from uoarm._raised import LimitedLog, text_of
-from uoarm.errors import MessageError
+from uoarm.errors import CommandRefusedError, MessageError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
 __all__ = ["Clock", "Consumer", "Route"]
@@ -246,7 +246,7 @@ class Route:
             self.invalid += 1
             self.drop("invalid")
         else:
-            self.drop("failed")
+            self.drop(error.reason if isinstance(error, CommandRefusedError) else "failed")
         text = self.last_error = text_of(error)
         if self._watch is None or not self._watch.raised(error):
             place = f"{self.producer} -> {self.consumer}"

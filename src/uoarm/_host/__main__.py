@@ -9,11 +9,14 @@ import shutil
 import signal
 import sys
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from uoarm._host.agent.dispatcher import RequestDispatcher
-from uoarm._host.process.limits import die_with_parent, limit_memory
+from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_parent
 from uoarm._host.transport import keys
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.zenoh_transport import Reply, Transport
@@ -23,6 +26,32 @@ from uoarm.model import BridgeSpec
 
 _REFUSED_SECONDS = 30.0
 _ORPHANED = 3
+_STOP_SECONDS = 1.0
+
+
+class _MainThread:
+    """Waits for the end, and does meanwhile what the kernel takes from the main thread alone."""
+
+    def __init__(self) -> None:
+        self._calls: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self.bridge: Bridge | None = None
+        self.must_stop = False
+
+    def outlive(self) -> None:
+        """See to it that the host lives to stop what moves when its manager dies."""
+        if not self.must_stop:
+            self.must_stop = True
+            done = threading.Event()
+            self._calls.put(outlive_parent)
+            self._calls.put(done.set)
+            done.wait()
+
+    def end(self) -> None:
+        self._calls.put(None)
+
+    def wait(self) -> None:
+        while (call := self._calls.get()) is not None:
+            call()
 
 
 def main() -> int:
@@ -33,10 +62,11 @@ def main() -> int:
         return _ORPHANED
     limit_memory(orders["memory"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    threading.Thread(target=_watch_manager, args=(orders["folder"],), daemon=True).start()
-    ended = threading.Event()
+    main_thread = _MainThread()
+    watching = orders["folder"], main_thread
+    threading.Thread(target=_watch_manager, args=watching, daemon=True).start()
     # In a thread: a handler must not take the lock that the thread it interrupts may hold.
-    signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=ended.set).start())
+    signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=main_thread.end).start())
     transport = Transport(
         orders["address"],
         listen=False,
@@ -46,17 +76,21 @@ def main() -> int:
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:
-        _refuse(transport, error, ended)
+        _refuse(transport, error)
         return 1
-    return _serve(bridge, transport, ended, SharedCounters(Path(orders["counters"]), make=False))
+    counters = SharedCounters(Path(orders["counters"]), make=False)
+    return _serve(bridge, transport, main_thread, counters)
 
 
 def _serve(
-    bridge: Bridge, transport: Transport, ended: threading.Event, counters: SharedCounters
+    bridge: Bridge, transport: Transport, main_thread: _MainThread, counters: SharedCounters
 ) -> int:
-    serving = RequestDispatcher(bridge, transport, ended, counters)
+    main_thread.bridge = bridge
+    serving = RequestDispatcher(
+        bridge, transport, main_thread.end, counters, before_moving=main_thread.outlive
+    )
     serving.begin()
-    ended.wait()
+    main_thread.wait()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         bridge.close()
@@ -65,26 +99,30 @@ def _serve(
     return 0
 
 
-def _refuse(transport: Transport, error: UoarmError, ended: threading.Event) -> None:
+def _refuse(transport: Transport, error: UoarmError) -> None:
     """Answer with the reason why there is no bridge, until the manager ends this process."""
 
     def answer(_: Any, reply: Reply) -> None:
         reply(error)
 
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     transport.answer(keys.ASK, answer)
     transport.show_alive(keys.ALIVE)
-    ended.wait(_REFUSED_SECONDS)
+    threading.Event().wait(_REFUSED_SECONDS)
     transport.close()
 
 
-def _watch_manager(folder: str) -> None:
+def _watch_manager(folder: str, main_thread: _MainThread) -> None:
     """End with the manager: its end of stdin closes when it dies, however it dies.
 
-    Where the kernel ends the process first, this never runs.
+    What moves is stopped first. Where nothing does, the kernel mostly ends the process before.
     """
     try:
         while os.read(0, 4096):  # no buffer, whose lock would outlive this thread at exit
             pass
+        if main_thread.must_stop and main_thread.bridge is not None:
+            with suppress(UoarmError):
+                main_thread.bridge.close(timeout=_STOP_SECONDS)
     finally:
         if Path(folder).name.startswith(keys.FOLDER):
             shutil.rmtree(folder, ignore_errors=True)

@@ -68,6 +68,8 @@ class RemoteBridge(Bridge):
         BridgeTimeoutError: it was not ready in time.
     """
 
+    _is_last_hop = False
+
     def __init__(
         self, spec: BridgeSpec, registry: MachineRegistry | None = None, *, origin: str = ""
     ) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from uoarm._host.transport.flow import FlowReceiver, FlowSender
+from uoarm._host.transport.keys import COMMAND
 from uoarm._host.transport.shared_counters import SharedCounter
 from uoarm.bridge import Channel, Outcomes, Sink, Source
 from uoarm.errors import UoarmError
-from uoarm.model import Endpoint, Message
+from uoarm.model import CommandStatus, Endpoint, Message, from_json
 
 __all__ = ["AskChannel", "RemoteChannel", "RemoteSink", "RemoteSource"]
 
@@ -119,12 +120,30 @@ class RemoteSink(RemoteChannel, Sink):
             "failed_in_host": outgoing.failed,
             "last_error_in_host": outgoing.last_error,
         }
-        return {**self.host_facts, **ours}
+        return {**{k: v for k, v in self.host_facts.items() if k != COMMAND}, **ours}
 
     def watch(self, told: Outcomes) -> bool:
         """Have told what the host says became of messages."""
         self.outgoing.watch(told)
         return True
+
+    def hold(self, timeout: float) -> CommandStatus | None:
+        """Have the host stop it; raises what becomes of asking it.
+
+        Raises:
+            BridgeError: the host did not answer: it may move until its lifetime is over.
+        """
+        held = self._ask("hold", flow=self.number, timeout=timeout)
+        return None if held is None else from_json(held, CommandStatus)
+
+    def release(self) -> None:
+        """Have the host let commands through again."""
+        self._ask("release", flow=self.number)
+
+    def command_status(self) -> CommandStatus | None:
+        """Return what the host said of it with its last heartbeat."""
+        told = self.host_facts.get(COMMAND)
+        return None if told is None else from_json(told, CommandStatus)
 
     def drain(self, timeout: float) -> bool:
         """Wait until the component has taken every message that was sent by now."""

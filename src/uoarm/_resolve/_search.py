@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 
 from attrs import define, field
 
+from uoarm._resolve._commands import command_mistakes, lifetime_warnings
 from uoarm._resolve._fit import Fit
 from uoarm._resolve._protocols import Structures
 from uoarm.errors import ResolutionError
@@ -145,6 +146,9 @@ class Search:
         if not isinstance(structures, Structures):
             self._asked_in_vain = (self._asked_in_vain or 0.0) + self._clock() - begun
             return _Refusal((Reason(structures.sentence),))
+        mistakes = command_mistakes(candidate, structures)
+        if mistakes:
+            return _Refusal(mistakes)
         frame.structures, frame.edges, frame.warnings = structures, [], list(structures.warnings)
         for depth, consumer, port in self._demands.get(frame.function.name, ()):
             refusal = self._connect(frame, candidate, structures, consumer, port)
@@ -211,6 +215,7 @@ class Search:
         if isinstance(made, Edge):
             frame.edges.append(made)
             frame.warnings.extend(made.warnings)
+            frame.warnings.extend(lifetime_warnings(made, output, port))
             return None
         return _Refusal(made)
 

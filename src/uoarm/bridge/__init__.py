@@ -14,6 +14,7 @@ from uoarm.bridge._description import (
 )
 from uoarm.bridge._plugin import BridgeType
 from uoarm.bridge._registry import Registry
+from uoarm.bridge._watchdog import boot_seconds
 
 __all__ = [
     "CONTRACT_VERSION",
@@ -31,6 +32,7 @@ __all__ = [
     "ServiceStructures",
     "Sink",
     "Source",
+    "boot_seconds",
     "hookimpl",
     "install_command",
     "reading_endpoint",

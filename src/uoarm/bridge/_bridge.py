@@ -56,6 +56,8 @@ class Bridge(ABC):
     """
 
     capabilities: Capabilities = Capabilities()
+    _is_last_hop = True
+    """Whether the framework is talked to from this process, so that commands expire in it."""
 
     def __init__(self, name: str, options: Options) -> None:
         self.name = name
@@ -141,15 +143,23 @@ class Bridge(ABC):
     def open_sink(
         self, endpoint: Endpoint, structure: MessageStructure, *, timeout: float = 5.0
     ) -> Sink:
-        """Open an input of a component.
+        """Open an input of a component; the endpoint's command policy is kept from then on.
 
         Raises:
             BridgeError: the framework refused or failed; nothing stays open.
             BridgeTimeoutError: not open within `timeout` seconds; what opens later is closed.
         """
-        return self._opened(
+        sink = self._opened(
             Sink, f"opening {endpoint}", timeout, lambda: self._open_sink(endpoint, structure)
         )
+        if endpoint.command is not None and self._is_last_hop:
+
+            def tell(cause: str) -> None:
+                health = Health.DEGRADED if cause else Health.OK
+                self.report(health, cause or "its stop message was taken", channel=sink)
+
+            sink.guard(tell)
+        return sink
 
     @final
     def call(

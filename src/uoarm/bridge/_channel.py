@@ -9,8 +9,9 @@ from typing import final
 from uoarm import _bounded
 from uoarm.bridge._border import translated
 from uoarm.bridge._gate import Gate
+from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Endpoint, Message, QueuePolicy
+from uoarm.model import CommandStatus, Endpoint, Message, QueuePolicy
 
 __all__ = ["Channel", "Outcomes", "Sink", "Source"]
 
@@ -84,9 +85,13 @@ class Channel:
 
     def _close_native(self) -> None:
         try:
+            self._before_close()
             self._close()
         finally:
             self._let_go = True
+
+    def _before_close(self) -> None:
+        """Do what must be done while the link still stands."""
 
     def facts(self) -> Mapping[str, object]:
         """Return what the framework knows of the link now, for the status.
@@ -173,10 +178,14 @@ class Sink(Channel):
             bounded queue with one worker. True unless the bridge says otherwise.
         default_queue: that queue, where the configuration states none. A bridge whose framework
             promises that nothing is lost sets one with the policy `block`.
+        parallel: whether `_send` may be called while another call of it is under way. Where it
+            may, the stop of an input that moves something waits for no `_send` that hangs.
     """
 
     blocking: bool = True
     default_queue: QueuePolicy = QueuePolicy()
+    parallel: bool = False
+    _watchdog: Watchdog | None = None
 
     def __init__(
         self,
@@ -195,11 +204,16 @@ class Sink(Channel):
             self.blocking = blocking
 
     @final
-    def send(self, message: Message) -> None:
+    def send(self, message: Message, age: float = 0.0) -> None:
         """Hand one message to the component. Called by one thread at a time.
+
+        Args:
+            message: the message.
+            age: seconds since it left its sender; matters where the input moves something.
 
         Raises:
             MessageError: it does not fit the structure.
+            CommandRefusedError: the input moves something, and may not be sent this now.
             BridgeError: the channel is closed, or the component is gone or refuses.
             Exception: what else the framework raises: the route that called counts it and
                 shows it in the status.
@@ -207,7 +221,40 @@ class Sink(Channel):
         if self._closed:
             text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
             raise BridgeError(text, FailureReason.CLOSED)
-        self._send(message)
+        if self._watchdog is None:
+            self._send(message)
+        else:
+            self._watchdog.send(message, age)
+
+    @final
+    def guard(self, tell: Callable[[str], None]) -> None:
+        """Keep to the endpoint's command policy from now on; called once, by the core.
+
+        Args:
+            tell: told why a stop message was not taken, and with nothing when one was again.
+        """
+        if self.endpoint.command is not None:
+            name = f"{self.endpoint.component}.{self.endpoint.port}"
+            self._watchdog = Watchdog(
+                self.endpoint.command, self._send, name, parallel=self.parallel, tell=tell
+            )
+
+    def hold(self, timeout: float) -> CommandStatus | None:
+        """Send the stop message and refuse every command until `release`; for the core.
+
+        Waits `timeout` seconds at most for the stop to be taken. Returns what came of it; None
+        for an input that moves nothing.
+        """
+        return None if self._watchdog is None else self._watchdog.hold(timeout)
+
+    def release(self) -> None:
+        """Let commands through again; for the core."""
+        if self._watchdog is not None:
+            self._watchdog.release()
+
+    def command_status(self) -> CommandStatus | None:
+        """Return what an input that moves something was told last; None for any other."""
+        return None if self._watchdog is None else self._watchdog.status()
 
     def watch(self, told: Outcomes) -> bool:
         """Have what becomes of messages told after `send` has returned; say whether it will be.
@@ -217,6 +264,10 @@ class Sink(Channel):
         """
         del told
         return False
+
+    def _before_close(self) -> None:
+        if self._watchdog is not None:
+            self._watchdog.close()
 
     def _send(self, message: Message) -> None:
         """Hand one message to the component.

@@ -10,11 +10,13 @@ from attrs import evolve
 
 from uoarm.model import (
     BridgeSpec,
+    CommandPolicy,
     Component,
     Endpoint,
     Expectation,
     FailoverPolicy,
     FailureLimits,
+    FieldLimit,
     Function,
     Input,
     Listening,
@@ -29,6 +31,7 @@ from uoarm.model import (
     Robot,
     Role,
     Service,
+    StopMessage,
 )
 
 __all__ = ["bridge_options", "build"]
@@ -133,6 +136,7 @@ def _component(function: str, value: Mapping[str, Any], meaning: Meaning) -> Com
             port=port,
             options=settings.get("options", {}),
             parameters=value.get("parameters", {}),
+            command=_command(settings),
         )
 
     service = value.get("service")
@@ -175,6 +179,17 @@ def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint, meaning: Mea
         declared=_structure(value, "structure"),
         queue=_queue(value["queue"]) if "queue" in value else None,
         meaning=_at_level(value, meaning),
+    )
+
+
+def _command(value: Mapping[str, Any]) -> CommandPolicy | None:
+    """Return how an input that moves something is kept safe, None for any other."""
+    if not {"lifetime", "stop", "limits"} & set(value):
+        return None
+    return CommandPolicy(
+        lifetime=value.get("lifetime"),
+        stop=StopMessage(value["stop"]["message"]) if "stop" in value else None,
+        limits=tuple(FieldLimit(path, **one) for path, one in value.get("limits", {}).items()),
     )
 
 

@@ -75,6 +75,7 @@ class MeaningChecker:
             self._check_ports(component)
             for port in component.inputs():
                 self._check_source(port)
+                self._check_command(port)
         self._check_priorities()
         self._check_cycles()
         self._check_applications()
@@ -176,6 +177,20 @@ class MeaningChecker:
                 f"{function} has several outputs and none is named default",
                 f"say which: {_choices(function, emitted.names)}",
             )
+
+    def _check_command(self, port: PortPart) -> None:
+        if "lifetime" in port.value and "stop" not in port.value:
+            hint = "say what stops it: stop: {message: ...}"
+            self._refuse((*port.path, "lifetime"), "a lifetime needs a stop message", hint)
+        limits = port.value.get("limits")
+        for path, limit in limits.items() if isinstance(limits, dict) else ():
+            least, most = (
+                limit.get(key) if isinstance(limit, dict) else None
+                for key in ("minimum", "maximum")
+            )
+            if isinstance(least, int | float) and isinstance(most, int | float) and least > most:
+                where: Path = (*port.path, "limits", path)
+                self._refuse(where, f"the minimum {least:g} is more than the maximum {most:g}")
 
     def _check_applications(self) -> None:
         asked = applications(self._document.value)

@@ -3,6 +3,13 @@
 from uoarm.model._availability import Availability, FunctionStatus
 from uoarm.model._budget import Budget, Spending
 from uoarm.model._change import ConfigurationChange, ConnectionEffect, Effect
+from uoarm.model._command import (
+    CommandPhase,
+    CommandPolicy,
+    CommandStatus,
+    FieldLimit,
+    StopMessage,
+)
 from uoarm.model._component import (
     Component,
     Endpoint,
@@ -53,6 +60,9 @@ __all__ = [
     "BridgeStatus",
     "Budget",
     "ChannelStatus",
+    "CommandPhase",
+    "CommandPolicy",
+    "CommandStatus",
     "Component",
     "ComponentStatus",
     "ConfigurationChange",
@@ -67,6 +77,7 @@ __all__ = [
     "Expectation",
     "FailoverPolicy",
     "FailureLimits",
+    "FieldLimit",
     "FoundComponent",
     "FoundPort",
     "Function",
@@ -100,6 +111,7 @@ __all__ = [
     "StatusEvent",
     "StatusMap",
     "Step",
+    "StopMessage",
     "ValidationMode",
     "from_json",
     "message_octets",

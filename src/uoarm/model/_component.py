@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 from attrs import field, frozen
 
+from uoarm.model._command import CommandPolicy
 from uoarm.model._queue import QueuePolicy
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Options
@@ -53,6 +54,7 @@ class Endpoint:
         port: name of the port within the component.
         options: settings of this port (QoS, buffer policy), meaning set by the bridge.
         parameters: settings of the whole component, the same on all its endpoints.
+        command: how it is kept safe, for an input that moves something; None for any other.
     """
 
     bridge: str
@@ -62,6 +64,7 @@ class Endpoint:
     port: str = "default"
     options: Options = field(default=_NOTHING, hash=False)
     parameters: Options = field(default=_NOTHING, hash=False)
+    command: CommandPolicy | None = None
 
     def __str__(self) -> str:
         return f"{self.role.value} {self.port!r} of {self.component} at {list(self.address)}"

@@ -6,6 +6,7 @@ from enum import Enum
 
 from attrs import asdict, frozen
 
+from uoarm.model._command import CommandStatus
 from uoarm.model._explain import tell_status
 
 __all__ = [
@@ -107,11 +108,13 @@ class ChannelStatus:
         port: `output.default` or the like.
         facts: what the framework knows of the link, by name: matched peers, policies, losses.
         lost: messages that it knows will never arrive, its fact `lost_on_link`.
+        command: what an input that moves something was told last; None of any other channel.
     """
 
     port: str
     facts: tuple[tuple[str, object], ...] = ()
     lost: int = 0
+    command: CommandStatus | None = None
 
 
 @frozen

@@ -32,16 +32,19 @@ class RequestDispatcher:
     Args:
         bridge: the bridge of this host.
         transport: to the manager.
-        ended: set when the manager has closed the bridge.
+        end: called when the manager has closed the bridge.
         counters: where flows are counted; None where the manager shares no memory.
+        before_moving: called before an input is opened that must be stopped when all else ends.
     """
 
     def __init__(
         self,
         bridge: Bridge,
         transport: Transport,
-        ended: Event,
+        end: Callable[[], object],
         counters: SharedCounters | None = None,
+        *,
+        before_moving: Callable[[], object] = lambda: None,
     ) -> None:
         self._bridge = bridge
         self._transport = transport
@@ -50,7 +53,8 @@ class RequestDispatcher:
         self._teller = WorkerPool("uoarm-tell", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
-        self._ended = ended
+        self._end = end
+        self._before_moving = before_moving
         self._operations: dict[str, Callable[[Request], Any]] = {
             "hello": self._hello,
             "describe": self._describe,
@@ -64,6 +68,8 @@ class RequestDispatcher:
             "drain": lambda request: self._flows.drain(
                 request["flow"], request["sent"], request["timeout"]
             ),
+            "hold": self._hold,
+            "release": self._release,
             "close_channel": self._close_channel,
             "close": self._close,
         }
@@ -104,7 +110,7 @@ class RequestDispatcher:
         def answer(value: Any) -> None:
             reply(value)
             if last:
-                self._ended.set()
+                self._end()
 
         self._workers.answer(answer, lambda: operation(request))
 
@@ -136,6 +142,8 @@ class RequestDispatcher:
     def _sink(self, request: Request) -> Any:
         """Open a sink; return the queue that belongs before it, None: it does not block."""
         endpoint, structure = _port(request)
+        if endpoint.command is not None and endpoint.command.stop is not None:
+            self._before_moving()
         sink = self._bridge.open_sink(endpoint, structure, timeout=ANSWER_SECONDS)
         self._flows.inbound(request["flow"], request["slot"], sink)
         return to_json(sink.default_queue) if sink.blocking else None
@@ -165,6 +173,15 @@ class RequestDispatcher:
         if channel is not None:
             self._flows.plain(request["flow"], channel)
         return channel is not None
+
+    def _hold(self, request: Request) -> Any:
+        sink = self._flows.sink(request["flow"])
+        return None if sink is None else to_json(sink.hold(request["timeout"]))
+
+    def _release(self, request: Request) -> None:
+        sink = self._flows.sink(request["flow"])
+        if sink is not None:
+            sink.release()
 
     def _close_channel(self, request: Request) -> None:
         self._flows.close(request["flow"], request["sent"], request["timeout"])

@@ -17,7 +17,7 @@ from uoarm._host.transport.zenoh_transport import Transport
 from uoarm._raised import LimitedLog
 from uoarm.bridge import Channel, Sink
 from uoarm.errors import BridgeError, UoarmError
-from uoarm.model import Endpoint, Message
+from uoarm.model import Endpoint, Message, to_json
 
 __all__ = ["OpenFlows", "OutboundFlow"]
 
@@ -119,11 +119,15 @@ class OpenFlows:
 
     def inbound(self, number: int, slot: int | None, sink: Sink) -> None:
         """Feed a sink with the messages of a flow from now on."""
+
+        def take(message: Message) -> None:
+            sink.send(message, age=incoming.latency)
+
         incoming = FlowReceiver(
             self._transport,
             keys.flow(number),
             name=f"{sink.endpoint.component}.{sink.endpoint.port}",
-            take=sink.send,
+            take=sink.send if sink.endpoint.command is None else take,
             ended=lambda _: None,
             counter=self._counter(slot),
         )
@@ -145,6 +149,11 @@ class OpenFlows:
         found = self._open.get(number)
         return found is None or found.inbound is None or found.inbound.drain(sent, timeout)
 
+    def sink(self, number: int) -> Sink | None:
+        """Return an open input, None where this number has none."""
+        found = self._open.get(number)
+        return found.channel if found is not None and isinstance(found.channel, Sink) else None
+
     def number_of(self, channel: Channel) -> int | None:
         """Return the number of an open channel, None for one that is not listed."""
         with self._lock:
@@ -165,7 +174,7 @@ class OpenFlows:
         with self._lock:
             found = list(self._open.items())
         return [
-            (n, None if one.inbound is None else astuple(one.inbound.handled()), one.facts)
+            (n, None if one.inbound is None else astuple(one.inbound.handled()), _told(one))
             for n, one in found
         ]
 
@@ -206,3 +215,9 @@ class OpenFlows:
         return (
             None if slot is None or self._counters is None else SharedCounter(self._counters, slot)
         )
+
+
+def _told(one: _Open) -> Mapping[str, object]:
+    """Return the facts last looked at, and what an input that moves something was told by now."""
+    command = one.channel.command_status() if isinstance(one.channel, Sink) else None
+    return one.facts if command is None else {**one.facts, keys.COMMAND: to_json(command)}

@@ -113,7 +113,7 @@ class HostAgent:
         told = ""
         while not self._closed.is_set():
             try:
-                return Transport(
+                whole = Transport(
                     self._address,
                     listen=False,
                     timeout=_TRY_SECONDS,
@@ -130,6 +130,9 @@ class HostAgent:
                         told,
                     )
                 self._closed.wait(_AGAIN_SECONDS)
+            else:
+                whole.clock = time.time_ns
+                return whole
         return None
 
     def _tell_time(self, _: Any, reply: Reply) -> None:
@@ -205,7 +208,7 @@ class HostedBridge:
         except BaseException:
             transport.close()
             raise
-        self._serving = RequestDispatcher(self._bridge, transport, self._ended)
+        self._serving = RequestDispatcher(self._bridge, transport, self._ended.set)
         self._serving.begin()
         self._thread = threading.Thread(
             target=self._wait, name=f"uoarm-served-{spec.name}", daemon=True

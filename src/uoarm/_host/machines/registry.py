@@ -57,6 +57,7 @@ class MachineRegistry:
         self._since = time.monotonic()
         self._stopped = threading.Event()
         self._whole = Transport(listening.place, listen=True, lease=listening.silence, more=more)
+        self._whole.clock = time.time_ns
         self._transport = self._whole.part(keys.MACHINES)
         self._transport.watch_tokens(keys.here("*", "*", "*"), self._seen)
         self._asking = threading.Thread(

@@ -8,7 +8,7 @@ import resource
 import signal
 import sys
 
-__all__ = ["die_with_parent", "limit_memory"]
+__all__ = ["die_with_parent", "limit_memory", "outlive_parent"]
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -22,6 +22,15 @@ def die_with_parent(parent: int) -> bool:
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     return os.getppid() == parent
+
+
+def outlive_parent() -> None:
+    """Have the kernel do nothing when the parent ends; of the thread that asked for the opposite.
+
+    For a host that has something to stop first. It then ends by itself, unless it hangs.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, 0, 0, 0, 0)
 
 
 def limit_memory(octets: int | None) -> None:

@@ -105,10 +105,11 @@ class FlowSender:
             BridgeError: the flow is cut, or a whole window has been under way for too long;
                 the message was not sent.
         """
+        sent_at = self._now()  # before the wait for room, so that its end knows how old it is
         frame = pack(message)
         if self._number - self._handled >= _WINDOW or self._cut:
             self._wait_for_room()
-        self._put(frame, None)
+        self._put(frame, None, sent_at)
 
     def watch(self, told: Callable[[int, int, str], object]) -> None:
         """Have told how many messages were taken, how many raised, and what the last one did."""
@@ -124,7 +125,7 @@ class FlowSender:
         Raises:
             BridgeError: the link is closed.
         """
-        self._put(b"", (ending.health, ending.cause))
+        self._put(b"", (ending.health, ending.cause), self._now())
 
     def cut(self, cause: str) -> None:
         """Have every later `send`, and one that waits, fail with this cause."""
@@ -137,9 +138,13 @@ class FlowSender:
         self.cut("it is closed")
         self._end()
 
-    def _put(self, frame: bytes, ending: tuple[str, str] | None) -> None:
+    def _now(self) -> int:
+        """Return the time by the other end's clock, nanoseconds."""
+        return self._transport.clock() + self._transport.ahead()
+
+    def _put(self, frame: bytes, ending: tuple[str, str] | None, sent_at: int) -> None:
         self._number += 1
-        header = msgpack.packb((self._number, self._skipped, time.time_ns(), ending))
+        header = msgpack.packb((self._number, self._skipped, sent_at, ending))
         self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
 
     def _wait_for_room(self) -> None:
@@ -278,7 +283,8 @@ class FlowReceiver:
         before = self.raised
         self.lost += number - self._number - 1 + skipped - self._skipped
         self._skipped = skipped
-        self.latency = max(0.0, (time.time_ns() + self._transport.ahead() - sent_at) / 1e9)
+        now = self._transport.clock() + self._transport.ahead()
+        self.latency = max(0.0, (now - sent_at) / 1e9)
         if ending is not None:
             self._ended(ending)
         else:

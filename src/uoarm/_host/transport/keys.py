@@ -6,6 +6,7 @@ __all__ = [
     "ALIVE",
     "ANY_BRIDGE",
     "ASK",
+    "COMMAND",
     "FOLDER",
     "HEALTH",
     "HEARTBEAT",
@@ -20,7 +21,7 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 4
+PROTOCOL_VERSION = 5
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"
@@ -31,6 +32,9 @@ ASK = "uoarm/host/ask"
 HEARTBEAT = "uoarm/host/heartbeat"
 HEALTH = "uoarm/manager/health"
 MANAGED = "uoarm/manager/alive"
+
+COMMAND = "command"
+"""Names, among the facts of an input that moves something, what it was told last."""
 
 MACHINES = "uoarm/machine"
 """Every key of another machine begins so, and then with its name: the access list knows no more."""

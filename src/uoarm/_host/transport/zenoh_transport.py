@@ -19,6 +19,7 @@ from typing import Any
 import zenoh
 
 from uoarm._host.transport.codec import from_failure, pack, to_failure, unpack
+from uoarm.bridge import boot_seconds
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 
 __all__ = ["ANSWER_SECONDS", "NO_MORE", "Reply", "Transport", "configuration"]
@@ -52,6 +53,8 @@ class Transport:
 
     Attributes:
         ahead: by how many nanoseconds the clock at the other end is ahead of this one.
+        clock: the clock by which both ends say when a message was sent, nanoseconds. One that
+            nobody sets where both are on one machine; else that of the calendar.
 
     Raises:
         BridgeError: the session could not be opened.
@@ -80,6 +83,7 @@ class Transport:
         self._prefix = ""
         self._kept: list[Any] = []
         self.ahead: Callable[[], int] = _same_clock
+        self.clock: Callable[[], int] = _boot_nanoseconds
 
     def part(self, prefix: str) -> Transport:
         """Return a transport over the same session that sees every key behind a prefix.
@@ -241,6 +245,10 @@ class Transport:
 
 def _same_clock() -> int:
     return 0
+
+
+def _boot_nanoseconds() -> int:
+    return int(boot_seconds() * 1e9)
 
 
 def _directly(handle: Callable[[Any], None]) -> Any:

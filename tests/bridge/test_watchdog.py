@@ -1,0 +1,174 @@
+"""Inputs that move something, behind the contract: the stop goes out whatever hangs or raises."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from uoarm.bridge import Bridge, HealthEvent, Sink, Source
+from uoarm.errors import CommandRefusedError
+from uoarm.model import (
+    CommandPhase,
+    CommandPolicy,
+    Deliver,
+    Endpoint,
+    Health,
+    Message,
+    MessageStructure,
+    Role,
+    StopMessage,
+)
+from uoarm.testing import Background, patience, wait
+
+ANY = MessageStructure({})
+STOP, GO = {"v": 0.0}, {"v": 0.5}
+LIFETIME = 0.1
+ENDPOINT = Endpoint(
+    "b", "base", Role.INPUT, ("x",), command=CommandPolicy(LIFETIME, StopMessage(STOP))
+)
+
+
+class Base(Bridge):
+    """Takes messages, hangs in the sending of a command, or refuses the stop, as the test says."""
+
+    def __init__(self, *, parallel: bool = False) -> None:
+        super().__init__("b", {})
+        self.taken: list[Message] = []
+        self.parallel = parallel
+        self.hang: threading.Event | None = None
+        self.refuses = False
+        self.in_send = threading.Event()
+        self.was_closed_after: list[Message] = []
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        raise NotImplementedError
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        def send(message: Message) -> None:
+            if message == GO and self.hang is not None:
+                self.in_send.set()
+                assert self.hang.wait(patience())
+            if message == STOP and self.refuses:
+                raise OSError("the motor does not answer")
+            self.taken.append(message)
+
+        sink = Sink(endpoint, send, lambda: self.was_closed_after.extend(self.taken))
+        sink.parallel = self.parallel
+        return sink
+
+    def _close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def base() -> Iterator[Base]:
+    base = Base()
+    yield base
+    base.close()
+
+
+def phase(sink: Sink) -> CommandPhase:
+    status = sink.command_status()
+    assert status is not None
+    return status.phase
+
+
+def stopped(sink: Sink) -> bool:
+    return phase(sink) is CommandPhase.STOPPED
+
+
+def test_a_command_that_nobody_renews_is_followed_by_one_stop(base: Base) -> None:
+    sink = base.open_sink(ENDPOINT, ANY)
+    assert phase(sink) is CommandPhase.IDLE
+    sink.send(GO)
+    wait(lambda: stopped(sink))
+    assert base.taken == [GO, STOP]
+    sink.send(GO)
+    wait(lambda: stopped(sink))
+    assert base.taken == [GO, STOP, GO, STOP]
+
+
+def test_an_input_that_moves_nothing_has_no_watchdog(base: Base) -> None:
+    sink = base.open_sink(Endpoint("b", "base", Role.INPUT, ("x",)), ANY)
+    sink.send(GO)
+    assert sink.command_status() is None
+    assert sink.hold(1.0) is None
+
+
+def test_what_is_too_old_is_refused_with_both_figures(base: Base) -> None:
+    sink = base.open_sink(ENDPOINT, ANY)
+    with pytest.raises(CommandRefusedError, match=r"0\.300 s old.*lifetime of 0\.1 s") as caught:
+        sink.send(GO, age=0.3)
+    assert caught.value.reason == "late"
+    assert base.taken == []
+
+
+def test_a_stop_that_is_not_taken_is_told_and_sent_until_it_is(base: Base) -> None:
+    events: list[HealthEvent] = []
+    base.watch(events.append)
+    base.refuses = True
+    sink = base.open_sink(ENDPOINT, ANY)
+    sink.send(GO)
+    wait(lambda: bool(events))
+    assert events[0].health is Health.DEGRADED
+    assert "the motor does not answer" in events[0].cause
+    assert phase(sink) is CommandPhase.STOPPING
+    with pytest.raises(CommandRefusedError) as caught:
+        sink.send(GO)
+    assert caught.value.reason == "stopping"
+    base.refuses = False
+    wait(lambda: stopped(sink) and len(events) == 2)
+    assert events[1].health is Health.OK
+    assert base.taken == [GO, STOP]
+
+
+def test_where_sends_may_overlap_the_stop_waits_for_none_that_hangs_and_comes_last() -> None:
+    base = Base(parallel=True)
+    sink = base.open_sink(ENDPOINT, ANY)
+    base.hang = threading.Event()
+    sending = Background(lambda: sink.send(GO))
+    wait(lambda: base.taken == [STOP])
+    assert phase(sink) is CommandPhase.STOPPING, "the command may arrive behind the stop"
+    base.hang.set()
+    sending.result()
+    wait(lambda: stopped(sink))
+    assert base.taken == [STOP, GO, STOP]
+    base.close()
+
+
+def test_where_sends_may_not_overlap_the_stop_follows_the_one_that_hung(base: Base) -> None:
+    sink = base.open_sink(ENDPOINT, ANY)
+    base.hang = threading.Event()
+    sending = Background(lambda: sink.send(GO))
+    wait(lambda: phase(sink) is CommandPhase.STOPPING)
+    told = sink.hold(0.01)
+    assert told is not None
+    assert told.phase is CommandPhase.STOPPING, "it says that it has not stopped"
+    base.hang.set()
+    sending.result()
+    wait(lambda: stopped(sink))
+    assert base.taken == [GO, STOP]
+
+
+def test_what_is_held_takes_no_command_until_it_is_released(base: Base) -> None:
+    sink = base.open_sink(ENDPOINT, ANY)
+    told = sink.hold(patience())
+    assert told is not None
+    assert (told.phase, told.held) == (CommandPhase.STOPPED, True)
+    with pytest.raises(CommandRefusedError, match="emergency stop") as caught:
+        sink.send(GO)
+    assert caught.value.reason == "held"
+    sink.release()
+    sink.send(GO)
+    assert base.taken[:2] == [STOP, GO]
+
+
+def test_what_moves_is_stopped_before_it_is_closed(base: Base) -> None:
+    sink = base.open_sink(ENDPOINT, ANY)
+    sink.send(GO)
+    sink.close()
+    assert base.was_closed_after == [GO, STOP]

@@ -1,0 +1,103 @@
+"""Inputs that move something, in a host: whatever becomes of the manager, the host stops them."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.model import CommandPhase, CommandStatus
+from uoarm.testing import wait
+
+COMPONENTS = """
+from dataclasses import dataclass
+from pathlib import Path
+
+@dataclass
+class Speed:
+    v: float
+
+def base(speed: Speed) -> None:
+    with (Path(__file__).parent / "taken").open("a") as taken:
+        taken.write(f"{speed.v}\\n")
+"""
+ROBOT = """
+version: 1
+bridges: {far: {plugin: python, host: {silence: 60}}}
+functions:
+  drive:
+    components:
+      - name: base
+        bridge: far
+        input:
+          endpoint: ["moving:base"]
+          lifetime: 0.2
+          stop: {message: {v: 0.0}}
+          limits: {v: {maximum: 1}}
+"""
+SENDER = """
+import sys, time
+from uoarm import RobotManager
+manager = RobotManager.from_file(sys.argv[1])
+drive = manager.request("drive")
+while True:
+    drive.send({"v": 0.5})
+    time.sleep(0.02)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "moving.py").write_text(COMPONENTS)
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    return tmp_path
+
+
+@pytest.fixture
+def sender(folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([sys.executable, "-c", SENDER, str(folder / "robot.yaml")])
+    try:
+        wait(lambda: len(taken(folder)) > 3)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def taken(folder: Path) -> list[str]:
+    path = folder / "taken"
+    return path.read_text().split() if path.exists() else []
+
+
+def ceases(look: Callable[[], list[str]]) -> list[str]:
+    """Return what was taken when the stop came last."""
+    wait(lambda: look()[-1] == "0.0")
+    return look()
+
+
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP])
+def test_the_host_stops_what_a_manager_left_that_died_or_hangs(
+    folder: Path, sender: subprocess.Popen[bytes], fault: signal.Signals
+) -> None:
+    sender.send_signal(fault)
+    assert "0.5" in ceases(lambda: taken(folder))
+
+
+def test_the_status_has_what_the_host_says_and_a_hold_reaches_it(folder: Path) -> None:
+    with RobotManager.from_file(folder / "robot.yaml") as manager:
+        drive = manager.request("drive")
+
+        def status() -> CommandStatus | None:
+            (component,) = manager.status().components
+            return component.channels[0].command
+
+        drive.send({"v": 0.5})
+        wait(lambda: (told := status()) is not None and told.phase is CommandPhase.STOPPED)
+        drive.send({"v": 2.0})
+        wait(lambda: (told := status()) is not None and bool(told.dropped))
+        assert taken(folder) == ["0.5", "0.0"]

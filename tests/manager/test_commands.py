@@ -1,0 +1,110 @@
+"""Inputs that move something, through a manager: proven, counted, and stopped in order."""
+
+from __future__ import annotations
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.errors import ResolutionError
+from uoarm.model import CommandPhase, CommandStatus
+from uoarm.testing import MemoryBridge, wait
+
+SPEED = {
+    "type": "object",
+    "properties": {"v": {"type": "number"}, "note": {"type": "string"}},
+    "required": ["v"],
+}
+STOP, GO = {"v": 0.0}, {"v": 0.5}
+
+
+def robot(memory: MemoryBridge, settings: str, expect: str = "") -> RobotManager:
+    """Return a manager of a planner, which a test plays where it needs one, and of a base."""
+    text = f"""
+version: 1
+bridges: {{memory: {{plugin: python}}}}
+functions:
+  plan: {{components: [{{name: planner, bridge: memory, output: {{endpoint: [planner]{expect}}}}}]}}
+  drive: {{components: [{{name: base, bridge: memory, input: {{endpoint: [base], {settings}}}}}]}}
+"""
+    return RobotManager(loads(text), registry=Registry(()), bridges={"memory": memory})
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge(links=True)
+
+
+def status(manager: RobotManager) -> CommandStatus:
+    (channel,) = (
+        one for each in manager.status().components for one in each.channels if one.command
+    )
+    assert channel.command is not None
+    return channel.command
+
+
+def test_what_an_application_sends_expires_and_is_counted(memory: MemoryBridge) -> None:
+    base = memory.taker("base", SPEED)
+    settings = "lifetime: 0.1, stop: {message: {v: 0.0}}, limits: {v: {maximum: 1}}"
+    with robot(memory, settings) as manager:
+        drive = manager.request("drive")
+        drive.send(GO)
+        wait(lambda: status(manager).phase is CommandPhase.STOPPED)
+        assert base.taken.messages == [GO, STOP]
+        drive.send({"v": 1.5})
+        (route,) = drive.routes()
+        assert dict(route.dropped) == {"beyond-limits": 1}
+        assert "v is 1.5, more than 1" in route.last_error
+        assert dict(status(manager).dropped) == {"beyond-limits": 1}
+        (component,) = manager.status().components
+        assert component.failed == 0, "who refuses a command has not failed"
+
+
+def test_the_stop_is_taken_before_the_connection_has_ended(memory: MemoryBridge) -> None:
+    base = memory.taker("base", SPEED)
+    with robot(memory, "lifetime: 3600, stop: {message: {v: 0.0}}") as manager:
+        drive = manager.request("drive")
+        drive.send(GO)
+        drive.kill()
+        assert base.taken.messages == [GO, STOP]
+
+
+def test_no_native_link_goes_past_the_watchdog(memory: MemoryBridge) -> None:
+    planner = memory.emitter("planner", SPEED)
+    base = memory.taker("base", SPEED)
+    settings = "from: plan, lifetime: 0.1, stop: {message: {v: 0.0}}"
+    with robot(memory, settings) as manager:
+        manager.request("drive")
+        planner.emit(GO)
+        wait(lambda: base.taken.messages == [GO, STOP])
+        (route,) = manager.status().routes
+        assert not route.native
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ("stop: {message: {w: 0.0}}", "the stop message of its input 'default': .*'v' is missing"),
+        ("stop: {message: {v: nothing}}", "the stop message of its input 'default': v: "),
+        ("limits: {w: {maximum: 1}}", "limits of its input 'default': w: there is no field 'w'"),
+        ("limits: {note: {maximum: 1}}", "limits of its input 'default': note is no number"),
+    ],
+)
+def test_what_cannot_stop_or_be_limited_is_no_candidate(
+    memory: MemoryBridge, settings: str, told: str
+) -> None:
+    memory.taker("base", SPEED)
+    with robot(memory, settings) as manager, pytest.raises(ResolutionError, match=told):
+        manager.request("drive")
+
+
+def test_a_lifetime_shorter_than_the_senders_period_is_warned_of_with_both(
+    memory: MemoryBridge,
+) -> None:
+    memory.emitter("planner", SPEED)
+    memory.taker("base", SPEED)
+    settings = "from: plan, lifetime: 0.1, stop: {message: {v: 0.0}}"
+    with robot(memory, settings, ", expect: {rate: 5}") as manager:
+        (warning,) = manager.resolve("drive").warnings
+        assert "commands live for 0.1 s, and the next one comes after 0.2 s" in warning
