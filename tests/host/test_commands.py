@@ -12,7 +12,7 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm.model import CommandPhase, CommandStatus
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 COMPONENTS = """
 from dataclasses import dataclass
@@ -88,7 +88,7 @@ def test_the_host_stops_what_a_manager_left_that_died_or_hangs(
     assert "0.5" in ceases(lambda: taken(folder))
 
 
-def test_the_status_has_what_the_host_says_and_a_hold_reaches_it(folder: Path) -> None:
+def test_the_status_has_what_the_host_says_and_an_emergency_stop_reaches_it(folder: Path) -> None:
     with RobotManager.from_file(folder / "robot.yaml") as manager:
         drive = manager.request("drive")
 
@@ -101,3 +101,11 @@ def test_the_status_has_what_the_host_says_and_a_hold_reaches_it(folder: Path) -
         drive.send({"v": 2.0})
         wait(lambda: (told := status()) is not None and bool(told.dropped))
         assert taken(folder) == ["0.5", "0.0"]
+        report = manager.stop_all(timeout=patience())
+        assert [one.stopped for one in report.inputs] == [True]
+        assert taken(folder) == ["0.5", "0.0", "0.0"]
+        drive.send({"v": 0.5})
+        wait(lambda: dict(drive.routes()[0].dropped) == {"held": 1})
+        manager.release(timeout=patience())
+        drive.send({"v": 0.5})
+        wait(lambda: taken(folder)[3:4] == ["0.5"])

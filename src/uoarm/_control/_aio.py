@@ -37,6 +37,7 @@ from uoarm.model import (
     RouteStatus,
     StatusEvent,
     StatusMap,
+    StopReport,
     ValidationMode,
 )
 
@@ -403,6 +404,20 @@ class AsyncRobotManager(_Closing):
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
         return self.robot.history()
+
+    async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
+        """Stop every input that moves something, as `RobotManager.stop_all` does."""
+        # Not among other calls, for which it might have to wait.
+        return await asyncio.to_thread(partial(self.robot.stop_all, timeout=timeout))
+
+    async def release(self, *, timeout: float = 2.0) -> None:
+        """Let commands through again; raises as `RobotManager.release`."""
+        await asyncio.to_thread(partial(self.robot.release, timeout=timeout))
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether commands are refused, from `stop_all` to `release`."""
+        return self.robot.is_stopped
 
     async def check_availability(self) -> tuple[FunctionStatus, ...]:
         """Return which functions and components can be had now; opens nothing."""

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
 
+from uoarm._control._emergency_stop import EmergencyStop
 from uoarm._control._failure_watch import FailureWatch, InputWatch, OutputWatch
 from uoarm._dataplane import Outlet, make_check
 from uoarm.bridge import Bridge, Channel, Sink, Source
@@ -42,12 +43,16 @@ class LiveComponent:
         step: of the first plan that needs it.
         bridge: opens its channels.
         failures: watches what it raises.
+        emergency_stop: holds its inputs that move something.
 
     Attributes:
         lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
-    def __init__(self, step: Step, bridge: Bridge, failures: FailureWatch) -> None:
+    def __init__(
+        self, step: Step, bridge: Bridge, failures: FailureWatch, emergency_stop: EmergencyStop
+    ) -> None:
+        self._emergency_stop = emergency_stop
         self.component: Component = step.component
         self.bridge = bridge
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
@@ -125,6 +130,7 @@ class LiveComponent:
                 sink = self._sinks[name] = self.bridge.open_sink(
                     endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
                 )
+                self._emergency_stop.enter(sink, self.component.function)
                 watch = self._watches[name]
                 watch.is_later = sink.watch(watch.told_later)
             sink = self._sinks[name]
@@ -137,6 +143,7 @@ class LiveComponent:
                 if is_over():
                     raise ConnectionClosedError("the connection has ended")
             try:
+                self._emergency_stop.refuse(sink)
                 sink.send(message)
             finally:
                 turn.release()

@@ -17,6 +17,7 @@ from uoarm._control._application_ports import ApplicationPorts
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._draft import strictest
+from uoarm._control._emergency_stop import EmergencyStop
 from uoarm._control._failure_watch import FailureWatch
 from uoarm._control._live_component import LiveComponent
 from uoarm._control._live_edge import LiveEdge
@@ -96,6 +97,7 @@ class LiveParts:
         self._judged = judged
         self._state = state
         self._clock = clock
+        self.emergency_stop = EmergencyStop(clock)
         self.runtimes: dict[str, ConnectionRuntime] = {}
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
@@ -240,7 +242,9 @@ class LiveParts:
         bridge = self._bridges.get(component.bridge)
         limits, tell = self._state().policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, tell)
-        self.components[record.id] = LiveComponent(record.step, bridge, failures)
+        self.components[record.id] = LiveComponent(
+            record.step, bridge, failures, self.emergency_stop
+        )
 
     def _open_output(self, part: Part) -> None:
         """Open an output that has a route; one that only feeds native links stays closed."""

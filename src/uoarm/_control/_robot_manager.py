@@ -51,6 +51,7 @@ from uoarm.model import (
     Robot,
     StatusEvent,
     StatusMap,
+    StopReport,
     ValidationMode,
 )
 
@@ -457,6 +458,35 @@ class RobotManager:
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
         return self._revisions.history()
+
+    def stop_all(self, *, timeout: float = 2.0) -> StopReport:
+        """Stop every input that moves something, and refuse commands until `release`.
+
+        The stop message goes to all open inputs that have one at once, also to those that stand
+        still; what opens meanwhile is stopped as it opens. Idempotent: a second call sends it
+        again, and says how things are now. It waits for no lock or queue of messages.
+
+        Args:
+            timeout: seconds in which the inputs are waited for. The stop goes on being sent to
+                those that have not taken it then.
+
+        Returns:
+            For every open input that moves something whether the framework took the stop message.
+        """
+        return self._executor.live.emergency_stop.stop(timeout)
+
+    def release(self, *, timeout: float = 2.0) -> None:
+        """Let commands through again; what has stopped stands still until the next one.
+
+        Raises:
+            BridgeError: some inputs could not be told; they go on refusing commands.
+        """
+        self._executor.live.emergency_stop.release(timeout)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether commands are refused, from `stop_all` to `release`."""
+        return self._executor.live.emergency_stop.is_held
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""

@@ -78,6 +78,8 @@ def serve(
 ) -> None:
     """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM; SIGHUP reads it again.
 
+    SIGUSR1 stops every input that moves something until SIGUSR2 releases them.
+
     Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
     speaks rosbridge v2. /healthz and /metrics answer over HTTP.
     """
@@ -89,7 +91,7 @@ def serve(
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
         chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
         try:
-            with _reloading(manager, watch=watch_config):
+            with _stopping(manager), _reloading(manager, watch=watch_config):
                 run(manager, chosen, lambda server: _say(server, chosen))
         except OSError as error:
             hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
@@ -111,6 +113,36 @@ def token(name: str, role: str) -> None:
     made = make_token()
     click.echo(f"token: {made}", err=True)
     click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
+
+
+@contextmanager
+def _stopping(manager: RobotManager) -> Iterator[None]:
+    """Stop all at SIGUSR1 and release at SIGUSR2, each in a thread of its own."""
+
+    def stop() -> None:
+        click.echo(str(manager.stop_all()), err=True)
+
+    def release() -> None:
+        try:
+            manager.release()
+            click.echo("commands are let through again", err=True)
+        except UoarmError as error:
+            click.echo(f"error: {error}", err=True)
+
+    former = {
+        number: signal.signal(
+            number,
+            # Not in the handler: what it interrupts may hold a lock that this needs.
+            lambda *_, act=act: threading.Thread(target=act, daemon=True).start(),
+        )
+        for name, act in (("SIGUSR1", stop), ("SIGUSR2", release))
+        if (number := getattr(signal, name, None)) is not None  # not on every system
+    }
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

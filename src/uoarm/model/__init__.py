@@ -9,6 +9,8 @@ from uoarm.model._command import (
     CommandStatus,
     FieldLimit,
     StopMessage,
+    StopOutcome,
+    StopReport,
 )
 from uoarm.model._component import (
     Component,
@@ -112,6 +114,8 @@ __all__ = [
     "StatusMap",
     "Step",
     "StopMessage",
+    "StopOutcome",
+    "StopReport",
     "ValidationMode",
     "from_json",
     "message_octets",

@@ -6,7 +6,15 @@ from enum import Enum
 
 from attrs import field, frozen
 
-__all__ = ["CommandPhase", "CommandPolicy", "CommandStatus", "FieldLimit", "StopMessage"]
+__all__ = [
+    "CommandPhase",
+    "CommandPolicy",
+    "CommandStatus",
+    "FieldLimit",
+    "StopMessage",
+    "StopOutcome",
+    "StopReport",
+]
 
 
 @frozen
@@ -82,3 +90,50 @@ class CommandStatus:
     stops: int = 0
     dropped: tuple[tuple[str, int], ...] = ()
     cause: str = ""
+
+
+@frozen
+class StopOutcome:
+    """What an emergency stop came to at one input.
+
+    Attributes:
+        function, component, port: which input.
+        stopped: whether the framework took the stop message, and has been handed nothing since.
+        since: seconds since it took it; None where it did not.
+        cause: why not.
+    """
+
+    function: str
+    component: str
+    port: str
+    stopped: bool
+    since: float | None = None
+    cause: str = ""
+
+    def __str__(self) -> str:
+        place = f"{self.component}.{self.port} ({self.function})"
+        if self.since is None:
+            return f"NOT STOPPED  {place}: {self.cause}"
+        return f"stopped      {place}, {self.since:.3f} s ago"
+
+
+@frozen
+class StopReport:
+    """What an emergency stop came to, at every input that is open and moves something.
+
+    Attributes:
+        since: seconds since commands are refused.
+        inputs: by component and port.
+    """
+
+    since: float
+    inputs: tuple[StopOutcome, ...] = ()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether every one of them has stopped."""
+        return all(one.stopped for one in self.inputs)
+
+    def __str__(self) -> str:
+        held = f"commands are refused since {self.since:.3f} s"
+        return "\n".join((held, *(str(one) for one in self.inputs or ("nothing open moves",))))

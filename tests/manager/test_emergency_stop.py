@@ -1,0 +1,168 @@
+"""The emergency stop reaches every input that moves something, and says truly who stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from uoarm import AsyncRobotManager, RobotManager
+from uoarm.bridge import Bridge, Description, Registry, Sink, Source
+from uoarm.config import loads
+from uoarm.errors import CommandRefusedError
+from uoarm.model import Deliver, Endpoint, Message, MessageStructure
+from uoarm.testing import Background, patience, wait
+
+ROBOT = """
+version: 1
+bridges: {motors: {plugin: python}}
+functions:
+  left:
+    components:
+      - {name: left, bridge: motors, input: {endpoint: [left], lifetime: 3600, stop: {message: 0}}}
+  right:
+    components: [{name: right, bridge: motors, input: {endpoint: [right], stop: {message: 0}}}]
+  lamp:
+    components: [{name: lamp, bridge: motors, input: {endpoint: [lamp]}}]
+"""
+
+
+class Motors(Bridge):
+    """Motors that take numbers; one in `broken` takes none, one in `hanging` does not return."""
+
+    def __init__(self) -> None:
+        super().__init__("motors", {})
+        self.taken: dict[str, list[Message]] = {}
+        self.broken: set[str] = set()
+        self.hanging: set[str] = set()
+        self.go_on = threading.Event()
+        self.opening = threading.Event()
+        self.opening.set()
+        self.is_opening = threading.Event()
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return Description(MessageStructure({"type": "number"}))
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        raise NotImplementedError
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        name = endpoint.component
+
+        def send(message: Message) -> None:
+            if name in self.hanging:
+                self.go_on.wait(patience())
+            if name in self.broken:
+                raise OSError("no power")
+            self.taken.setdefault(name, []).append(message)
+
+        self.is_opening.set()
+        assert self.opening.wait(patience())
+        return Sink(endpoint, send, lambda: None, blocking=False)
+
+    def _close(self) -> None:
+        self.go_on.set()
+
+
+@pytest.fixture
+def motors() -> Motors:
+    return Motors()
+
+
+@pytest.fixture
+def robot(motors: Motors) -> Iterator[RobotManager]:
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"motors": motors}) as robot:
+        yield robot
+
+
+def refused(robot: RobotManager, name: str) -> int:
+    """Return how many commands to a function were refused because all is held."""
+    return sum(
+        dict(route.dropped).get("held", 0)
+        for route in robot.status().routes
+        if route.consumer.startswith(name)
+    )
+
+
+def test_everything_that_moves_stops_and_stays_so_until_it_is_released(
+    robot: RobotManager, motors: Motors
+) -> None:
+    left, right, lamp = (robot.request(name) for name in ("left", "right", "lamp"))
+    left.send(5)
+    report = robot.stop_all(timeout=patience())
+    assert report.stopped
+    assert [(one.component, one.stopped) for one in report.inputs] == [
+        ("left", True),
+        ("right", True),
+    ]
+    assert motors.taken == {"left": [5, 0], "right": [0]}, "also what stood still"
+    assert robot.is_stopped
+    for connection in (left, right, lamp):
+        connection.send(7)
+    assert motors.taken == {"left": [5, 0], "right": [0], "lamp": [7]}, "a lamp moves nothing"
+    assert refused(robot, "left") == 1
+    robot.release()
+    left.send(8)
+    assert motors.taken["left"] == [5, 0, 8]
+
+
+def test_who_does_not_stop_is_named_with_the_cause_and_keeps_nobody_waiting(
+    robot: RobotManager, motors: Motors
+) -> None:
+    left = robot.request("left")
+    robot.request("right")
+    motors.broken.add("right")
+    motors.hanging.add("left")
+    sending = Background(lambda: left.send(5))
+    report = robot.stop_all(timeout=0.2)
+    assert not report.stopped
+    assert [one.stopped for one in report.inputs] == [False, False]
+    by_name = {one.component: one for one in report.inputs}
+    assert "no power" in by_name["right"].cause
+    assert "NOT STOPPED" in str(report)
+    motors.hanging.clear()
+    motors.broken.clear()
+    motors.go_on.set()
+    sending.result()
+    wait(lambda: robot.stop_all(timeout=patience()).stopped)
+    assert motors.taken["left"][-1] == motors.taken["right"][-1] == 0
+
+
+def test_what_is_being_opened_meanwhile_is_held_as_it_opens(
+    robot: RobotManager, motors: Motors
+) -> None:
+    motors.opening.clear()
+    requesting = Background(lambda: robot.request("left"))
+    assert motors.is_opening.wait(patience())
+    assert robot.stop_all().inputs == ()
+    motors.opening.set()
+    requesting.result().send(5)
+    assert motors.taken == {"left": [0]}
+    (one,) = robot.stop_all(timeout=patience()).inputs
+    assert one.stopped
+
+
+def test_a_command_is_refused_by_the_last_hop_too(robot: RobotManager) -> None:
+    robot.request("left")
+    robot.stop_all(timeout=patience())
+    (sink,) = robot._executor.live.emergency_stop._sinks
+    with pytest.raises(CommandRefusedError) as caught:
+        sink.send(5)
+    assert caught.value.reason == "held"
+
+
+def test_the_twin_for_event_loops_stops_and_releases(robot: RobotManager, motors: Motors) -> None:
+    async def run() -> None:
+        asynchronous = AsyncRobotManager(robot)
+        await asynchronous.request("left")
+        report = await asynchronous.stop_all(timeout=patience())
+        assert report.stopped
+        await asynchronous.release()
+        assert not asynchronous.is_stopped
+
+    asyncio.run(run())
+    assert motors.taken == {"left": [0]}
