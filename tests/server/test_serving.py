@@ -231,6 +231,15 @@ def test_the_configuration_is_read_again_when_it_is_asked_for_or_watched(
         client.open("torch")
 
 
+def test_two_signals_stop_what_moves_and_let_commands_through_again(start: Start) -> None:
+    process, _ = start()
+    process.send_signal(signal.SIGUSR1)
+    told = _until(process, "nothing open moves")
+    assert "commands are refused since" in "".join(told)
+    process.send_signal(signal.SIGUSR2)
+    _until(process, "commands are let through again")
+
+
 def test_a_file_with_mistakes_leaves_the_configuration_as_it_is(
     start: Start, tmp_path: Path
 ) -> None:
