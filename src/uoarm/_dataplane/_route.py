@@ -250,7 +250,9 @@ class Route:
         text = self.last_error = text_of(error)
         if self._watch is None or not self._watch.raised(error):
             place = f"{self.producer} -> {self.consumer}"
-            self._records.write(logging.WARNING, f"{place}: {text}", error)
+            # Where a command is refused, nothing went wrong whose origin one would look for.
+            trace = None if isinstance(error, CommandRefusedError) else error
+            self._records.write(logging.WARNING, f"{place}: {text}", trace)
 
     def _turn_window(self, now: float) -> None:
         self._window_rate = self._window_count / (now - self._window_start)
