@@ -21,6 +21,7 @@ from uoarm._control._discovery import discover
 from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
+from uoarm._control._offers import Offers
 from uoarm._control._revisions import Revision, Revisions, StagedRevision
 from uoarm._control._services import Services
 from uoarm._control._staleness import StalenessWatch
@@ -45,6 +46,7 @@ from uoarm.model import (
     Health,
     Message,
     MessageStructure,
+    OfferStatus,
     Plan,
     PortRef,
     QueuePolicy,
@@ -118,6 +120,7 @@ class RobotManager:
             self._executor.judge_service,
             lambda name: name in recently(self._executor.state.avoided, clock()),
         )
+        self._offers = Offers(lambda: self.config, self, self._bridges, self._events, clock)
         self._staleness = StalenessWatch(
             self._executor.components,
             self._executor.edges,
@@ -320,11 +323,33 @@ class RobotManager:
             bridges=self._bridges.statuses(),
             components=(*self._executor.component_statuses(), *self._services.statuses()),
             connections=tuple(connection.status() for connection in connections),
-            routes=(*(route for route in shared if route is not None), *own),
+            routes=(
+                *(route for route in shared if route is not None),
+                *own,
+                *self._offers.routes(),
+            ),
             machines=self._bridges.machines.statuses(),
             deaths=self._executor.deaths(),
             takeovers=self._executor.takeovers(),
+            offers=self._offers.statuses(),
         )
+
+    def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
+        """Open what the configuration offers in frameworks, and keep it open until `close`.
+
+        Each offer requests its function as an application does: a provider that dies is replaced
+        behind it. One that cannot be opened, or that broke, is tried again, after a second at
+        first and half a minute at last, and whenever a component or a bridge is well again.
+        `apply` opens and closes what it changes. Idempotent.
+
+        Args:
+            timeout: seconds to wait for the first attempts; what takes longer goes on.
+
+        Returns:
+            every offer as it is then, with the cause where it failed.
+        """
+        self._require_open()
+        return self._offers.begin(timeout)
 
     def check_availability(self) -> tuple[FunctionStatus, ...]:
         """Return which functions and components can be had now; opens nothing.
@@ -393,7 +418,12 @@ class RobotManager:
             staged = _bounded.run(
                 what, timeout, lambda: self._stage(robot), on_late=lambda late: late.bridges.close()
             )
-            ending = [one for one in staged.change.connections if one.effect is Effect.ENDS]
+            gone = self._offers.connections_without(robot)
+            ending = [
+                one
+                for one in staged.change.connections
+                if one.effect is Effect.ENDS and one.connection not in gone
+            ]
             if dry_run or (ending and not force):
                 staged.bridges.close()
             if dry_run:
@@ -405,6 +435,7 @@ class RobotManager:
                 )
             self._watch_rates(robot)
             self._executor.configure(staged, timeout)
+            self._offers.follow()
             return self._revisions.history()[-1]
 
     def reload(
@@ -492,6 +523,7 @@ class RobotManager:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
         self._candidates.close()
         self._staleness.close()
+        self._offers.close()
         self._executor.close()
         for failure in self._bridges.close():
             _log.warning("%s", failure)
@@ -521,7 +553,8 @@ class RobotManager:
             self._staleness.start()
 
     def _noticed(self, event: HealthEvent) -> None:
-        self._executor.report(event)
+        if not self._offers.reported(event):
+            self._executor.report(event)
 
     def _require_open(self) -> None:
         if self._executor.state.is_closing:

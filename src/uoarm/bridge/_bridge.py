@@ -200,7 +200,7 @@ class Bridge(ABC):
     ) -> Channel:
         """Offer a service to the framework; requests go to `handler`, in the bridge's thread.
 
-        For programs that hold a bridge. The manager does not call it.
+        The manager calls it for each service that the configuration offers in this framework.
 
         Raises:
             BridgeError: the framework refused or failed; nothing stays open.

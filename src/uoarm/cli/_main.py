@@ -21,6 +21,7 @@ from uoarm.cli._env import env
 from uoarm.cli._host import host
 from uoarm.cli._lock import lock
 from uoarm.cli._new_bridge import new_bridge
+from uoarm.cli._offer import offer
 from uoarm.cli._plugin_commands import PluginGroup
 from uoarm.cli._run import call, request
 from uoarm.cli._serve import serve, token
@@ -176,6 +177,7 @@ main.add_command(discover)
 main.add_command(env)
 main.add_command(host)
 main.add_command(lock)
+main.add_command(offer)
 main.add_command(request)
 main.add_command(call)
 main.add_command(new_bridge)

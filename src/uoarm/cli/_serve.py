@@ -90,6 +90,7 @@ def serve(
         with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
         chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
+        manager.offer(timeout=0)  # what fails is in the log and in the status
         try:
             with _stopping(manager), _reloading(manager, watch=watch_config):
                 run(manager, chosen, lambda server: _say(server, chosen))

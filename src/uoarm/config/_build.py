@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -24,6 +24,9 @@ from uoarm.model import (
     MeaningLevel,
     MessageStructure,
     Need,
+    Offer,
+    OfferedPort,
+    OfferedService,
     Output,
     OverflowPolicy,
     PortRef,
@@ -46,7 +49,12 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     applications = {name: tuple(names) for name, names in asked.items()}
     failover = _failover(value.get("failover", {}))
     hosts = _listening(value["hosts"], origin) if "hosts" in value else None
-    return Robot(bridges, functions, warnings, origin, applications, failover, hosts)
+    offers = tuple(
+        _offer(bridge, function, one)
+        for bridge, offered in value.get("offer", {}).items()
+        for function, one in offered.items()
+    )
+    return Robot(bridges, functions, warnings, origin, applications, failover, hosts, offers)
 
 
 def _failover(value: Mapping[str, Any]) -> FailoverPolicy:
@@ -190,6 +198,49 @@ def _command(value: Mapping[str, Any]) -> CommandPolicy | None:
         lifetime=value.get("lifetime"),
         stop=StopMessage(value["stop"]["message"]) if "stop" in value else None,
         limits=tuple(FieldLimit(path, **one) for path, one in value.get("limits", {}).items()),
+    )
+
+
+def _offer(bridge: str, function: str, value: Mapping[str, Any]) -> Offer:
+    offer = Offer(bridge, function)
+
+    def endpoint(port: str, settings: Mapping[str, Any], role: Role) -> Endpoint:
+        address, options = tuple(settings["endpoint"]), settings.get("options", {})
+        return Endpoint(bridge, offer.name, role, address, port, options, is_offered=True)
+
+    def ports(one: str, several: str, role: Role) -> tuple[OfferedPort, ...]:
+        return tuple(
+            OfferedPort(
+                port,
+                endpoint(port, settings, role),
+                settings.get("map"),
+                tuple(settings.get("allow_loss", ())),
+                _structure(settings, "structure"),
+                _queue(settings["queue"]) if "queue" in settings else None,
+            )
+            for port, settings in _ports(value, one, several).items()
+        )
+
+    service = value.get("service")
+    return evolve(
+        offer,
+        outputs=ports("output", "outputs", Role.INPUT),
+        inputs=ports("input", "inputs", Role.OUTPUT),
+        service=None if service is None else _offered_service(service, endpoint),
+    )
+
+
+def _offered_service(value: Mapping[str, Any], endpoint: Callable[..., Endpoint]) -> OfferedService:
+    maps, losses = value.get("map", {}), value.get("allow_loss", {})
+    return OfferedService(
+        endpoint("default", value, Role.SERVICE),
+        _structure(value, "request"),
+        _structure(value, "reply"),
+        maps.get("request"),
+        maps.get("reply"),
+        tuple(losses.get("request", ())),
+        tuple(losses.get("reply", ())),
+        float(value.get("timeout", 10)),
     )
 
 

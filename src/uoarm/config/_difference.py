@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from attrs import evolve, frozen
 
-from uoarm.model import BridgeSpec, Component, Robot
+from uoarm.model import BridgeSpec, Component, Offer, Robot
 
 __all__ = ["Difference", "compare"]
 
@@ -48,6 +48,7 @@ def compare(before: Robot, after: Robot) -> Difference:
         *_told("component", old, new),
         *_told("function", _named(before), _named(after)),
         *(() if before.failover == after.failover else ("~ failover",)),
+        *_told("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
     )
     functions = _fed_by(own, (*before.components(), *after.components()))
@@ -61,6 +62,10 @@ def _candidates(robot: Robot, function: str) -> tuple[Component, ...]:
 
 def _unranked(component: Component) -> Component:
     return evolve(component, priority=0)
+
+
+def _offers(robot: Robot) -> Mapping[str, Offer]:
+    return {one.name: one for one in robot.offers}
 
 
 def _named(robot: Robot) -> Mapping[str, object]:

@@ -20,6 +20,7 @@ from uoarm.config._parts import (
     components,
     function_names,
     needs,
+    offers,
 )
 
 __all__ = ["MeaningChecker"]
@@ -58,6 +59,7 @@ class MeaningChecker:
         self._bridges: Mapping[str, Any] = bridge_names(document.value)
         self._functions: Mapping[str, Any] = function_names(document.value)
         self._components = list(components(document.value))
+        self._offers = list(offers(document.value))
         self._emitted: dict[str, _Emitted] = {}
         for component in self._components:
             self._emitted.setdefault(component.function, _Emitted()).add(component)
@@ -76,6 +78,7 @@ class MeaningChecker:
             for port in component.inputs():
                 self._check_source(port)
                 self._check_command(port)
+        self._check_offers()
         self._check_priorities()
         self._check_cycles()
         self._check_applications()
@@ -90,7 +93,7 @@ class MeaningChecker:
         ]
         return needed + [
             ((*port.path, key), port.value[key])
-            for component in self._components
+            for component in (*self._components, *self._offers)
             for ports, keys in (
                 (component.inputs() + component.outputs(), ("structure",)),
                 (component.services(), ("request", "reply")),
@@ -114,7 +117,7 @@ class MeaningChecker:
             first.setdefault(name, path)
 
     def _check_bridges(self) -> None:
-        used: set[str] = set()
+        used: set[str] = {one.bridge for one in self._offers}
         for component in self._components:
             bridge = component.text("bridge")
             if bridge is None:
@@ -137,7 +140,7 @@ class MeaningChecker:
         for path, sentence in unknown_frameworks(self._document.value):
             self._warn(path, sentence)
 
-    def _check_ports(self, component: ComponentPart) -> None:
+    def _check_ports(self, component: ComponentPart, noun: str = "component") -> None:
         streams = component.streams
         for one, several in (("input", "inputs"), ("output", "outputs")):
             if one in streams and several in streams:
@@ -145,14 +148,47 @@ class MeaningChecker:
                     (*component.path, one), f"give either {one} or {several}, not both", at_key=True
                 )
         if "service" in component.value and streams:
-            sentence = f"a component has either a service or streams; here is also {streams[0]}"
-            self._refuse((*component.path, "service"), sentence, at_key=True)
+            article = "an" if noun[0] in "aeiou" else "a"
+            sentence = f"{article} {noun} has either a service or streams; here is also "
+            self._refuse((*component.path, "service"), sentence + streams[0], at_key=True)
         if not streams and "service" not in component.value and component.is_clear:
             self._refuse(
                 component.path,
-                "the component has no port",
+                f"the {noun} has no port",
                 "give it input or inputs, output or outputs, or a service",
             )
+
+    def _check_offers(self) -> None:
+        """Hold offers against what the functions' components have, as far as the file says it."""
+        for bridge in dict.fromkeys(one.bridge for one in self._offers):
+            if bridge not in self._bridges:
+                hint = self._speller.guess_or_list(bridge, self._bridges, "bridges")
+                sentence = f"there is no bridge {clip(bridge)}"
+                self._refuse(("offer", bridge), sentence, hint, at_key=True)
+        for offer in self._offers:
+            if offer.function not in self._functions:
+                hint = self._speller.guess_or_list(offer.function, self._functions, "functions")
+                sentence = f"there is no function {clip(offer.function)}"
+                self._refuse(offer.path, sentence, hint, at_key=True)
+                continue
+            self._check_ports(offer, "offer")
+            providers = [one for one in self._components if one.function == offer.function]
+            is_open = offer.function in needs(self._document.value)
+            if not providers or is_open or not all(one.is_clear for one in providers):
+                continue
+            for port, kind, names in (
+                *((port, "output", _emitted(providers)) for port in offer.outputs()),
+                *((port, "input", _taken(providers)) for port in offer.inputs()),
+            ):
+                if not names:
+                    self._refuse(port.path, f"no component of {offer.function} has an {kind}")
+                elif port.name != "default" and port.name not in names:
+                    hint = self._speller.guess_or_list(port.name, names, f"{kind}s")
+                    sentence = f"{offer.function} has no {kind} {clip(port.name)}"
+                    self._refuse(port.path, sentence, hint)
+            if offer.services() and not any(one.services() for one in providers):
+                sentence = f"no component of {offer.function} is a service"
+                self._refuse(offer.services()[0].path, sentence)
 
     def _check_source(self, port: PortPart) -> None:
         if port.source is None:
@@ -203,6 +239,7 @@ class MeaningChecker:
         if not asked:
             return
         used = {str(function) for functions in asked.values() for function in functions}
+        used.update(one.function for one in self._offers)
         for component in self._components:
             used.update(port.source.partition(".")[0] for port in component.inputs() if port.source)
         for name in self._functions:
@@ -256,6 +293,14 @@ class MeaningChecker:
         return Problem(
             place=place, path=write_path(path), sentence=sentence, hint=hint, file=self._file
         )
+
+
+def _emitted(providers: list[ComponentPart]) -> dict[str, None]:
+    return {port.name: None for one in providers for port in one.outputs()}
+
+
+def _taken(providers: list[ComponentPart]) -> dict[str, None]:
+    return {port.name: None for one in providers for port in one.inputs() if port.source is None}
 
 
 def _choices(function: str, outputs: Collection[str]) -> str:

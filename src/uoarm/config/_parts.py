@@ -15,6 +15,7 @@ from uoarm._yaml import Path
 
 __all__ = [
     "ComponentPart",
+    "OfferPart",
     "PortPart",
     "applications",
     "bridge_names",
@@ -22,6 +23,7 @@ __all__ = [
     "function_names",
     "listening",
     "needs",
+    "offers",
 ]
 
 _STREAMS = ("input", "inputs", "output", "outputs")
@@ -92,6 +94,21 @@ class ComponentPart:
         for name, port in _mapping(self.value.get(several)).items():
             if isinstance(port, dict):
                 yield PortPart(name, (*self.path, several, name), port)
+
+
+@frozen
+class OfferPart(ComponentPart):
+    """One function that a bridge offers; its outputs and inputs are those of the function."""
+
+    bridge: str
+
+
+def offers(value: object) -> Iterator[OfferPart]:
+    """Yield every offer, in the order of the file."""
+    for bridge, offered in _mapping(_mapping(value).get("offer")).items():
+        for function, one in _mapping(offered).items():
+            if isinstance(one, dict):
+                yield OfferPart(function, ("offer", bridge, function), one, bridge)
 
 
 def bridge_names(value: object) -> dict[str, Any]:

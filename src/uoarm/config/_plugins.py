@@ -14,7 +14,7 @@ from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options
 from uoarm.config._loops import Topic, feedback_loops
-from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components
+from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components, offers
 
 __all__ = ["PluginChecker"]
 
@@ -53,6 +53,12 @@ class PluginChecker:
             if bridge in self._bridges:
                 kind, _ = self._bridges[bridge]
                 for port in (*component.inputs(), *component.outputs(), *component.services()):
+                    yield from self._endpoint_problems(kind, port.value, port.path)
+
+        for offer in offers(self._document.value):
+            if offer.bridge in self._bridges:
+                kind, _ = self._bridges[offer.bridge]
+                for port in (*offer.inputs(), *offer.outputs(), *offer.services()):
                     yield from self._endpoint_problems(kind, port.value, port.path)
 
     def parameter_problems(self) -> Iterator[Problem]:

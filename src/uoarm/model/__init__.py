@@ -30,10 +30,11 @@ from uoarm.model._component import (
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
-from uoarm.model._explain import tell_rejections, tell_status
+from uoarm.model._explain import tell_reason, tell_rejections, tell_status
 from uoarm.model._json_scan import scan_json
 from uoarm.model._listening import Listening, place_problem
 from uoarm.model._octets import message_octets
+from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, Robot
@@ -95,6 +96,11 @@ __all__ = [
     "Message",
     "MessageStructure",
     "Need",
+    "Offer",
+    "OfferState",
+    "OfferStatus",
+    "OfferedPort",
+    "OfferedService",
     "Op",
     "Options",
     "Output",
@@ -123,6 +129,7 @@ __all__ = [
     "read_control",
     "scan_json",
     "show_value",
+    "tell_reason",
     "tell_rejections",
     "tell_status",
     "to_json",

@@ -55,6 +55,7 @@ class Endpoint:
         options: settings of this port (QoS, buffer policy), meaning set by the bridge.
         parameters: settings of the whole component, the same on all its endpoints.
         command: how it is kept safe, for an input that moves something; None for any other.
+        is_offered: whether a function is offered here: nobody of the framework has to be there.
     """
 
     bridge: str
@@ -65,6 +66,7 @@ class Endpoint:
     options: Options = field(default=_NOTHING, hash=False)
     parameters: Options = field(default=_NOTHING, hash=False)
     command: CommandPolicy | None = None
+    is_offered: bool = False
 
     def __str__(self) -> str:
         return f"{self.role.value} {self.port!r} of {self.component} at {list(self.address)}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # these print themselves with what is here
     from uoarm.model._plan import Plan, Reason, Rejection
 
-__all__ = ["tell_plan", "tell_rejections", "tell_status"]
+__all__ = ["tell_plan", "tell_reason", "tell_rejections", "tell_status"]
 
 _MAX_LINES = 200
 _MAX_EXAMPLE = 160
@@ -22,8 +22,9 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "channels": ("component", "port", "facts"),
     "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
+    "offers": ("name", "state", "calls", "failed", "cause"),
 }
-_OFTEN_NONE = frozenset({"machines", "channels"})
+_OFTEN_NONE = frozenset({"machines", "channels", "offers"})
 
 
 def tell_plan(plan: Plan) -> str:
@@ -62,14 +63,15 @@ def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
         how = "discovered" if rank is None else f"priority {rank}"
         lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
         for reason in rejection.reasons:
-            lines.extend(f"{indent}  {line}" for line in _tell_reason(reason))
+            lines.extend(f"{indent}  {line}" for line in tell_reason(reason))
         stack.extend((one, depth + 2) for one in reversed(rejection.because_of))
     if stack:
         lines.append(f"  ... and {len(stack)} more")
     return "\n".join(lines) or "  it has no candidates"
 
 
-def _tell_reason(reason: Reason) -> list[str]:
+def tell_reason(reason: Reason) -> list[str]:
+    """Return one reason as lines of text, with what would mend it."""
     where = f"{reason.path}: " if reason.path else ""
     lines = [f"- {where}{reason.sentence}"]
     if reason.producer:

@@ -8,6 +8,7 @@ from attrs import field, frozen
 
 from uoarm.model._component import Component, Function
 from uoarm.model._listening import Listening
+from uoarm.model._offer import Offer
 from uoarm.model._values import Options
 
 __all__ = ["BridgeSpec", "FailoverPolicy", "FailureLimits", "Robot"]
@@ -81,6 +82,7 @@ class Robot:
             checks, nobody else is kept from asking.
         failover: what happens to connections when a component dies.
         hosts: where hosts on other machines join; None where there are none.
+        offers: the functions that are offered in frameworks.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -90,6 +92,7 @@ class Robot:
     applications: Mapping[str, tuple[str, ...]] = field(factory=dict, hash=False)
     failover: FailoverPolicy = FailoverPolicy()
     hosts: Listening | None = None
+    offers: tuple[Offer, ...] = ()
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

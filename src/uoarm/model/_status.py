@@ -8,6 +8,7 @@ from attrs import asdict, frozen
 
 from uoarm.model._command import CommandStatus
 from uoarm.model._explain import tell_status
+from uoarm.model._offer import OfferStatus
 
 __all__ = [
     "BridgeStatus",
@@ -243,6 +244,7 @@ class StatusMap:
     machines: tuple[MachineStatus, ...] = ()
     deaths: tuple[tuple[str, int], ...] = ()
     takeovers: tuple[tuple[str, int], ...] = ()
+    offers: tuple[OfferStatus, ...] = ()
 
     def __str__(self) -> str:
         return tell_status(asdict(self))

@@ -22,7 +22,7 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Schema
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role, Schema
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
 from uoarm.testing._native import PAIRS, ROWS, codec
 
@@ -99,6 +99,8 @@ class MemoryBridge(Bridge):
         return component
 
     def _describe(self, endpoint: Endpoint) -> Description:
+        if endpoint.is_offered and endpoint.role is Role.SERVICE:
+            return Description()
         component = self._find(endpoint)
         if isinstance(component, Service):
             return Description(request=component.request, reply=component.reply)

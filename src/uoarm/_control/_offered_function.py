@@ -1,0 +1,292 @@
+"""One function as a framework finds it: requested like any other, proven to fit, routed out."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from uoarm._adapt import check_edge, transfer
+from uoarm._dataplane import Clock, Route
+from uoarm.bridge import Bridge, Channel, ServiceStructures
+from uoarm.errors import BridgeError, ResolutionError
+from uoarm.model import (
+    Edge,
+    Message,
+    MessageStructure,
+    Offer,
+    OfferedPort,
+    OfferedService,
+    Plan,
+    RouteStatus,
+    tell_reason,
+)
+
+__all__ = ["Functions", "OfferedFunction"]
+
+_OPEN_SECONDS = 10.0
+_DESCRIBE_SECONDS = 10.0
+_CLOSE_SECONDS = 2.0
+_KEPT_PROOFS = 16
+_log = logging.getLogger("uoarm")
+
+Transfer = Callable[[Message], Message]
+
+
+class Functions(Protocol):
+    """What a manager gives to whoever asks for functions."""
+
+    def resolve(self, name: str) -> Plan:
+        """Return the plan that a request would open."""
+
+    def request(self, name: str) -> Any:
+        """Open a function and return its connection."""
+
+    def call(self, name: str, message: Message, *, timeout: float) -> Message:
+        """Call the service of a function."""
+
+
+class _ServiceProof:
+    """The adapters between the callers of an offered service and one plan of its function."""
+
+    def __init__(self, offer: Offer, service: OfferedService, plan: Plan, bridge: Bridge) -> None:
+        given = plan.provider.structures
+        if "request" not in given:
+            raise ResolutionError(f"function {offer.function!r} has streams and no service")
+        said = bridge.describe(service.endpoint, timeout=_DESCRIBE_SECONDS)
+        asked = _settled(service.request, said.request, given["request"], service.request_mapping)
+        answered = _settled(service.reply, said.reply, given["reply"], service.reply_mapping)
+        self.structures = ServiceStructures(asked, answered)
+        self.request = _proven(
+            "what callers ask does not fit the service",
+            Edge(offer.name, "request", offer.function, "request", asked, given["request"],
+                 service.request_mapping, service.request_losses),
+        )  # fmt: skip
+        self.reply = _proven(
+            "what the service replies does not fit what callers get",
+            Edge(offer.function, "reply", offer.name, "reply", given["reply"], answered,
+                 service.reply_mapping, service.reply_losses),
+        )  # fmt: skip
+
+
+class OfferedFunction:
+    """Opens one offer, and holds all that is open for it. One thread opens and closes it.
+
+    A connection goes on behind its handle when a provider dies, so that what is open in the
+    framework stays as it is; the next provider emits and takes what the first one did. Calls of
+    a service are proven again where another candidate answers them.
+
+    Args:
+        offer: what to open.
+        functions: where its function is requested.
+        bridge: of the offer.
+        clock: seconds.
+    """
+
+    def __init__(self, offer: Offer, functions: Functions, bridge: Bridge, clock: Clock) -> None:
+        self.offer = offer
+        self.bridge = bridge
+        self.calls = 0
+        self.failed = 0
+        self._functions = functions
+        self._clock = clock
+        self._counting = threading.Lock()
+        self._connections: list[Any] = []
+        self._channels: list[Channel] = []
+        self._routes: list[Route] = []
+        self._proofs: dict[int, tuple[Plan, _ServiceProof]] = {}
+
+    @property
+    def connections(self) -> tuple[str, ...]:
+        """Ids of the connections behind it."""
+        return tuple(one.id for one in self._connections)
+
+    @property
+    def ended(self) -> str | None:
+        """Why a connection behind it has ended, None while all go on."""
+        return next((one.cause or "killed" for one in self._connections if one.ended), None)
+
+    def owns(self, channel: Channel) -> bool:
+        """Say whether a channel is one of its own."""
+        return channel in self._channels or any(
+            channel.endpoint is one for one in self.offer.endpoints
+        )
+
+    def open(self) -> None:
+        """Request the function and open every port; where one fails, nothing stays open.
+
+        Raises:
+            UoarmError: the function cannot be had, or does not fit, or the bridge refuses.
+        """
+        try:
+            if self.offer.service is not None:
+                self._open_service(self.offer.service)
+            else:
+                self._open_streams()
+        except BaseException:
+            self.close()
+            raise
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of what goes out to the framework and comes in from it."""
+        return tuple(route.status() for route in self._routes.copy())
+
+    def close(self) -> None:
+        """Close all that is open; failures are logged. Bounded in time, and idempotent."""
+        for channel in self._channels:
+            try:
+                channel.close(timeout=_CLOSE_SECONDS)
+            except BridgeError as error:
+                _log.warning("%s", error)
+        for connection in self._connections:
+            connection.kill()
+        for route in self._routes:
+            route.close()
+
+    def _open_streams(self) -> None:
+        offer = self.offer
+        for port in offer.outputs:
+            self._connections.append(self._functions.request(_reference(offer, port.name)))
+        if not offer.outputs:
+            name = _any_output(offer, self._functions.resolve(offer.function))
+            self._connections.append(self._functions.request(name))
+            if self._connections[0].output is not None:  # its messages are for nobody
+                self._connections[0].subscribe(_pass_over)
+        for port, connection in zip(offer.outputs, self._connections, strict=False):
+            self._open_output(port, connection)
+        for port in offer.inputs:
+            self._open_input(port, self._connections[0])
+
+    def _open_output(self, port: OfferedPort, connection: Any) -> None:
+        step, output = connection.plan.provider, connection.output
+        if output is None:
+            raise ResolutionError(f"function {self.offer.function!r} has no output to offer")
+        given = step.structures[f"output.{output}"]
+        said = self.bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS).message
+        taken = _settled(port.declared, said, given, port.mapping)
+        place = f"{self.offer.name}.{port.name}"
+        adapted = _proven(
+            f"output {output!r} does not fit {list(port.endpoint.address)}",
+            Edge(step.component.name, output, self.offer.name, port.name, given, taken,
+                 port.mapping, port.allow_loss),
+        )  # fmt: skip
+        sink = self.bridge.open_sink(port.endpoint, taken, timeout=_OPEN_SECONDS)
+        self._channels.append(sink)
+        queue = port.queue or (sink.default_queue if sink.blocking else None)
+        route = Route(
+            connection.id, place, sink.send, clock=self._clock, transfer=adapted, queue=queue
+        )
+        self._routes.append(route)
+        connection.subscribe(route.deliver)
+
+    def _open_input(self, port: OfferedPort, connection: Any) -> None:
+        step = connection.plan.provider
+        free = [one.name for one in step.component.inputs if one.source is None]
+        name = free[0] if port.name == "default" and len(free) == 1 else port.name
+        if name not in free:
+            has = f"has the inputs {', '.join(free)}" if free else "has none"
+            raise ResolutionError(
+                f"function {self.offer.function!r} has no input {port.name!r} that an "
+                f"application feeds: component {step.component.name!r} {has}"
+            )
+        taken = step.structures[f"input.{name}"]
+        said = self.bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS).message
+        given = _settled(port.declared, said, taken, port.mapping)
+        adapted = _proven(
+            f"{list(port.endpoint.address)} does not fit the input {name!r}",
+            Edge(self.offer.name, port.name, step.component.name, name, given, taken,
+                 port.mapping, port.allow_loss),
+        )  # fmt: skip
+
+        def send(message: Message) -> None:
+            connection.send(message, name)
+
+        place = f"{self.offer.name}.{port.name}"
+        route = Route(place, connection.id, send, clock=self._clock, transfer=adapted)
+        self._routes.append(route)
+        source = self.bridge.open_source(port.endpoint, given, route.deliver, timeout=_OPEN_SECONDS)
+        self._channels.append(source)
+
+    def _open_service(self, service: OfferedService) -> None:
+        plan = self._functions.resolve(self.offer.function)
+        proof = self._proof(service, plan)
+        self._channels.append(
+            self.bridge.serve(
+                service.endpoint,
+                lambda message: self._answer(service, message),
+                proof.structures,
+                timeout=_OPEN_SECONDS,
+            )
+        )
+
+    def _answer(self, service: OfferedService, message: Message) -> Message:
+        """Answer one caller; what goes wrong is counted, and the bridge tells the caller."""
+        try:
+            proof = self._proof(service, self._functions.resolve(self.offer.function))
+            asked = message if proof.request is None else proof.request(message)
+            reply = self._functions.call(self.offer.function, asked, timeout=service.timeout)
+            reply = reply if proof.reply is None else proof.reply(reply)
+        except BaseException:
+            with self._counting:
+                self.failed += 1
+            raise
+        with self._counting:
+            self.calls += 1
+        return reply
+
+    def _proof(self, service: OfferedService, plan: Plan) -> _ServiceProof:
+        found = self._proofs.get(id(plan))
+        if found is None:
+            if len(self._proofs) >= _KEPT_PROOFS:
+                self._proofs.clear()
+            found = plan, _ServiceProof(self.offer, service, plan, self.bridge)
+            self._proofs[id(plan)] = found  # with the plan, whose id nothing else has meanwhile
+        return found[1]
+
+
+def _pass_over(message: Message) -> None:
+    """Take a message that nobody wants."""
+
+
+def _reference(offer: Offer, port: str) -> str:
+    return offer.function if port == "default" else f"{offer.function}.{port}"
+
+
+def _any_output(offer: Offer, plan: Plan) -> str:
+    component = plan.provider.component
+    if component.service is not None:
+        raise ResolutionError(f"function {offer.function!r} has a service and no streams")
+    if component.output(None) is not None or not component.outputs:
+        return offer.function
+    return f"{offer.function}.{component.outputs[0].name}"
+
+
+def _settled(
+    declared: MessageStructure | None,
+    said: MessageStructure | None,
+    ours: MessageStructure,
+    mapping: Mapping[str, object] | None,
+) -> MessageStructure:
+    """Return the structure in the framework; one that knows of none takes the function's own."""
+    known = declared or said
+    if known is None and mapping is not None:
+        raise ResolutionError(
+            "there is a map, and the bridge knows no structure to map to or from: declare it"
+        )
+    return known or ours
+
+
+def _proven(what: str, edge: Edge) -> Transfer | None:
+    """Return the adapter of an edge, None where messages pass unchanged.
+
+    Raises:
+        ResolutionError: not every message fits; the text says why, and what would mend it.
+    """
+    verdict = check_edge(
+        edge.producer_structure, edge.consumer_structure, edge.mapping, edge.losses
+    )
+    if not verdict.compatible:
+        reasons = [line for reason in verdict.reasons for line in tell_reason(reason)]
+        raise ResolutionError("\n  ".join([what, *reasons]))
+    return transfer(edge)

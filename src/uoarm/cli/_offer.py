@@ -1,0 +1,51 @@
+"""`uoarm offer` puts functions into frameworks, for whoever there knows nothing of uoarm."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+
+import click
+
+from uoarm.cli._shared import BRIDGE, CONFIGURATION, configuration_option, json_option, open_robot
+from uoarm.model import OfferState, OfferStatus, StatusEvent, to_json
+
+__all__ = ["offer"]
+
+_COLOURS = {OfferState.OPEN: "green", OfferState.FAILED: "red"}
+
+
+@click.command()
+@configuration_option
+@json_option
+@click.option("--once", is_flag=True, help="Try each offer once, close it again, and end.")
+def offer(file: str, *, as_json: bool, once: bool) -> None:
+    """Offer functions in frameworks, as `offer:` says, until Ctrl-C or SIGTERM.
+
+    One line for each offer, and for each change after that. What cannot be opened is tried again.
+    With --once the exit code is 4 where one could not be opened.
+    """
+    with open_robot(file) as robot:
+        if not robot.config.offers:
+            click.echo(f"error: {file} has no `offer:`", err=True)
+            sys.exit(CONFIGURATION)
+        statuses = robot.offer()
+        for status in statuses:
+            click.echo(json.dumps(to_json(status)) if as_json else _line(status))
+        if not once:
+            robot.listen(lambda event: _tell(event, as_json=as_json))
+            threading.Event().wait()
+    if any(status.state is not OfferState.OPEN for status in statuses):
+        sys.exit(BRIDGE)
+
+
+def _line(status: OfferStatus) -> str:
+    state = click.style(status.state.value, fg=_COLOURS.get(status.state))
+    where = ", ".join(" ".join(one) for one in status.endpoints)
+    return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
+
+
+def _tell(event: StatusEvent, *, as_json: bool) -> None:
+    if event.subject.startswith("offer "):
+        click.echo(json.dumps(to_json(event)) if as_json else event)

@@ -1,0 +1,117 @@
+"""Functions that are offered in a framework, for whatever there knows nothing of uoarm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+
+from attrs import field, frozen
+
+from uoarm.model._component import Endpoint
+from uoarm.model._queue import QueuePolicy
+from uoarm.model._structure import MessageStructure
+
+__all__ = ["Offer", "OfferState", "OfferStatus", "OfferedPort", "OfferedService"]
+
+
+@frozen
+class OfferedPort:
+    """One output or input of a function, and where a framework finds it.
+
+    An output is a sink of the bridge, whose endpoint has the role `input`; an input is a source.
+
+    Attributes:
+        name: of the function's port; `default` is the only one, or the one of that name.
+        endpoint: where the bridge opens it.
+        mapping: the adapter, for messages as they leave or enter; None to pass them unchanged.
+        allow_loss: fields that may be dropped on the way, by path.
+        declared: the structure in the framework, where the configuration says it.
+        queue: of an output, what to do when the framework is slower; None: the default.
+    """
+
+    name: str
+    endpoint: Endpoint
+    mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    allow_loss: tuple[str, ...] = ()
+    declared: MessageStructure | None = None
+    queue: QueuePolicy | None = None
+
+
+@frozen
+class OfferedService:
+    """The service of a function, and where a framework finds it.
+
+    Attributes:
+        endpoint: where the bridge serves it.
+        request: structure of what callers send, where the configuration says it.
+        reply: structure of what they get, where the configuration says it.
+        request_mapping: the adapter from a caller's request to the function's.
+        reply_mapping: the adapter from the function's reply to what callers get.
+        request_losses: fields of a caller's request that may be dropped, by path.
+        reply_losses: fields of the function's reply that may be dropped, by path.
+        timeout: seconds that one call may take.
+    """
+
+    endpoint: Endpoint
+    request: MessageStructure | None = None
+    reply: MessageStructure | None = None
+    request_mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    reply_mapping: Mapping[str, object] | None = field(default=None, hash=False)
+    request_losses: tuple[str, ...] = ()
+    reply_losses: tuple[str, ...] = ()
+    timeout: float = 10.0
+
+
+@frozen
+class Offer:
+    """One function in one framework: some of its outputs and inputs, or its service."""
+
+    bridge: str
+    function: str
+    outputs: tuple[OfferedPort, ...] = ()
+    inputs: tuple[OfferedPort, ...] = ()
+    service: OfferedService | None = None
+
+    @property
+    def name(self) -> str:
+        """What the status and events show: no component can have this name."""
+        return f"{self.bridge}:{self.function}"
+
+    @property
+    def endpoints(self) -> tuple[Endpoint, ...]:
+        """Where the bridge opens it."""
+        ports = (one.endpoint for one in (*self.outputs, *self.inputs))
+        return (*ports, *(() if self.service is None else (self.service.endpoint,)))
+
+
+class OfferState(Enum):
+    """Whether a function is there for a framework; one that failed is tried again."""
+
+    OPENING = "opening"
+    OPEN = "open"
+    FAILED = "failed"
+    CLOSED = "closed"
+
+
+@frozen
+class OfferStatus:
+    """One offer, as it is now.
+
+    Attributes:
+        name: `BRIDGE:FUNCTION`.
+        endpoints: the addresses where it is found, in the order of the configuration.
+        connections: ids of the connections behind it; services have none.
+        calls: of a service, calls that were answered.
+        failed: of a service, calls that were not.
+        cause: why it is not open, or what its bridge says is wrong with it.
+    """
+
+    name: str
+    function: str
+    bridge: str
+    state: OfferState
+    endpoints: tuple[tuple[str, ...], ...] = ()
+    connections: tuple[str, ...] = ()
+    calls: int = 0
+    failed: int = 0
+    cause: str = ""
