@@ -233,3 +233,24 @@ def test_pauses_grow_to_half_a_minute() -> None:
 def test_mistakes_in_the_file_are_told(offers: str, told: str) -> None:
     with pytest.raises(ConfigurationError, match=told):
         loads(ROBOT.format(offers))
+
+
+def test_what_is_lost_twice_in_a_row_is_opened_twice(
+    stage: Callable[[str], Stage],
+) -> None:
+    there = stage(CAMERA)
+    told: list[str] = []
+    there.robot.listen(
+        lambda event: told.append(event.change) if "offer" in event.subject else None
+    )
+    there.offer()
+
+    def opened(count: int) -> None:
+        wait(lambda: told.count("open") == count, "it was not opened again")
+
+    for count in (1, 2):
+        opened(count)
+        (sink,) = there.seen.channels()
+        there.net.report(Health.LOST, "it was unplugged", channel=sink)
+    opened(3)
+    assert told == ["open", "opening"] * 2 + ["open"]

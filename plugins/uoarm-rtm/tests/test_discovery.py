@@ -113,6 +113,13 @@ def test_a_naming_service_may_be_written_shortly(written: str, meant: str) -> No
     assert corbaloc(written) == meant
 
 
+def test_tls_is_refused_by_name() -> None:
+    with pytest.raises(BridgeError, match="GIOP over TLS"):
+        Registry().create(
+            BridgeSpec("rtm", "rtm", {"nameserver": "corbaloc:ssliop:a:2/NameService"})
+        )
+
+
 @pytest.mark.parametrize("options", [
     {"nameserver": "not a host"}, {"nameserver": []}, {"call_timeout": 0}, {"text": "ebcdic"},
     {"unheard": 1}, {"idl": "module {"},

@@ -95,8 +95,8 @@ class _Keeper:
             self._events.post(f"offer {self.offer.name}", event.health.value, event.cause)
         return not is_whole
 
-    def look(self) -> None:
-        """Try at once where it failed; where it is open, see whether it still is as it should."""
+    def look(self, *, again: bool = True) -> None:
+        """See whether it still is as it should; where it failed, try at once if asked `again`."""
         opened = self._opened
         if opened is not None:
             ended = opened.ended
@@ -105,7 +105,7 @@ class _Keeper:
             elif not self._bridges.is_in_use(opened.bridge):
                 self._break(f"bridge {self.offer.bridge!r} is another one")
         with self._changed:
-            self._is_asked = True
+            self._is_asked = self._is_asked or again
             self._changed.notify_all()
 
     def end(self) -> None:
@@ -128,19 +128,27 @@ class _Keeper:
     def _run(self) -> None:
         failures = 0
         while not self._is_over:
+            begun = self._clock()
             with self._changed:
                 self._broken, self._is_asked = None, False
             try:
                 self._open()
-                failures = 0
             except Exception as error:  # noqa: BLE001 - the status shows it whatever it is
                 if not isinstance(error, UoarmError):
                     _log.exception("offering %s failed", self.offer.name)
-                failures = self._fail(str(error) or type(error).__name__, failures)
+                self._fail(str(error) or type(error).__name__)
+                failures += 1
+                self.tried.set()
+                self._rest(pause(failures))
+                continue
             self.tried.set()
-            self._wait(pause(failures) if failures else None)
+            self._wait_for_the_end()
             self._close()
-        self._close()
+            # What broke is opened at once; what breaks again and again, as a source that has
+            # nothing more to say, is not opened as often as the processor can.
+            failures = failures + 1 if self._clock() - begun < _LONGEST_PAUSE else 0
+            if failures > 1:
+                self._rest(pause(failures - 1))
         self._turn(OfferState.CLOSED, "")
         self.tried.set()
 
@@ -154,28 +162,23 @@ class _Keeper:
             self._break(ended)
         self._turn(OfferState.OPEN, "")
 
-    def _fail(self, cause: str, failures: int) -> int:
+    def _fail(self, cause: str) -> None:
         self._opened = None
-        if failures == 0 or cause != self._cause:
+        if self._state is not OfferState.FAILED or cause != self._cause:
             self._turn(OfferState.FAILED, cause)
-        return failures + 1
 
-    def _wait(self, seconds: float | None) -> None:
-        """Wait until it breaks or is over; where it failed, for some seconds or until asked."""
+    def _wait_for_the_end(self) -> None:
         with self._changed:
-            if seconds is not None:  # whoever asks again and again gets ten attempts a second
-                self._changed.wait_for(lambda: self._is_over, _LEAST_PAUSE)
-            self._changed.wait_for(
-                lambda: (
-                    self._is_over
-                    or self._broken is not None
-                    or (seconds is not None and self._is_asked)
-                ),
-                seconds,
-            )
+            self._changed.wait_for(lambda: self._is_over or self._broken is not None)
             cause = self._broken
         if cause is not None and not self._is_over:
             self._turn(OfferState.OPENING, cause)
+
+    def _rest(self, seconds: float) -> None:
+        """Wait until the time is up, or something is well again, but a tenth of a second."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_over, _LEAST_PAUSE)
+            self._changed.wait_for(lambda: self._is_over or self._is_asked, seconds)
 
     def _close(self) -> None:
         opened, self._opened = self._opened, None
@@ -287,4 +290,4 @@ class Offers:
         wanted = {"failed", "closed"} if kind == "connection" else {Health.OK.value}
         if kind in {"connection", "component", "bridge"} and event.change in wanted:
             for keeper in self._keepers:
-                keeper.look()
+                keeper.look(again=kind != "connection")

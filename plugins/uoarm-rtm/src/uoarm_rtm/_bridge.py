@@ -102,7 +102,8 @@ class RtmBridge(Bridge):
         if endpoint.role is Role.SERVICE:
             return self._describe_service(address)
         if address.component == SELF:
-            return Description(message=self._types.structure(address.type))
+            known = self._types.structure(address.type) if address.type else None
+            return Description(message=known)
         _, port = self._port(endpoint, address)
         return Description(message=self._types.structure(port.data_type))
 
@@ -123,20 +124,20 @@ class RtmBridge(Bridge):
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
     ) -> Source:
-        del structure  # the data type is in the address, or at the port
         address = address_of(endpoint)
         if address.component == SELF:
-            return self._ours().source(endpoint, address.port, address.type, deliver)
+            own = address.type or self._types.derive(address.port, structure, is_read=True)
+            return self._ours().source(endpoint, address.port, own, deliver)
         place = self._place(endpoint)
         source = OutPortSource(place, deliver)
         self._looked_after(source, source.tick, place)
         return source
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
-        del structure
         address = address_of(endpoint)
         if address.component == SELF:
-            return self._ours().sink(endpoint, address.port, address.type)
+            own = address.type or self._types.derive(address.port, structure, is_read=False)
+            return self._ours().sink(endpoint, address.port, own)
         place = self._place(endpoint)
         sink = InPortSink(place)
         self._looked_after(sink, sink.tick, place)

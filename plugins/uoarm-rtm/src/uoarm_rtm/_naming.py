@@ -47,6 +47,9 @@ def corbaloc(address: str) -> str:
     Raises:
         ValueError: it is none of these.
     """
+    if "ssliop" in address:
+        text = "GIOP over TLS (ssliop) is not spoken here: expected corbaloc::HOST:PORT/NameService"
+        raise ValueError(f"{text}, on loopback or a network of its own; got {address!r}")
     if address.startswith(("corbaloc:", "corbaname:", "IOR:")):
         return address
     if not _HOST.fullmatch(address):

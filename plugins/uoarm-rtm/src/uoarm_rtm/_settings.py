@@ -158,7 +158,7 @@ def address_of(endpoint: Endpoint) -> Address:
     """
     with reading_endpoint(endpoint):
         address = _address(endpoint.address)
-        _fits(address, endpoint.role)
+        _fits(address, endpoint.role, is_offered=endpoint.is_offered)
     return address
 
 
@@ -215,10 +215,11 @@ def _address(parts: tuple[str, ...]) -> Address:
     return Address(*parts)
 
 
-def _fits(address: Address, role: Role) -> None:
+def _fits(address: Address, role: Role, *, is_offered: bool) -> None:
     if role is not Role.SERVICE and address.port in {LIFECYCLE, CONFIGURATION}:
         raise ValueError(f"{address.port} is a service, not an {role.value}")
-    if address.component == SELF and not address.type:
+    may_derive = is_offered and role is not Role.SERVICE
+    if address.component == SELF and not address.type and not may_derive:
         raise ValueError("a port of our own component needs its type as third part")
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm_rtm._codec import Codec, codec_of
+from uoarm_rtm._derived import derive
 from uoarm_rtm._descriptor import descriptors, shape_of
 from uoarm_rtm._operations import Interface, interfaces
 from uoarm_rtm._schema import structure_of
@@ -61,6 +62,16 @@ class Types:
             codec = codec_of(shape_of(self.descriptor(type_id), type_id), self._encoding)
             self._codecs[type_id] = codec
         return codec
+
+    def derive(self, port: str, structure: MessageStructure, *, is_read: bool) -> str:
+        """Return the id of a type that carries a structure's messages; known from then on.
+
+        Raises:
+            BridgeError: as `_derived.derive`.
+        """
+        shape = derive(port, structure, is_read=is_read)
+        self._codecs.setdefault(shape.name, codec_of(shape, self._encoding))
+        return shape.name
 
     def structure(self, type_id: str) -> MessageStructure:
         """Return the message structure of a type; raises as `codec` does."""

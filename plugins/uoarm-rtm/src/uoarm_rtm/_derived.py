@@ -1,0 +1,151 @@
+"""IDL types derived from message structures, for ports whose endpoint names no type.
+
+The name of a derived type ends with a digest of what it holds, since OpenRTM compares names and
+nothing else: two types of one name that are not the same would hand garbage to a component.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import MessageStructure
+from uoarm.schema import check
+from uoarm_rtm._schema import schema_of
+from uoarm_rtm._shape import INTEGERS, Field, Listing, Record, Scalar, Shape, Text
+
+__all__ = ["derive", "idl_of", "is_derived"]
+
+_PREFIX = "IDL:uoarm/"
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_DEEPEST = 32
+_PLAIN: Mapping[str, Shape] = {
+    "boolean": Scalar("boolean"),
+    "number": Scalar("double"),
+    "string": Text(),
+}
+
+
+def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
+    """Return the type of a port of ours that carries the messages of a structure.
+
+    Args:
+        port: its name, with which the type's begins.
+        structure: what the port is opened with.
+        is_read: whether messages come in: then each of the type must be one of the structure, else
+            each of the structure one of the type.
+
+    Raises:
+        BridgeError: UNSUPPORTED, where no type of IDL holds them; the text says at which field.
+    """
+    shape = _shape(structure.schema, "", 0)
+    if not isinstance(shape, Record):
+        raise _none("", "a data type is a struct, and this is no object")
+    digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:8]
+    stem = re.sub(r"\W", "_", port, flags=re.ASCII)
+    record = Record(f"{_PREFIX}{stem}_{digest}:1.0", shape.fields)
+    ours = schema_of(record)
+    verdict = check(ours, structure.schema) if is_read else check(structure.schema, ours)
+    if not verdict.compatible:
+        first = verdict.reasons[0] if verdict.reasons else None
+        raise _none(first.path if first else "", first.sentence if first else "undecided")
+    return record
+
+
+def is_derived(type_id: str) -> bool:
+    """Say whether a type is one that we derived."""
+    return type_id.startswith(_PREFIX)
+
+
+def idl_of(record: Record) -> str:
+    """Return the IDL of a derived type, for components that are to be compiled with it."""
+    name = record.name.removeprefix(_PREFIX).partition(":")[0]
+    lines: list[str] = []
+    _define(record, name, lines)
+    return "\n".join(["module uoarm {", *(f"  {line}" for line in lines), "};", ""])
+
+
+def _shape(schema: Any, path: str, depth: int) -> Shape:
+    if depth > _DEEPEST:
+        raise _none(path, f"it is nested deeper than {_DEEPEST}")
+    kind = schema.get("type") if isinstance(schema, Mapping) else None
+    if kind == "object":
+        return Record("", tuple(_fields(schema, path, depth)))
+    if kind == "array":
+        return _listing(schema, path, depth)
+    if kind == "integer":
+        return _integer(schema, path)
+    if kind in _PLAIN:
+        return _PLAIN[str(kind)]
+    raise _none(path, "it has no type of its own: expected an object, array, number or text")
+
+
+def _fields(schema: Mapping[str, Any], path: str, depth: int) -> Iterator[Field]:
+    properties = schema.get("properties", {})
+    if not properties:
+        raise _none(path, "a struct has at least one member")
+    seen: dict[str, str] = {}
+    for name, each in properties.items():
+        within = f"{path}.{name}" if path else str(name)
+        if not _NAME.fullmatch(name):
+            raise _none(within, "IDL has no member of this name")
+        other = seen.setdefault(name.lower(), name)
+        if other != name:
+            raise _none(within, f"IDL does not tell it from {other!r}")
+        if name not in schema.get("required", ()):
+            raise _none(within, "a struct has all its members, and this may be left out")
+        yield Field(name, _shape(each, within, depth + 1))
+
+
+def _listing(schema: Mapping[str, Any], path: str, depth: int) -> Listing:
+    if schema.get("x-octets"):
+        element: Shape = Scalar("octet")
+    else:
+        element = _shape(schema.get("items"), f"{path}[]", depth + 1)
+    least, most = schema.get("minItems", 0), schema.get("maxItems")
+    size = None if most is None else int(most)
+    if size == 0:
+        raise _none(path, "IDL has no array of nothing")
+    return Listing(element, size, fixed=size is not None and least == most)
+
+
+def _integer(schema: Mapping[str, Any], path: str) -> Scalar:
+    least, most = schema.get("minimum"), schema.get("maximum")
+    if least is None or most is None:
+        raise _none(path, "an integer of IDL has bounds: say minimum and maximum")
+    for name, (low, high) in INTEGERS.items():
+        if name != "octet" and low <= least and most <= high:
+            return Scalar(name)
+    raise _none(path, "no integer of IDL has 65 bits")
+
+
+def _define(shape: Shape, name: str, lines: list[str]) -> str:
+    """Write what a type rests on, then the type, and return how it is called."""
+    if isinstance(shape, Record):
+        members = [
+            f"{_define(each.shape, f'{name}_{each.name}', lines)} _{each.name};"
+            for each in shape.fields
+        ]
+        lines.append(f"struct {name} {{ {' '.join(members)} }};")
+        return name
+    if isinstance(shape, Listing):
+        of = _define(shape.element, f"{name}_item", lines)
+        if shape.fixed:
+            lines.append(f"typedef {of} {name}[{shape.size}];")
+        else:
+            bound = "" if shape.size is None else f", {shape.size}"
+            lines.append(f"typedef sequence<{of}{bound}> {name};")
+        return name
+    return shape.name if isinstance(shape, Scalar) else "string"
+
+
+def _none(path: str, why: str) -> BridgeError:
+    where = f"field {path!r}" if path else "the message"
+    text = (
+        f"no data type can be derived from the structure: {where}: {why}. Name a type as the third "
+        "part of the endpoint and give a `map`, or say the `structure` that the port has"
+    )
+    return BridgeError(text, FailureReason.UNSUPPORTED)

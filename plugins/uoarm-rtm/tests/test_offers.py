@@ -1,0 +1,184 @@
+"""Functions of another framework, offered as ports of an RT-Component of ours to real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, endpoint, source, stamped
+from peers import Peer
+from plain import plain
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.config import loads
+from uoarm.model import OfferState, Role
+from uoarm.testing import MemoryBridge, patience, wait
+
+IDL = str(Path(__file__).parent / "service.idl")
+PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
+Make = Callable[..., Bridge]
+ROBOT = """
+version: 1
+bridges: {rtm: {}, one: {plugin: memory}}
+functions:
+  counter:
+    components:
+      - {name: best, bridge: one, priority: 1, output: {endpoint: [best]}}
+      - {name: next, bridge: one, output: {endpoint: [next]}}
+  arm: {components: [{name: arm, bridge: one, input: {endpoint: [arm]}}]}
+  loud: {components: [{name: loud, bridge: one, service: {endpoint: [loud]}}]}
+offer:
+  rtm:
+    counter: {output: {endpoint: [self, count, TimedLong]}}
+    arm: {input: {endpoint: [self, goal, "IDL:RTC/TimedLong:1.0"]}}
+    loud: {service: {endpoint: [self, helper, "Mover::echo"]}}
+"""
+
+
+POSE = {
+    "type": "object",
+    "properties": {
+        "frame": {"type": "string"},
+        "at": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+        "marks": {
+            "type": "array",
+            "maxItems": 8,
+            "items": {
+                "type": "object",
+                "properties": {"id": {"type": "integer", "minimum": 0, "maximum": 65535}},
+                "required": ["id"],
+                "additionalProperties": False,
+            },
+        },
+        "octets": {
+            "type": "array",
+            "items": {"type": "integer", "minimum": 0, "maximum": 255},
+            "x-octets": True,
+        },
+        "is_sure": {"type": "boolean"},
+    },
+    "required": ["frame", "at", "marks", "octets", "is_sure"],
+    "additionalProperties": False,
+}
+POSED = {
+    "frame": "map",
+    "at": [1.0, 2.0, 3.0],
+    "marks": [{"id": 7}],
+    "octets": b"ab",
+    "is_sure": True,
+}
+GOAL = {
+    "type": "object",
+    "properties": {"joint": {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}},
+    "required": ["joint"],
+    "additionalProperties": False,
+}
+UNTYPED = """
+version: 1
+bridges: {rtm: {}, one: {plugin: memory}}
+functions:
+  pose: {components: [{name: pose, bridge: one, output: {endpoint: [pose]}}]}
+  goal: {components: [{name: goal, bridge: one, input: {endpoint: [goal]}}]}
+  loose: {components: [{name: loose, bridge: one, output: {endpoint: [loose]}}]}
+offer:
+  rtm:
+    pose: {output: {endpoint: [self, pose]}}
+    goal: {input: {endpoint: [self, goal]}}
+    loose: {output: {endpoint: [self, loose]}}
+"""
+
+
+class World:
+    """A robot whose functions are not OpenRTM's, and what offers them there."""
+
+    def __init__(self, make_bridge: Make, text: str) -> None:
+        self.rtm, self.one = make_bridge(idl=IDL, component="Robot"), MemoryBridge("one")
+        long: Any = self.rtm.describe(endpoint(Role.INPUT, "self", "x", "TimedLong")).message
+        echo: Any = self.rtm.describe(endpoint(Role.SERVICE, "self", "x", "Mover::echo"))
+        self.best = self.one.emitter("best", long.schema)
+        self.next = self.one.emitter("next", long.schema)
+        self.arm = self.one.taker("arm", long.schema)
+        self.one.service(
+            "loud",
+            echo.request.schema,
+            echo.reply.schema,
+            lambda asked: {"return": asked["words"].upper()},
+        )
+        self.robot = RobotManager(loads(text), bridges={"rtm": self.rtm, "one": self.one})
+
+    def offer(self) -> None:
+        for status in self.robot.offer(timeout=patience()):
+            assert status.state is OfferState.OPEN, status.cause
+
+
+@pytest.fixture
+def world(make_bridge: Make) -> Iterator[World]:
+    made = World(make_bridge, ROBOT)
+    yield made
+    made.robot.close()
+
+
+def test_ports_of_an_offer_are_found_and_used_by_other_components(
+    world: World, make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+) -> None:
+    world.offer()
+    theirs = make_bridge("other", idl=IDL)
+    (found,) = [one for one in theirs.discover() if one.name == "Robot.rtc"]
+    assert {at.address[1] for at, _ in found.endpoints} >= {"count", "goal", "helper"}
+
+    talker = peer("Talker")
+    assert talker.connect(nameserver, "Robot.rtc", "goal", PUSH) == "RTC_OK"
+    talker.count(4, 5)
+    assert world.arm.taken.wait(1)[-1]["data"] == 4
+    assert talker.connectors() == [0, 1]
+
+    asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo")
+    assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
+
+    inbox = Inbox()
+    source(theirs, endpoint(Role.OUTPUT, "Robot.rtc", "count"), inbox)
+    world.best.emit(stamped(1))
+    inbox.wait_for(1)
+    world.one.die("best")
+    wait(world.next.channels, "the next provider was never opened")
+
+    def arrives() -> bool:
+        world.next.emit(stamped(2))
+        return 2 in inbox.numbers()
+
+    wait(arrives, "what the next provider emits does not arrive at the port that is connected")
+
+    world.robot.close()
+    wait(lambda: talker.connectors() == [0, 0], "the offer left a connector in a component")
+
+
+def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
+    make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+) -> None:
+    rtm, one = make_bridge(component="Robot"), MemoryBridge("one")
+    pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
+    one.emitter("loose", {"type": "object", "properties": {"n": {"type": "integer"}}})
+    with RobotManager(loads(UNTYPED), bridges={"rtm": rtm, "one": one}) as robot:
+        states = {one.function: one for one in robot.offer(timeout=patience())}
+        assert states["pose"].state is OfferState.OPEN, states["pose"].cause
+        assert states["goal"].state is OfferState.OPEN, states["goal"].cause
+        assert "field 'n': a struct has all its members" in states["loose"].cause
+
+        ports: Any = {
+            name: vars(rtm)["_directory"].peer("Robot.rtc").port(name) for name in ("pose", "goal")
+        }
+        theirs = make_bridge("other", idl=[one.properties["uoarm.idl"] for one in ports.values()])
+        inbox = Inbox()
+        source(theirs, endpoint(Role.OUTPUT, "Robot.rtc", "pose"), inbox)
+        pose.emit(POSED)
+        (came,) = inbox.wait_for(1)
+        assert plain(came) == plain(POSED)
+
+        talker = peer("Talker", ports["goal"].data_type, ports["goal"].properties["uoarm.idl"])
+        wish = {**PUSH, "dataport.data_type": ports["goal"].data_type}
+        assert talker.connect(nameserver, "Robot.rtc", "goal", wish) == "RTC_OK"
+        talker.write({"joint": -5})
+        assert goal.taken.wait(1) == [{"joint": -5}]

@@ -1,0 +1,73 @@
+"""`uoarm offer`: what is offered is told, a line each, and whether it could be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from uoarm.cli import main
+
+PARTS = """
+import threading
+from collections.abc import Iterator
+
+
+class Numbers:
+    def __init__(self) -> None:
+        self.over = threading.Event()
+
+    def __iter__(self) -> Iterator[int]:
+        yield 1
+        self.over.wait()
+
+    def close(self) -> None:
+        self.over.set()
+
+
+def take(message: int) -> None:
+    pass
+
+
+def narrow(message: str) -> None:
+    pass
+"""
+ROBOT = """
+version: 1
+bridges: {{python: {{}}}}
+functions:
+  count:
+    components:
+      - {{name: counter, bridge: python, output: {{endpoint: ["parts:Numbers"]}}}}
+{}
+"""
+
+
+def told(folder: Path, offers: str) -> tuple[int, str]:
+    (folder / "parts.py").write_text(PARTS)
+    (folder / "robot.yaml").write_text(ROBOT.format(offers))
+    words = ["offer", "--once", "--json", "-f", str(folder / "robot.yaml")]
+    done = CliRunner().invoke(main, words)
+    return done.exit_code, done.output
+
+
+def test_what_is_offered_is_told_with_its_state(tmp_path: Path) -> None:
+    code, output = told(tmp_path, "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}")
+    status = json.loads(output)
+    assert (code, status["name"], status["state"]) == (0, "python:count", "open")
+
+
+def test_what_cannot_be_offered_is_a_failure_with_its_cause(tmp_path: Path) -> None:
+    code, output = told(
+        tmp_path, "offer: {python: {count: {output: {endpoint: ['parts:narrow']}}}}"
+    )
+    status = json.loads(output)
+    assert (code, status["state"]) == (4, "failed")
+    assert "does not fit ['parts:narrow']" in status["cause"]
+
+
+def test_a_file_without_offers_is_no_use(tmp_path: Path) -> None:
+    code, output = told(tmp_path, "")
+    assert code == 3
+    assert "has no `offer:`" in output
