@@ -86,7 +86,10 @@ def test_a_lock_is_the_same_text_for_the_same_plans_and_fits_itself(tmp_path: Pa
     )  # fmt: skip
 
 
-def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".json", ".schema"])
+def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_told(
+    tmp_path: Path, suffix: str
+) -> None:
     locked(tmp_path / "a")
     schemas = tmp_path / "schemas"
     schemas.mkdir()
@@ -95,7 +98,7 @@ def test_another_unit_breaks_the_edge_and_the_line_that_mends_it_is_told(tmp_pat
         "type": "object", "properties": fields, "required": [*fields],
         "additionalProperties": False,
     }  # fmt: skip
-    (schemas / "Reading.json").write_text(json.dumps(schema))
+    (schemas / f"Reading{suffix}").write_text(json.dumps(schema))
     done = run(tmp_path / "a", "--check", "--against", str(schemas))
     assert done.exit_code == 1
     assert "thermometer.default -> too_hot.default: fits with a map: celsius: " in done.output
@@ -180,3 +183,11 @@ def test_a_function_without_a_plan_is_locked_as_refused(tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert "fireAlarm has no plan" in done.output
     assert read_lock(tmp_path / "robot.lock").functions["fireAlarm"].refused
+
+
+def test_a_schema_that_is_no_json_is_named(tmp_path: Path) -> None:
+    locked(tmp_path / "a")
+    (tmp_path / "a" / "Order.schema").write_text('{"title": "Order",}')
+    checked = run(tmp_path / "a", "--check", "--against", str(tmp_path / "a"))
+    assert checked.exit_code == 3
+    assert "Order.schema: cannot be read" in checked.output

@@ -178,16 +178,17 @@ def read_lock(path: Path) -> Lock:
 def read_schemas(folder: Path) -> dict[str, Any]:
     """Return the JSON Schemas of a folder by the types that they are of.
 
-    A type is what `x-type` says, else the title, else the name of the file; a file's name always
-    does, too.
+    Types are named by `x-type`, by the title and by the name of the file, `.json` or `.schema`.
 
     Raises:
         LockError: a file cannot be read, or there is none.
     """
     found: dict[str, Any] = {}
-    paths = sorted(folder.rglob("*.json"))
+    paths = sorted(path for path in folder.rglob("*") if path.suffix in {".json", ".schema"})
     if not paths or len(paths) > _MOST_FILES:
-        raise LockError(f"{folder}: expected 1 to {_MOST_FILES:,} files *.json, got {len(paths):,}")
+        raise LockError(
+            f"{folder}: expected 1 to {_MOST_FILES:,} files *.json or *.schema, got {len(paths):,}"
+        )
     for path in paths:
         schema = _json(path)
         if isinstance(schema, dict):
