@@ -36,24 +36,27 @@ def sequence(items: object, **more: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("one", "other", "path"),
     [
-        (closed({"a": BYTE, "b": BYTE}), closed({"a": BYTE, "b": WORD}), ("b",)),
-        (closed({"a": sequence(BYTE)}), closed({"a": sequence(WORD)}), ("a", 0)),
-        (closed({"a": BYTE}), closed({"b": BYTE}), ()),
-        (closed({"a": BYTE}), closed({"a": WORD}, optional=("a",)), ()),
-        (sequence(BYTE, maxItems=2), sequence(WORD, maxItems=3), ()),
-        (sequence(BYTE, prefixItems=[BYTE]), sequence(WORD, prefixItems=[BYTE]), (1,)),
-        (sequence(BYTE, prefixItems=[BYTE]), sequence(BYTE, prefixItems=[WORD]), ()),
+        (closed({"a": WORD, "b": WORD}), closed({"a": WORD, "b": BYTE}), ("b",)),
+        (closed({"a": sequence(WORD)}), closed({"a": sequence(BYTE)}), ("a", 0)),
+        (closed({"a": WORD}), closed({"b": WORD}), ()),
+        (closed({"a": WORD}, optional=("a",)), closed({"a": BYTE}), ()),
+        (closed({"a": WORD}), closed({"a": BYTE}, optional=("a",)), ("a",)),
+        (sequence(WORD, maxItems=3), sequence(BYTE, maxItems=2), ()),
+        (sequence(WORD, maxItems=2), sequence(BYTE, maxItems=3), (0,)),
+        (WORD, BYTE, ()),
+        (sequence(WORD, prefixItems=[WORD]), sequence(BYTE, prefixItems=[WORD]), (1,)),
+        (sequence(WORD, prefixItems=[WORD]), sequence(WORD, prefixItems=[BYTE]), ()),
         (
-            {"properties": {"a": BYTE}, "unevaluatedProperties": False},
             {"properties": {"a": WORD}, "unevaluatedProperties": False},
+            {"properties": {"a": BYTE}, "unevaluatedProperties": False},
             (),
         ),
         (
-            {"$defs": {"n": BYTE}, "properties": {"a": BYTE}, "$ref": "#/$defs/n"},
-            {"$defs": {"n": BYTE}, "properties": {"a": WORD}, "$ref": "#/$defs/n"},
+            {"$defs": {"n": WORD}, "properties": {"a": WORD}, "$ref": "#/$defs/n"},
+            {"$defs": {"n": WORD}, "properties": {"a": BYTE}, "$ref": "#/$defs/n"},
             (),
         ),
-        ({"properties": {"a": BYTE}, "enum": [1]}, {"properties": {"a": WORD}, "enum": [2]}, ()),
+        ({"properties": {"a": WORD}, "enum": [1]}, {"properties": {"a": BYTE}, "enum": [2]}, ()),
     ],
 )
 def test_the_places_of_differences(one: Any, other: Any, path: tuple[str | int, ...]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import gc
 import math
 from types import MappingProxyType
 from typing import Any
@@ -90,3 +92,38 @@ def test_what_is_said_beside_the_shape_is_told_of_each_field() -> None:
     consumer = {"type": "object", "properties": {"a": dict(date), "b": time}}
     assert [loss.path for loss in check(producer, consumer).losses] == ["b"]
     assert not check(producer, {**producer}).losses
+
+
+@pytest.mark.parametrize(
+    ("producer", "consumer"),
+    [
+        ({"items": {"type": "number"}}, {"items": {"type": "integer"}}),
+        ({"$defs": {"n": {"items": {"$ref": "#/$defs/n"}}}, "$ref": "#/$defs/n"}, {"maxItems": 2}),
+        ({"pattern": "^(a|b)*$"}, {"not": {"pattern": "a"}}),
+        ({"const": 10**40_000}, {"type": "string"}),
+    ],
+)
+def test_a_check_leaves_nothing_to_the_collector_of_garbage(producer: Any, consumer: Any) -> None:
+    check(producer, consumer)
+    gc.collect()
+    gc.disable()
+    try:
+        check(producer, consumer)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
+
+
+def test_parts_that_are_equal_in_both_are_read_once() -> None:
+    fields = {f"f{n}": {"type": "array", "items": {"maximum": n}} for n in range(50)}
+    one: dict[str, Any] = {"properties": {"a": {"properties": fields}, "b": {"type": "null"}}}
+    other = {"properties": {"a": copy.deepcopy(one["properties"]["a"]), "b": {"type": "string"}}}
+    alone = {"properties": {"b": {"type": "string"}}}
+    assert _steps(one, other) <= _steps(one, alone) + 20
+
+
+def test_names_of_keywords_as_names_of_members_change_nothing() -> None:
+    """A schema that such a name keeps from being compared by its text is read all the same."""
+    one = {"properties": {"$ref": {"type": "integer"}, "id": {"type": "integer"}}}
+    assert check(one, copy.deepcopy(one)).compatible
+    assert check({"properties": {"$ref": {}}}, one).incompatible

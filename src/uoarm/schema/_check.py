@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite
 from typing import Any, TypeAlias
 
 from attrs import evolve
@@ -11,7 +10,6 @@ from attrs import evolve
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._meter import Meter
 from uoarm.schema._repeated import build, describe, is_small
-from uoarm.schema._values import SCALARS
 from uoarm.schema.explain import Budget, Verdict, explain, find_losses
 from uoarm.schema.read import Document, Node, Pool
 from uoarm.schema.solve import (
@@ -33,8 +31,6 @@ Schema: TypeAlias = Mapping[str, Any] | bool
 _STANDARD = Budget()
 _WRITTEN = 20_000
 """Parts and characters up to which a counterexample is written out unasked."""
-_COMPARED = 20_000
-"""Parts of two schemas that are compared before both are read."""
 
 
 def check(
@@ -54,57 +50,32 @@ def check(
         SchemaError: a schema is malformed; the text says where.
     """
     limits = budget or _STANDARD
-    meter = Meter(limits.steps, limits.seconds, limits.octets)
-    pool = Pool(meter)
-    result: Result
+    pool = Pool(Meter(limits.steps, limits.seconds, limits.octets))
     try:
-        document = Document(producer, pool)
-        # What references lead to may differ, even between documents of equal text.
-        if not document.refers and _are_same(producer, consumer):
-            return Verdict(compatible=True, disputed_patterns=tuple(document.disputed))
-        other = Document(consumer, pool)
-        made, taken = document.root, other.root
-        disputed = tuple(document.disputed | other.disputed)
-        judgements = Judgements(meter.spend)
-        with meter.part("the search"):
-            result = _search(made, taken, pool, judgements)
-        if isinstance(result, Found):
-            refusal = _refusal(made, taken, result.value, meter, judgements)
-            return evolve(refusal, disputed_patterns=disputed)
+        return _check(producer, consumer, pool)
     except (BudgetError, OutOfScopeError) as error:
-        result = Unknown(str(error))
+        return Verdict(compatible=False, undecided=str(error))
+    finally:
+        pool.close()
+
+
+def _check(producer: Schema, consumer: Schema, pool: Pool) -> Verdict:
+    """Come to a verdict, or raise what keeps it from being one."""
+    document, other = Document(producer, pool), Document(consumer, pool)
+    if document.has_text_of(other):
+        return Verdict(compatible=True, disputed_patterns=tuple(document.disputed))
+    made, taken = document.root, other.root
+    disputed = tuple(document.disputed | other.disputed)
+    judgements = Judgements(pool.meter.spend)
+    with pool.meter.part("the search"):
+        result = _search(made, taken, pool, judgements)
+    if isinstance(result, Found):
+        refusal = _refusal(made, taken, result.value, pool.meter, judgements)
+        return evolve(refusal, disputed_patterns=disputed)
     if isinstance(result, Unknown):
         return Verdict(compatible=False, undecided=result.cause)
-    losses = find_losses(made, taken, meter)
+    losses = find_losses(made, taken, pool.meter)
     return Verdict(compatible=True, losses=losses, disputed_patterns=disputed)
-
-
-def _are_same(one: object, other: object) -> bool:
-    """Say whether two schemas are certainly equal, by a look at their first few thousand parts.
-
-    Only those of JSON values are: what is not finite, or no name, is left to be refused.
-    """
-    waiting = [(one, other)]
-    for first, second in waiting:
-        if first.__class__ is not second.__class__:
-            return False
-        if isinstance(first, dict) and isinstance(second, dict):
-            if len(waiting) + len(first) > _COMPARED or first.keys() != second.keys():
-                return False
-            if not all(name.__class__ is str for name in first):
-                return False
-            waiting.extend(zip(first.values(), map(second.__getitem__, first), strict=True))
-        elif isinstance(first, list) and isinstance(second, list):
-            if len(waiting) + len(first) > _COMPARED or len(first) != len(second):
-                return False
-            waiting.extend(zip(first, second, strict=True))
-        elif (
-            first.__class__ not in SCALARS
-            or first != second
-            or (isinstance(first, float) and not isfinite(first))
-        ):
-            return False
-    return True
 
 
 def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) -> Result:
@@ -116,11 +87,9 @@ def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) 
         return accepts(one, found.value) and not accepts(other, found.value)
 
     for path, one, other in differences(producer, consumer, pool.meter):
-        simplest = messages.simplest(one)
-        if simplest is not None and refused(one, other, simplest):
-            result: Result = simplest
-        else:
-            result = solver.solve(((one, True), (other, False)))
+        likely = messages.likely(one, other)
+        found = next((value for value in likely if refused(one, other, value)), None)
+        result = found or solver.solve(((one, True), (other, False)))
         if not path:
             return result
         if isinstance(result, Found):

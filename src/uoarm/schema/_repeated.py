@@ -13,6 +13,7 @@ _TOLD_TEXT = 60
 _TOLD_ITEMS = 3
 _MAX_LEVELS = 250
 _SHORT = frozenset({int, float, bool, type(None)})
+_PLAIN = _SHORT | {str}
 
 
 class Repeated:
@@ -59,15 +60,17 @@ def is_small(value: object, most: int) -> bool:
     while waiting:
         one, depth = waiting.pop()
         parts: Any = ()
-        if isinstance(one, str | list | tuple | Repeated | Mapping):
+        if isinstance(one, (dict, list, str, tuple, Repeated, Mapping)):
             size += len(one)
         if size > most or depth > _MAX_LEVELS:
             return False
-        if isinstance(one, list | tuple):
+        if isinstance(one, str):
+            continue
+        if isinstance(one, (list, tuple)):
             parts = one
         elif isinstance(one, Repeated):
             parts = (item for item, count in one.runs for _ in range(count))
-        elif isinstance(one, Mapping):
+        elif isinstance(one, (dict, Mapping)):
             parts = one.values()
         for part in parts:
             size += 1
@@ -81,19 +84,19 @@ def build(value: Any) -> Any:
     built: dict[int, Any] = {}
 
     def made(part: Any) -> Any:
-        return part if part.__class__ in _SHORT else built[id(part)]
+        return part if part.__class__ in _PLAIN else built[id(part)]
 
     waiting = [value]
     while waiting:
         one = waiting[-1]
         missing = [
-            part for part in _parts(one) if part.__class__ not in _SHORT and id(part) not in built
+            part for part in _parts(one) if part.__class__ not in _PLAIN and id(part) not in built
         ]
         if missing and id(one) not in built:
             waiting.extend(missing)
             continue
         waiting.pop()
-        if isinstance(one, Mapping):
+        if isinstance(one, (dict, Mapping)):
             built[id(one)] = {name: made(part) for name, part in one.items()}
         elif isinstance(one, Repeated | list | tuple):
             items: list[Any] = []
@@ -153,8 +156,8 @@ class _Telling:
 
 
 def _parts(value: Any) -> list[Any]:
-    if isinstance(value, Mapping):
+    if isinstance(value, (dict, Mapping)):
         return list(value.values())
     if isinstance(value, Repeated):
         return [item for item, _ in value.runs]
-    return list(value) if isinstance(value, list | tuple) else []
+    return list(value) if isinstance(value, (list, tuple)) else []

@@ -17,6 +17,10 @@ __all__ = ["SCALARS", "Key", "Keys", "exact", "is_composite", "key_of", "kind_of
 
 _MAX_BITS = 100_000
 SCALARS = frozenset({str, int, float, bool, type(None)})
+_KINDS: dict[type, str] = {
+    type(None): "null", bool: "boolean", int: "number", float: "number", str: "string",
+    list: "array", tuple: "array", Repeated: "array", dict: "object",
+}  # fmt: skip
 
 Key: TypeAlias = "tuple[object, ...]"
 
@@ -28,6 +32,9 @@ def exact(number: float) -> Fraction:
 
 def kind_of(value: object) -> str:
     """Return the JSON kind of a value; every number is a `number`."""
+    known = _KINDS.get(value.__class__)
+    if known is not None:
+        return known
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -115,7 +122,7 @@ def is_composite(value: object) -> bool:
     """Say whether a value is an array or an object."""
     if value.__class__ in SCALARS:
         return False
-    return isinstance(value, Mapping | list | tuple | Repeated)
+    return isinstance(value, (dict, list, tuple, Repeated, Mapping))
 
 
 def _composites(value: Any) -> list[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from json.encoder import encode_basestring
 from typing import Any, TypeAlias
 
 from attrs import frozen
@@ -12,6 +13,7 @@ from attrs import frozen
 from uoarm.schema._errors import BudgetError, OutOfScopeError
 from uoarm.schema._meter import Meter
 from uoarm.schema._repeated import Repeated, runs_of
+from uoarm.schema._values import SCALARS
 from uoarm.schema.explain._failures import failures
 from uoarm.schema.explain._verdict import Loss, Reason
 from uoarm.schema.read import Node
@@ -21,6 +23,7 @@ __all__ = ["explain", "find_losses"]
 
 Path: TypeAlias = "tuple[str | int, ...]"
 
+_JSON = json.JSONEncoder(ensure_ascii=False, default=str)
 _SHOWN = 160
 _MAX_BITS = 4_000
 _MAX_REASONS = 5
@@ -206,25 +209,30 @@ class _Part:
 
 
 def _pieces(value: Any) -> Iterator[str | _Part]:
-    if isinstance(value, Mapping):
-        yield "{"
-        for number, (name, part) in enumerate(value.items()):
-            yield f"{', ' if number else ''}{_scalar(name)}: "
-            yield _Part(part)
-        yield "}"
+    if value.__class__ in SCALARS:
+        yield _scalar(value)
+    elif isinstance(value, Mapping):
+        before = "{"
+        for name, part in value.items():
+            yield f"{before}{_scalar(name)}: "
+            yield _scalar(part) if part.__class__ in SCALARS else _Part(part)
+            before = ", "
+        yield "}" if value else "{}"
     elif isinstance(value, list | tuple | Repeated):
         yield "["
         items = (item for _, item, count in runs_of(value) for _ in range(count))
         for number, part in enumerate(items):
             yield ", " if number else ""
-            yield _Part(part)
+            yield _scalar(part) if part.__class__ in SCALARS else _Part(part)
         yield "]"
     else:
         yield _scalar(value)
 
 
 def _scalar(value: Any) -> str:
+    if value.__class__ is str:
+        return encode_basestring(value[: _SHOWN + 1])
     if isinstance(value, int) and value.bit_length() > _MAX_BITS:
         return f"a number of {value.bit_length():,} bits"
     shown = value[: _SHOWN + 1] if isinstance(value, str) else value
-    return json.dumps(shown, ensure_ascii=False, default=str)
+    return _JSON.encode(shown)

@@ -13,13 +13,14 @@ from urllib.parse import urlsplit
 
 from uoarm.schema._errors import OutOfScopeError, Pointer, SchemaError, write_pointer
 from uoarm.schema._meter import Meter
-from uoarm.schema._values import SCALARS, Keys
-from uoarm.schema.read._dialects import DRAFT_2019, NEWEST, OLD_FORMS, dialect_of
+from uoarm.schema._values import Keys
+from uoarm.schema.read._dialects import DRAFT_2019, NEWEST, dialect_of
 from uoarm.schema.read._keywords import READERS
 from uoarm.schema.read._node import Node, Reference
 from uoarm.schema.read._resources import PLACING, POSITIONAL, REFERENCES, Resources
 from uoarm.schema.read._scopes import Scope, Scopes
 from uoarm.schema.read._shapes import ANNOTATIONS, LISTS, MAPS, SINGLES, check_keyword
+from uoarm.schema.read._texts import Texts, is_plain
 from uoarm.schema.regex import UnsupportedPatternError, is_disputed
 
 __all__ = ["Document", "Pool"]
@@ -27,10 +28,10 @@ __all__ = ["Document", "Pool"]
 _MAX_LEVELS = 10_000
 _MAX_SCOPED = 5_000
 _VALUES = frozenset({"const", "enum"})
+_PATTERNS = frozenset({"pattern", "patternProperties"})
 _UNREAD = frozenset({"contentSchema", "$defs"})
-_LEAF = 8
-"""Keywords of a schema that is compared with others before it is read."""
-Leaf: TypeAlias = "tuple[object, ...]"
+View: TypeAlias = "tuple[Mapping[str, Any], list[Any]]"
+"""The keywords of a schema as 2020-12 has them, and the schemas in it."""
 _ONE, _MANY = frozenset(SINGLES), frozenset((*LISTS, *MAPS))
 
 
@@ -41,6 +42,8 @@ _OF_NODE = 1_500
 class Pool:
     """Numbers for contents: equal schemas of one check get equal numbers.
 
+    `texts`, `views` and `nodes` are those of plain documents, which share what is equal in them.
+
     Args:
         meter: what is left of the budget of the check.
     """
@@ -48,7 +51,19 @@ class Pool:
     def __init__(self, meter: Meter) -> None:
         self.meter = meter
         self._numbers: dict[object, int] = {}
-        self.leaves: dict[Leaf, Node | None] = {}
+        self.texts = Texts(meter)
+        self.views: dict[int, View] = {}
+        self.nodes: dict[tuple[int, Scope], Node] = {}
+        self.documents: list[Document] = []
+
+    def close(self) -> None:
+        """Let go of what nodes and documents know of each other, which no check needs any more.
+
+        They would else be left to the collector of garbage, which stops everything for a while.
+        """
+        for one in self.documents:
+            one.close()
+        self.documents.clear()
 
     def number(self, content: object) -> int:
         """Return the number of a content, a new one when it was never seen."""
@@ -69,19 +84,22 @@ class Document:
         self._pool = pool
         self.meter = pool.meter
         self._keys = Keys(pool.meter.spend)
-        self._nodes: dict[tuple[int, Scope], Node] = {}
         self.disputed: dict[str, None] = {}
-        self._views: dict[int, tuple[Mapping[str, Any], list[Any]]] = {}
         self._targets: dict[Reference, Node] = {}
-        self._leaves: dict[int, Leaf] = {}
         self._dialect = dialect_of(schema) or NEWEST
         self._has_contains = self._dialect is DRAFT_2019 and _mentions(schema, "contains")
         self._placed = self._dialect is not NEWEST or dialect_of(schema) is None
         self._schema = schema
+        self._is_plain = not self._placed and is_plain(schema, pool.meter)
+        self._views = pool.views if self._is_plain else {}
+        self._nodes = pool.nodes if self._is_plain else {}
+        self._equal: dict[int, Any] = {}  # in a plain one: the first of those equal to a schema
+        self._checked: list[Any] = []  # those that were not before, each after those in it
         self._check(schema)
         self._resources = Resources(schema, self._dialect, pool.meter, placed=self._placed)
         self._scopes = Scopes(self._resources)
         self._identity = self._identify(schema)
+        pool.documents.append(self)
 
     @cached_property
     def root(self) -> Node:
@@ -91,16 +109,25 @@ class Document:
             SchemaError: a value in it is none of JSON.
             OutOfScopeError: nothing of it is decided.
         """
+        if self._is_plain:
+            for one in self._checked:
+                self._read_one(one)
+            return self._nodes[id(self._first(self._schema)), ()]
         base = self._resources.base_in(self._schema)
         root = self._read(self._schema, self._scopes.enter((), base))
         if self._resources.refers and self._refers_in_place():
             root.unsupported = "the schema refers to itself without descending into the value"
         return root
 
-    @property
-    def refers(self) -> bool:
-        """Whether there is any reference in it."""
-        return self._resources.refers
+    def close(self) -> None:
+        """Let go of the nodes."""
+        self._nodes.clear()
+        self._targets.clear()
+        self.__dict__.pop("root", None)
+
+    def has_text_of(self, other: Document) -> bool:
+        """Say whether both are plain and of the same text, so that they mean the same."""
+        return self._is_plain and other._first(other._schema) is self._schema
 
     def resolve(self, reference: Reference) -> Node:
         """Return the node that a reference leads to; it says so where that is not decided."""
@@ -159,39 +186,35 @@ class Document:
     def _check(self, schema: object) -> None:
         """Check the shape of a schema and all below it, on an explicit stack; once each."""
         entered: set[int] = set()
-        stack: list[tuple[Any, Pointer, bool]] = [(schema, None, False)]
+        stack: list[tuple[Any, Pointer, bool]] = [(self._first(schema), None, False)]
         while stack:
             one, where, leaving = stack.pop()
             if leaving:
                 entered.discard(id(one))
+                self._checked.append(one)
             elif id(one) in entered:
                 raise SchemaError(write_pointer(where), "a finite schema (use $ref)", one)
-            elif not isinstance(one, bool) and id(one) not in self._views:
-                leaf = self._leaf(one)
-                parts = [] if leaf in self._pool.leaves else self._parts(one, where)
-                if leaf is not None and not parts:
-                    self._pool.leaves.setdefault(leaf)
-                    self._leaves[id(one)] = leaf
-                    self._views.setdefault(id(one), (one, []))
-                elif parts:
-                    entered.add(id(one))
-                    if len(entered) > _MAX_LEVELS:
-                        raise OutOfScopeError("the schema is nested too deep")
-                    stack.append((one, where, True))
-                    stack.extend(parts)
+            elif isinstance(one, bool):
+                self._checked.append(one)
+            elif id(one) not in self._views:
+                parts = self._parts(one, where)
+                if not parts:
+                    self._checked.append(one)
+                    continue
+                entered.add(id(one))
+                if len(entered) > _MAX_LEVELS:
+                    raise OutOfScopeError("the schema is nested too deep")
+                stack.append((one, where, True))
+                stack.extend(parts)
 
-    def _leaf(self, schema: Any) -> Leaf | None:
-        """Return what equal schemas of scalars alone have in common; None for all others.
-
-        A number, its text and a boolean may be equal to Python.
-        """
-        if len(schema) > _LEAF if isinstance(schema, dict) else True:
-            return None
-        values = schema.values()
-        if self._dialect is not NEWEST or not all(one.__class__ in SCALARS for one in values):
-            return None
-        placed = not PLACING.isdisjoint(schema) or not OLD_FORMS.isdisjoint(schema)
-        return None if placed else (*schema.items(), *map(type, values))
+    def _first(self, schema: Any) -> Any:
+        """Return the schema that was read for one, and for all that are equal to it."""
+        if not self._is_plain or schema.__class__ is not dict:
+            return schema
+        found = self._equal.get(id(schema))
+        if found is None:
+            found = self._equal[id(schema)] = self._pool.texts.first(schema)
+        return found
 
     def _parts(self, schema: Any, where: Pointer) -> list[tuple[object, Pointer, bool]]:
         """Check a schema itself; return the schemas in it, as `_check` keeps them."""
@@ -208,14 +231,15 @@ class Document:
             spelled = keyword if view is schema else self._dialect.spelled(schema, keyword)
             at = where, spelled
             work += check_keyword(keyword, value, at)
-            if keyword in {"pattern", "patternProperties"}:
-                self._dispute([value] if keyword == "pattern" else value)
-            parts = unread if keyword in _UNREAD else found
             if keyword in _ONE:
-                parts.append((value, at, False))
+                parts = unread if keyword in _UNREAD else found
+                parts.append((self._first(value), at, False))
             elif keyword in _MANY:
+                parts = unread if keyword in _UNREAD else found
                 steps = enumerate(value) if isinstance(value, list) else value.items()
-                parts.extend((one, (at, step), False) for step, one in steps)
+                parts.extend([(self._first(one), (at, step), False) for step, one in steps])
+            if keyword in _PATTERNS:
+                self._dispute([value] if keyword == "pattern" else value)
         self.meter.spend(work)
         self._views[id(schema)] = view, [child for child, _, _ in found]
         return found + unread if unread else found
@@ -238,7 +262,7 @@ class Document:
             if key in self._nodes:
                 continue
             if isinstance(one, bool):
-                self._nodes[key] = Node(self._pool.number(one), one, self, never=not one)
+                self._nodes[key] = self._make_bool(one)
                 continue
             inner = self._enter(one, around) if self._scopes.matter else around
             view, children = self._views[id(one)]
@@ -246,20 +270,22 @@ class Document:
                 self._nodes[key] = self._make(one, view, inner)
             else:
                 stack.append((one, around, True))
-                for child in children:
-                    leaf = None if self._placed else self._leaves.get(id(child))
-                    if leaf is None:
-                        stack.append((child, inner, False))
-                    elif (id(child), inner) not in self._nodes:
-                        self.meter.spend()
-                        self._nodes[id(child), inner] = self._read_leaf(child, leaf)
+                stack.extend((child, inner, False) for child in children)
         return self._nodes[id(schema), scope]
 
-    def _read_leaf(self, schema: Mapping[str, Any], leaf: Leaf) -> Node:
-        node = self._pool.leaves[leaf]
-        if node is None:
-            node = self._pool.leaves[leaf] = self._make(schema, schema, ())
-        return node
+    def _read_one(self, schema: Any) -> None:
+        """Read a schema of a plain document, of which those in it have been read."""
+        self.meter.spend()
+        key = id(schema), ()
+        if key in self._nodes:
+            return
+        if isinstance(schema, bool):
+            self._nodes[key] = self._make_bool(schema)
+        else:
+            self._nodes[key] = self._make(schema, self._views[id(schema)][0], ())
+
+    def _make_bool(self, schema: bool) -> Node:  # noqa: FBT001 - a schema
+        return Node(self._pool.number(schema), schema, self, never=not schema)
 
     def _enter(self, schema: Mapping[str, Any], scope: Scope) -> Scope:
         base = self._resources.inside(schema).base
@@ -274,8 +300,10 @@ class Document:
         references = []
         node = Node(-1, schema, self, unsupported=objection)
 
+        nodes, equal = self._nodes, self._equal
+
         def child(one: object) -> Node:
-            return self._nodes[id(one), scope]
+            return nodes[id(equal.get(id(one), one)), scope]
 
         for keyword, value in view.items():
             reader = READERS.get(keyword)

@@ -104,10 +104,19 @@ def _plain(field: str) -> Reader:
     return read
 
 
+_ALONE = {
+    one: frozenset([one]) for one in ("null", "boolean", "number", "string", "array", "object")
+}
+
+
 def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
-    names = frozenset(value if isinstance(value, list) else [value])
-    node.integer_only = "integer" in names and "number" not in names
-    node.kinds = frozenset("number" if one == "integer" else one for one in names)
+    names = _ALONE.get(value) if isinstance(value, str) else frozenset(value)
+    if names is not None and "integer" not in names:
+        node.kinds = names
+        return names
+    names = names or frozenset([value])
+    node.integer_only = "number" not in names
+    node.kinds = names - {"integer"} | _ALONE["number"]
     return names
 
 

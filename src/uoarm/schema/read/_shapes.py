@@ -30,6 +30,8 @@ _NUMBERS = frozenset({"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximu
 _STRINGS = frozenset({"$ref", "$anchor", "$dynamicRef", "$dynamicAnchor", "$id", "pattern"})
 _PATTERNED = frozenset({"pattern", "patternProperties"})
 _SIZED = (dict, list, str, Mapping)
+_SMALL = frozenset({int, float, bool, type(None)})
+_NAMES = frozenset({str})
 _TYPES = ("null", "boolean", "integer", "number", "string", "array", "object")
 
 
@@ -49,7 +51,8 @@ def check_keyword(keyword: str, value: object, pointer: Pointer) -> int:
         if keyword in _PATTERNED:
             patterns: Any = [value] if keyword == "pattern" else value
             return sum(_demand_pattern(one, pointer) + len(one) // 16 for one in patterns)
-    return len(value) // 16 if isinstance(value, _SIZED) else 0
+    small = value.__class__ in _SMALL or not isinstance(value, _SIZED)
+    return 0 if small else len(value) // 16  # type: ignore[arg-type] # it has a size
 
 
 def _demand_pattern(pattern: Any, pointer: Pointer) -> int:
@@ -65,11 +68,15 @@ def _demand_pattern(pattern: Any, pointer: Pointer) -> int:
 
 
 def _is_map(value: object) -> bool:
-    return isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
+    if not (value.__class__ is dict or isinstance(value, Mapping)):
+        return False
+    return _NAMES.issuperset(map(type, value)) or all(isinstance(key, str) for key in value)
 
 
 def _is_names(value: object) -> bool:
-    return isinstance(value, list | tuple) and all(isinstance(one, str) for one in value)
+    if not isinstance(value, (list, tuple)):
+        return False
+    return _NAMES.issuperset(map(type, value)) or all(isinstance(one, str) for one in value)
 
 
 def _is_number(value: object) -> bool:
@@ -83,7 +90,7 @@ def _is_count(value: object) -> bool:
 
 
 def _is_schema(value: object) -> bool:
-    return isinstance(value, bool | Mapping)
+    return value.__class__ is dict or isinstance(value, (bool, Mapping))
 
 
 def _is_schemas(value: object) -> bool:
@@ -95,8 +102,13 @@ def _is_lists_of_names(value: object) -> bool:
 
 
 def _is_type(value: object) -> bool:
-    names = value if isinstance(value, list) else [value]
-    return bool(names) and all(isinstance(one, str) and one in _TYPES for one in names)
+    if isinstance(value, str):
+        return value in _TYPES
+    return (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(one, str) and one in _TYPES for one in value)
+    )
 
 
 def _is_a(kind: type) -> Callable[[object], bool]:

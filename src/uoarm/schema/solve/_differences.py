@@ -7,8 +7,8 @@ schemas that are compared in life are of this sort, as versions of one type are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from operator import attrgetter
+from collections.abc import Callable, Iterator
+from operator import attrgetter, ge, le
 from typing import Any, NamedTuple
 
 from attrs import fields
@@ -26,7 +26,18 @@ _MAX_WRITTEN = 100
 _MAX_TEXT = 1_000
 _MAX_ITEMS = 10_000_000
 _ASIDE = frozenset({"number", "raw", "document", "tags", "properties", "items"})
-_said = attrgetter(*(one.name for one in fields(Node) if one.name not in _ASIDE))
+_SAID = tuple(one.name for one in fields(Node) if one.name not in _ASIDE)
+_said = attrgetter(*_SAID)
+_FOLLOWS: dict[str, Callable[[Any, Any], bool]] = {
+    **dict.fromkeys(("minimum", "above", "min_length", "min_items", "min_properties"), ge),
+    **dict.fromkeys(("maximum", "below", "max_length", "max_items", "max_properties"), le),
+    **dict.fromkeys(("integer_only", "unique"), ge),
+    **dict.fromkeys(("pattern", "multiple", "additional"), lambda *_: False),
+    "kinds": frozenset.issubset,
+    "values": lambda mine, its: mine.keys() <= its.keys(),
+    "required": lambda mine, its: set(mine).issuperset(its),
+}
+"""Whether what a schema says by a keyword follows from what another says by the same keyword."""
 _beyond = attrgetter("unsupported", "reference", "unevaluated_items", "unevaluated_properties")
 """Keywords that depend on more than the value, or on what others evaluated."""
 _sought = attrgetter("unsupported", "never", "reference", "all_of", "any_of", "one_of", "negated",
@@ -45,6 +56,8 @@ class Difference(NamedTuple):
 
 def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
     """Yield the places at which two schemas differ: the whole, where they are of two shapes.
+
+    Where one says more than the other, and the same besides, that is no difference.
 
     Each value that the one allows and the other refuses has at one of these places a part that
     the one allows there and the other refuses.
@@ -66,13 +79,20 @@ def differences(one: Node, other: Node, meter: Meter) -> Iterator[Difference]:
 
 
 def _are_alike(one: Node, other: Node) -> bool:
-    """Say whether two plain schemas differ in those of their members and items at most."""
-    return (
-        not any(_beyond(one))
-        and (one.items is None) is (other.items is None)
-        and one.properties.keys() == other.properties.keys()
-        and all(map(_is_same, _said(one), _said(other)))
-    )
+    """Say whether a value of one plain schema can fail another by its members and items alone.
+
+    Each other keyword of the second one is said by the first one, too, or follows from it.
+    """
+    if any(_beyond(one)) or any(_beyond(other)) or one.properties.keys() != other.properties.keys():
+        return False
+    if other.items is not None and one.items is None:
+        return False
+    for name, mine, its in zip(_SAID, _said(one), _said(other), strict=True):
+        if not _is_same(mine, its):
+            follows = _FOLLOWS.get(name)
+            if follows is None or not (its is None or (mine is not None and follows(mine, its))):
+                return False
+    return True
 
 
 def _is_same(one: Any, other: Any) -> bool:
@@ -91,7 +111,8 @@ def _parts(found: Difference) -> Iterator[Difference]:
     path, one, other = found
     for name, child in one.properties.items():
         yield Difference((*path, name), child, other.properties[name])
-    if one.items is not None and other.items is not None:
+    if other.items is not None:
+        assert one.items is not None, "schemas that are alike have items where the second has"
         yield Difference((*path, len(one.prefix)), one.items, other.items)
 
 
@@ -117,6 +138,27 @@ class Messages:
             else:
                 self._made[waiting.pop().number] = self._of_kind(one, kind)
         return Found(self._made[node.number])
+
+    def likely(self, node: Node, limits: Node) -> Iterator[Found]:
+        """Yield values that a plain schema may allow: the simplest, those just beyond limits."""
+        simplest = self.simplest(node)
+        if simplest is not None:
+            yield simplest
+        kind = _kind(node)
+        if kind == "number":
+            low, high = limits.minimum, limits.maximum
+            if low is not None:
+                yield Found(-(-low.numerator // low.denominator) - 1)
+            if high is not None:
+                yield Found(high.numerator // high.denominator + 1)
+            if limits.integer_only:
+                yield Found(0.5)
+        elif kind == "string" and limits.max_length is not None and limits.max_length < _MAX_TEXT:
+            yield Found("a" * (limits.max_length + 1))
+        elif kind == "array" and limits.max_items is not None and limits.max_items < _MAX_ITEMS:
+            item = Found(None) if node.items is None else self.simplest(node.items)
+            if item is not None and not node.prefix:
+                yield Found(_repeated([], item.value, limits.max_items + 1))
 
     def place(self, node: Node, path: tuple[str | int, ...], value: Any) -> Found | None:
         """Return a message with a value at a place, and the simplest elsewhere."""

@@ -81,7 +81,7 @@ class Judgements:
     def find(self, question: Question) -> bool | None:
         """Return a judgement that is known; raise the error that it ended in."""
         node, value, marks = question
-        known = self._known.get((id(node), id(value), marks is not None))
+        known = self._known.get((node.number, id(value), marks is not None))
         if known is None:
             if is_composite(value) or not _is_plain(node):
                 return None
@@ -98,7 +98,7 @@ class Judgements:
         """Remember a judgement; that of a scalar is as soon found again."""
         node, value, marks = question
         if is_composite(value) and len(self._known) < _MAX_KNOWN:
-            self._known[id(node), id(value), marks is not None] = (answer, marks)
+            self._known[node.number, id(value), marks is not None] = (answer, marks)
 
     def _valid(self, question: Question) -> Answer:
         node, value, marks = question
@@ -109,7 +109,7 @@ class Judgements:
             raise OutOfScopeError(node.unsupported)
         if not self._plain_rules(node, value):
             return False
-        if isinstance(value, list | tuple | Repeated):
+        if isinstance(value, (list, tuple, Repeated)):
             if marks is None and node.unevaluated_items is not None:
                 marks = Marks()
             if not (yield from self._array(node, value, marks)) or not (
@@ -117,7 +117,7 @@ class Judgements:
             ):
                 return False
             return (yield from _unevaluated_items(node.unevaluated_items, value, marks))
-        if isinstance(value, Mapping):
+        if isinstance(value, (dict, Mapping)):
             if marks is None and node.unevaluated_properties is not None:
                 marks = Marks()
             if not (yield from self._object(node, value, marks)) or not (
