@@ -1,0 +1,161 @@
+"""Definitions read without ROS: the very structures that the installed types have."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from uoarm_ros2 import _actions, _services
+from uoarm_ros2._schema import structure_of
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._types import import_type
+from uoarm_ros2.definitions import Definitions, read_definitions
+
+from uoarm.errors import ConfigurationError
+from uoarm.model import MessageStructure
+
+pytest.importorskip("rosbags", reason="definitions are read with rosbags: uoarm-ros2[definitions]")
+
+
+IDL = ("BasicTypes", "Constants", "Defaults", "Empty", "Nested", "Strings", "WStrings")
+"""Definitions of every sort; an `.idl` takes the parser a tenth of a second."""
+
+
+def installed_share() -> Path:
+    import std_msgs
+
+    folders = [parent / "share" for parent in Path(str(std_msgs.__file__)).parents]
+    return next(folder for folder in folders if (folder / "std_msgs" / "msg").is_dir())
+
+
+@pytest.fixture(scope="module")
+def share() -> Path:
+    return installed_share()
+
+
+@pytest.fixture(scope="module")
+def found(share: Path) -> Definitions:
+    return read_definitions(share)
+
+
+def described(name: str) -> MessageStructure | None:
+    """Return what the bridge says of an installed type, or of a part of one."""
+    if "/msg/" in name:
+        return structure_of(shape_of(import_type(name), name))
+    whole, part = name.rsplit("_", 1)
+    if "/action/" in name:
+        native: Any = import_type(whole)
+        return structure_of(shape_of(getattr(native, part), name))
+    description = _services.described(whole)
+    return description.request if part == "Request" else description.reply
+
+
+def test_every_installed_type_has_the_structure_that_the_bridge_describes(
+    found: Definitions,
+) -> None:
+    assert not found.problems
+    assert {"test_msgs/msg/WStrings", "sensor_msgs/msg/Imu"} < found.structures.keys()
+    assert {name.split("/")[1] for name in found.structures} == {"msg", "srv", "action"}
+    wrong = [name for name, one in found.structures.items() if one != described(name)]
+    assert not wrong
+
+
+def test_goals_and_results_of_an_action_are_those_that_the_bridge_describes(
+    found: Definitions,
+) -> None:
+    description = _actions.described("test_msgs/action/Fibonacci")
+    assert found.structures["test_msgs/action/Fibonacci_Goal"] == description.request
+    assert found.structures["test_msgs/action/Fibonacci_Result"] == description.reply
+
+
+def test_idl_alone_says_the_same_but_for_defaults(
+    share: Path, found: Definitions, tmp_path: Path
+) -> None:
+    names = {f"test_msgs/msg/{name}" for name in IDL}
+    for name in names:
+        copy = tmp_path / f"{name}.idl"
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(share / f"{name}.idl", copy)
+    alone = read_definitions(tmp_path)
+    assert not alone.problems
+    assert {name: bare(one.schema) for name, one in alone.structures.items()} == {
+        name: bare(found.structures[name].schema) for name in names
+    }
+
+
+def bare(schema: Any) -> Any:
+    if isinstance(schema, dict):
+        return {name: bare(one) for name, one in schema.items() if name != "default"}
+    return [bare(one) for one in schema] if isinstance(schema, list) else schema
+
+
+def write(folder: Path, **files: str) -> Path:
+    for name, text in files.items():
+        package, kind, own = name.split("__")
+        path = folder / package / kind / f"{own}.{kind}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return folder
+
+
+def test_texts_are_read_as_they_are_written(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        p__msg__Texts='string A=12  # a comment\nstring B="it # is"\nbool C=1\nfloat32 D=1\n'
+        "wstring<=5 wide\nstring<=3[<=2] many\nstring named 1.10\n",
+    )
+    schema: Any = read_definitions(tmp_path).structures["p/msg/Texts"].schema
+    assert schema["x-constants"] == {"A": "12", "B": "it # is", "C": True, "D": 1.0}
+    assert isinstance(schema["x-constants"]["C"], bool)
+    assert schema["properties"]["wide"] == {
+        "type": "string", "maxLength": 5, "x-native-type": "wstring",
+    }  # fmt: skip
+    assert schema["properties"]["named"]["default"] == "1.10"
+    assert schema["properties"]["many"]["maxItems"] == 2
+
+
+def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        p__msg__Good="int8 a\n",
+        p__msg__Missing="q/Absent a\n",
+        p__msg__Holds="Missing a\n",
+        p__msg__Itself="Itself[] a\n",
+        p__msg__Wrong="not ? a definition\n",
+        p__srv__One="int8 a\n",
+    )
+    (tmp_path / "p" / "msg" / "Octets.msg").write_bytes(b"\xff\xfe")
+    doubling = {f"p__msg__D{n}": f"D{n + 1} a\nD{n + 1} b\n" for n in range(30)}
+    write(tmp_path, **doubling, p__msg__D30="int8 a\n")
+    found = read_definitions(tmp_path)
+    assert "p/msg/Good" in found.structures
+    assert "q/msg/Absent is not defined" in found.problems["p/msg/Missing"]
+    assert "q/msg/Absent is not defined" in found.problems["p/msg/Holds"]
+    assert "nested more than" in found.problems["p/msg/Itself"]
+    assert "more than 20,000 fields" in found.problems["p/msg/D0"]
+    by_file = {Path(name).name: text for name, text in found.problems.items()}
+    assert {"Wrong.msg", "Octets.msg", "One.srv"} <= by_file.keys()
+    assert "1 parts between lines of ---, not 2" in by_file["One.srv"]
+
+
+def test_the_last_folder_wins(tmp_path: Path) -> None:
+    old = write(tmp_path / "old", p__msg__A="int8 a\n")
+    new = write(tmp_path / "new", p__msg__A="int16 a\n")
+    assert read_definitions(old, new) == read_definitions(new)
+    assert read_definitions(new, old) == read_definitions(old)
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="is no folder of ROS definitions"):
+        read_definitions(tmp_path / "none")
+
+
+def test_without_the_extra_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.typesys.msg", None)
+    with pytest.raises(ConfigurationError, match="uoarm-ros2"):
+        read_definitions(tmp_path)
