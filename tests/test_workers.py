@@ -238,9 +238,9 @@ def test_a_call_that_hangs_keeps_no_process_alive() -> None:
     assert done.returncode == 0
 
 
-def test_a_spare_thread_takes_the_next_call_and_ends_with_the_pool() -> None:
+def test_a_thread_that_was_prepared_takes_the_next_call_and_ends_with_the_pool() -> None:
     before = Census()
-    pool = WorkerPool("test", has_spare=True)
+    pool = WorkerPool("test")
     gate, ran = threading.Event(), list[int | None]()
 
     def act() -> None:
@@ -248,7 +248,10 @@ def test_a_spare_thread_takes_the_next_call_and_ends_with_the_pool() -> None:
         gate.wait(patience())
 
     pool.submit(act)
+    pool.prepare()
+    pool.prepare()
     wait(lambda: len(pool._idle) == 1)
+    pool.prepare()
     spare = {one.ident for one in threading.enumerate() if one.name == "test"} - set(ran)
     pool.submit(act)
     wait(lambda: len(ran) == 2)

@@ -52,8 +52,6 @@ class WorkerPool:
         limit: threads at most; a call that finds all at work waits for one, in order, so that a
             pool with one thread keeps the order. None: a thread for each call that is under way.
         idle_seconds: how long a thread waits for the next call.
-        has_spare: whether the thread that takes a call starts another one first, if none is idle:
-            then the next call need not wait for the start of a thread.
 
     Example:
         >>> pool = WorkerPool("uoarm-describe", limit=4)
@@ -67,12 +65,10 @@ class WorkerPool:
         limit: int | None = None,
         *,
         idle_seconds: float = _IDLE_SECONDS,
-        has_spare: bool = False,
     ) -> None:
         self._name = name
         self._limit = float("inf") if limit is None else limit
         self._idle_seconds = idle_seconds
-        self._has_spare = has_spare
         self._lock = threading.Lock()
         self._waiting: deque[_Task[Any]] = deque()
         self._idle: list[SimpleQueue[_Task[Any] | None]] = []
@@ -163,7 +159,8 @@ class WorkerPool:
         work = partial(self._work, inbox, begins=task is not None)
         threading.Thread(target=work, name=self._name, daemon=True).start()
 
-    def _start_spare(self) -> None:
+    def prepare(self) -> None:
+        """Have a thread wait, so that the next call need not wait for the start of one."""
         with self._lock:
             if self._idle or self._closed or self._threads >= self._limit:
                 return
@@ -177,8 +174,6 @@ class WorkerPool:
     def _work(self, inbox: SimpleQueue[_Task[Any] | None], *, begins: bool) -> None:
         task = inbox.get() if begins else self._next(inbox)
         while task is not None:
-            if self._has_spare:
-                self._start_spare()
             result, error = None, None
             try:
                 result = task.call(*task.args)

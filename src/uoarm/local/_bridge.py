@@ -88,7 +88,7 @@ class PythonBridge(Bridge):
         self._loop = LoopThread(f"uoarm-{name}-loop")
         self._slots: dict[_Key, _Slot] = {}
         self._services: dict[_Key, Endpoint] = {}
-        self._workers = WorkerPool(f"uoarm-{name}-source", has_spare=True)
+        self._workers = WorkerPool(f"uoarm-{name}-source")
         self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:

@@ -75,6 +75,8 @@ class Source:
         if self._run is not None:
             self._run.stopped = True
             self._run = None
+            # Its thread may be in foreign code for long: the next start shall not wait for another.
+            self._workers.prepare()
 
     def _ended(self, run: _Run, failure: Exception | None) -> None:
         with self._changing:
