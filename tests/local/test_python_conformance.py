@@ -24,7 +24,7 @@ class PythonWorld(World):
         self._released = threading.Event()
 
     def bridge(self) -> Bridge:
-        return PythonBridge("python", {"path": [str(HERE)]})
+        return PythonBridge("python", {"path": [str(HERE)], "discover": ["parts:Numbers"]})
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(kind, Role.INPUT), at(kind, Role.OUTPUT))
