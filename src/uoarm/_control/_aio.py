@@ -31,6 +31,7 @@ from uoarm.model import (
     FunctionStatus,
     Gap,
     Message,
+    OfferStatus,
     Plan,
     QueuePolicy,
     Robot,
@@ -400,6 +401,10 @@ class AsyncRobotManager(_Closing):
             timeout=timeout,
         )
         return await self._outside(change)
+
+    async def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
+        """Open what the configuration offers in frameworks, as `RobotManager.offer` does."""
+        return await self._outside(partial(self.robot.offer, timeout=timeout))
 
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
