@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -118,6 +119,10 @@ def test_what_a_context_that_ended_does_not_take_is_unavailable(make_bridge: Mak
     with pytest.raises(BridgeError, match="topic /late takes no message") as raised:
         out.send({"data": 2})
     assert raised.value.reason is FailureReason.UNAVAILABLE
+    stations = [thread for thread in threading.enumerate() if thread.name.startswith("ros2 ")]
+    for thread in stations:  # they end with the context: what closes then has nobody to wake
+        thread.join(patience())
+    bridge.close()
 
 
 def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
@@ -62,7 +63,8 @@ class WaitLoop:
 
     def wake(self) -> None:
         """End a wait at once; from any thread."""
-        with self._guard:
+        # After `close`, as when somebody else ended the context, there is no guard and no wait.
+        with suppress(InvalidHandle), self._guard:
             self._guard.trigger_guard_condition()
 
     def turn(self, seconds: float) -> None:

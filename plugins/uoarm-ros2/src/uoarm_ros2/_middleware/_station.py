@@ -83,8 +83,7 @@ class Station:
     def stop(self, limit: float) -> bool:
         """End the thread; whether it ended within `limit` seconds."""
         self._stopping = True
-        with suppress(Exception):  # it may have put itself away already
-            self._loop.wake()
+        self._loop.wake()
         return threading.current_thread() is self._thread or self._ended.wait(limit)
 
     def _run(self) -> None:
