@@ -21,7 +21,7 @@ ASKED = tuple(
     op.value
     for op in (
         Op.REQUEST, Op.KILL, Op.DATA, Op.CALL, Op.LIST, Op.RESOLVE, Op.STATUS, Op.RESUME,
-        Op.CONFIGURE,
+        Op.CONFIGURE, Op.STOP,
     )
 )  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}

@@ -15,23 +15,23 @@ import click
 from uoarm import errors
 from uoarm.cli._shared import BRIDGE, json_option, needing, reporting
 
-__all__ = ["apply", "history"]
+__all__ = ["apply", "asked", "history", "token_option", "url_option"]
 
 _MOST_OCTETS = 1_000_000
 
 
-_url_option = click.option(
+url_option = click.option(
     "--url", required=True, help="Of a running `uoarm serve`, ws://127.0.0.1:9080/."
 )
-_token_option = click.option(
+token_option = click.option(
     "--token", envvar="UOARM_TOKEN", help="Shown to the server; also UOARM_TOKEN."
 )
 
 
 @click.command()
 @click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
-@_url_option
-@_token_option
+@url_option
+@token_option
 @click.option("--rollback", type=click.IntRange(0), help="In place of FILE, this revision again.")
 @click.option("--dry-run", is_flag=True, help="Say only what would happen.")
 @click.option("--force", is_flag=True, help="Connections that find no other plan may end for it.")
@@ -65,13 +65,13 @@ def apply(
         )
         return change
 
-    change = _asked(url, token, change_it)
+    change = asked(url, token, change_it)
     click.echo(json.dumps(change, indent=2) if as_json else change["text"])
 
 
 @click.command()
-@_url_option
-@_token_option
+@url_option
+@token_option
 @json_option
 def history(*, url: str, token: str | None, as_json: bool) -> None:
     """Show the last hundred revisions of the configuration of a robot that runs.
@@ -83,7 +83,7 @@ def history(*, url: str, token: str | None, as_json: bool) -> None:
     async def ask(robot: Any) -> Any:
         return await robot.revisions()
 
-    revisions = _asked(url, token, ask)
+    revisions = asked(url, token, ask)
     if as_json:
         click.echo(json.dumps(revisions, indent=2))
         return
@@ -94,7 +94,7 @@ def history(*, url: str, token: str | None, as_json: bool) -> None:
             click.echo(f"  {line}")
 
 
-def _asked(url: str, token: str | None, work: Callable[[Any], Awaitable[Any]]) -> Any:
+def asked(url: str, token: str | None, work: Callable[[Any], Awaitable[Any]]) -> Any:
     """Return what a server answers; exits with 4 where it cannot be reached or refuses."""
     with reporting(), needing("server"):
         from uoarm.client import connect  # noqa: PLC0415 - needs an extra

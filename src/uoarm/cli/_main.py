@@ -35,6 +35,7 @@ from uoarm.cli._shared import (
     terminable,
 )
 from uoarm.cli._status import status
+from uoarm.cli._stop import stop
 from uoarm.config import inspect, load
 from uoarm.schema._command import schema
 
@@ -186,3 +187,4 @@ main.add_command(suggest)
 main.add_command(serve)
 main.add_command(token)
 main.add_command(status)
+main.add_command(stop)

@@ -267,6 +267,28 @@ class Client:
         told: Mapping[str, Any] = await self._ask("Configure")
         return list(told["revisions"])
 
+    async def stop_all(self) -> Mapping[str, Any]:
+        """Stop everything of the robot that moves, until `release`; needs the right `stop`.
+
+        Returns:
+            `stopped`: whether every open input that moves something has; `inputs`: for each whether
+            it has, since when, or why not; `since`; and `text` for people.
+
+        Raises:
+            ServerError: the role may not.
+        """
+        report: Mapping[str, Any] = await self._ask("Stop")
+        return report
+
+    async def release(self) -> None:
+        """Let commands through again; needs the right `release`.
+
+        Raises:
+            BridgeError: some inputs could not be told, and go on refusing commands.
+            ServerError: the role may not.
+        """
+        await self._ask("Stop", jsonMessage={"release": True})
+
     async def status(self) -> Mapping[str, Any]:
         """Return the status map, and `own`: what this client received and lost."""
         status: Mapping[str, Any] = await self._ask("Status")

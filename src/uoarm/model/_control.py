@@ -25,6 +25,7 @@ class Op(Enum):
     RESOLVE = "Resolve"
     RESUME = "Resume"
     CONFIGURE = "Configure"
+    STOP = "Stop"
 
 
 @frozen

@@ -23,7 +23,8 @@ class Operation(Enum):
     SEE names functions and their status, REQUEST opens and receives, SEND publishes to an input,
     CALL calls a service, KILL ends what other clients hold. One's own connections may always be
     killed. CONFIGURE changes the configuration, which can name any code: it is of no function, so
-    that only the pattern `*` gives it, and nobody has it without an access file.
+    that only the pattern `*` gives it, and nobody has it without an access file. STOP stops
+    whatever moves and RELEASE lets commands through again; both are of no function, too.
     """
 
     SEE = "see"
@@ -32,6 +33,8 @@ class Operation(Enum):
     CALL = "call"
     KILL = "kill"
     CONFIGURE = "configure"
+    STOP = "stop"
+    RELEASE = "release"
 
 
 @frozen

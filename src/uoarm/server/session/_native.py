@@ -64,6 +64,7 @@ class NativeSession:
             client.limits,
             lambda connection, error: self._fail(None, connection, error),
         )
+        self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
             Op.DATA: self._send,
@@ -71,6 +72,7 @@ class NativeSession:
             Op.LIST: self._list,
             Op.STATUS: self._status,
             Op.RESUME: self._resume,
+            Op.STOP: self._stop,
         }
         self._slow: Mapping[Op, Callable[[ControlMessage], Coroutine[Any, Any, None]]] = {
             Op.REQUEST: self._request,
@@ -210,6 +212,23 @@ class NativeSession:
             return
         changed = await self._registry.configure(wanted)
         self._reply(asked, _told((changed,))[0])
+
+    def _stop(self, asked: ControlMessage) -> None:
+        """Stop all beside whatever else is under way; it counts for no limit of calls."""
+        release = bool((asked.jsonMessage or {}).get("release"))
+        self._client.require(Operation.RELEASE if release else Operation.STOP, "*")
+        work = self._release(asked) if release else self._stop_all(asked)
+        task = asyncio.ensure_future(self._answer(asked, work))
+        self._stops.add(task)
+        task.add_done_callback(self._stops.discard)
+
+    async def _stop_all(self, asked: ControlMessage) -> None:
+        report = await self._registry.stop_all()
+        self._reply(asked, {**to_json(report), "stopped": report.stopped, "text": str(report)})
+
+    async def _release(self, asked: ControlMessage) -> None:
+        await self._registry.release()
+        self._reply(asked, None)
 
     def _list(self, asked: ControlMessage) -> None:
         functions = list_functions(self._registry.robot.config, self._client.role)

@@ -74,6 +74,8 @@ export class Robot {
     to: number,
     options?: { dry_run?: boolean; force?: boolean; revision?: number },
   ): Promise<Record<string, unknown>>;
+  stopAll(): Promise<Record<string, unknown>>;
+  release(): Promise<void>;
   status(): Promise<Record<string, unknown>>;
   watch(): Promise<AsyncIterable<Change>>;
   close(): void;

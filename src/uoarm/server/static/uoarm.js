@@ -157,6 +157,16 @@ export class Robot {
     return this.#ask({ op: "Configure", jsonMessage: { rollback: revision, ...options } });
   }
 
+  /** Stop everything that moves, until `release`: `stopped`, `inputs`, `text`; needs `stop`. */
+  async stopAll() {
+    return this.#ask({ op: "Stop" });
+  }
+
+  /** Let commands through again; needs the right `release`. */
+  async release() {
+    await this.#ask({ op: "Stop", jsonMessage: { release: true } });
+  }
+
   /** The status map, and in `own` what this client received and lost. */
   async status() {
     return this.#ask({ op: "Status" });

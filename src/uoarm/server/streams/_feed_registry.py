@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
@@ -24,6 +25,7 @@ from uoarm.model import (
     MessageStructure,
     Plan,
     StatusEvent,
+    StopReport,
 )
 from uoarm.server._failures import BusyError
 from uoarm.server._limits import Limits
@@ -46,6 +48,7 @@ Watcher: TypeAlias = Callable[[StatusEvent, str], None]
 _READ_TEXT = functools.partial(read_message, TEXT_FORM)
 _REMEMBERED = 200
 _CLOSINGS = 8
+_STOP_SECONDS = 2.0
 _ENDS = frozenset({"closed", "failed"})
 
 
@@ -78,6 +81,8 @@ class FeedRegistry:
         at_once = max(1, limits.openings // 2)
         self._known = KnownStructures(robot.resolve, self.workers, at_once)
         self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
+        self._stopping: asyncio.Future[StopReport] | None = None
+        self._releasing: asyncio.Future[None] | None = None
         self._watchers: dict[Watcher, None] = {}
         self._names: dict[str, str] = {}
         self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
@@ -259,6 +264,42 @@ class FeedRegistry:
 
         return await self.workers.start(apply)
 
+    async def stop_all(self) -> StopReport:
+        """Stop what moves, for whoever asks while it lasts; goes on when they are gone."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._in_lane(
+                functools.partial(self.robot.stop_all, timeout=_STOP_SECONDS)
+            )
+        return await asyncio.shield(self._stopping)
+
+    async def release(self) -> None:
+        """Let commands through again.
+
+        Raises:
+            BridgeError: some inputs could not be told.
+        """
+        if self._releasing is None or self._releasing.done():
+            self._releasing = self._in_lane(
+                functools.partial(self.robot.release, timeout=_STOP_SECONDS)
+            )
+        await asyncio.shield(self._releasing)
+
+    def _in_lane(self, act: Callable[[], T]) -> asyncio.Future[T]:
+        """Act in a thread of its own, since every worker may be waiting for a bridge that hangs."""
+        loop = asyncio.get_running_loop()
+        done: asyncio.Future[T] = loop.create_future()
+
+        def run() -> None:
+            try:
+                result = act()
+            except Exception as error:  # noqa: BLE001 - handed to whoever asked
+                self.mailbox.put(functools.partial(_fail, done, error))
+            else:
+                self.mailbox.put(functools.partial(_succeed, done, result))
+
+        threading.Thread(target=run, name="uoarm-serve-stop", daemon=True).start()
+        return done
+
     async def structures(
         self, functions: Iterable[str]
     ) -> Mapping[str, Mapping[str, MessageStructure]]:
@@ -368,3 +409,13 @@ def _ignore(message: Message) -> None:
 
 def _functions_of_components(robot: RobotManager) -> dict[str, str]:
     return {one.name: one.function for one in robot.config.components()}
+
+
+def _succeed(done: asyncio.Future[T], result: T) -> None:
+    if not done.done():
+        done.set_result(result)
+
+
+def _fail(done: asyncio.Future[T], error: Exception) -> None:
+    if not done.done():
+        done.set_exception(error)

@@ -1,0 +1,38 @@
+"""`uoarm stop`: the emergency stop of a robot that runs behind `uoarm serve`, and its release."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+
+from uoarm.cli._apply import asked, token_option, url_option
+from uoarm.cli._shared import json_option
+
+__all__ = ["stop"]
+
+
+@click.command()
+@url_option
+@token_option
+@click.option("--release", is_flag=True, help="Let commands through again.")
+@json_option
+def stop(*, url: str, token: str | None, release: bool, as_json: bool) -> None:
+    """Stop everything of a robot that moves, and refuse commands until --release.
+
+    The token's role needs `stop: ["*"]`, and `release: ["*"]` for --release. Exit codes: 0 every
+    open input that moves something has stopped, 1 some have not, which are named, 4 the server
+    cannot be reached or refused.
+    """
+
+    async def act(robot: Any) -> Any:
+        return await (robot.release() if release else robot.stop_all())
+
+    told = asked(url, token, act)
+    if release:
+        click.echo("{}" if as_json else "commands are let through again")
+        return
+    click.echo(json.dumps(told, indent=2) if as_json else told["text"])
+    sys.exit(0 if told["stopped"] else 1)

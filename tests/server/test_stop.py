@@ -1,0 +1,157 @@
+"""The emergency stop from outside: who may, what is told, and that nothing stands before it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.server.conftest import Serve
+from tests.server.talk import Talk
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.cli import main
+from uoarm.client import ServerError, connect
+from uoarm.config import loads
+from uoarm.model import Message
+from uoarm.server import Limits, Server, hash_token, make_token
+from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing._memory_components import Taker
+
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  drive:
+    components: [{name: base, bridge: memory, input: {endpoint: [base], stop: {message: 0}}}]
+  hang: {components: [{name: hang, bridge: memory, service: {endpoint: [hang]}}]}
+"""
+TOKENS = {"driver": make_token(), "keeper": make_token(), "viewer": make_token()}
+ACCESS = """
+version: 1
+roles:
+  driver: {{see: ["*"], request: ["*"], send: ["*"], call: ["*"], stop: ["*"]}}
+  keeper: {{see: ["*"], release: ["*"]}}
+  viewer: {{see: ["*"], stop: ["drive"]}}
+tokens:
+  - {{name: driver, role: driver, sha256: {driver}}}
+  - {{name: keeper, role: keeper, sha256: {keeper}}}
+  - {{name: viewer, role: viewer, sha256: {viewer}}}
+"""
+NUMBER = {"type": "number"}
+
+
+@pytest.fixture
+def hang() -> Iterator[threading.Event]:
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+@pytest.fixture
+def memory(hang: threading.Event) -> MemoryBridge:
+    def answer(message: Message) -> Message:
+        hang.wait(patience())
+        return message
+
+    memory = MemoryBridge()
+    memory.service("hang", NUMBER, NUMBER, answer)
+    return memory
+
+
+@pytest.fixture
+def base(memory: MemoryBridge) -> Taker:
+    return memory.taker("base", NUMBER)
+
+
+@pytest.fixture
+def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
+    del base
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
+        yield robot
+
+
+@pytest.fixture
+def guarded(serve: Serve, tmp_path: Path) -> Server:
+    access = tmp_path / "access.yaml"
+    hashes = {name: hash_token(token) for name, token in TOKENS.items()}
+    access.write_text(ACCESS.format(**hashes), encoding="utf-8")
+    return serve(Limits(calls=1, workers=1), access=access)
+
+
+def url(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+def enter(server: Server, name: str) -> Talk:
+    return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
+
+
+def test_a_stop_is_told_truly_and_only_who_may_releases(guarded: Server, base: Taker) -> None:
+    with enter(guarded, "driver") as driver, enter(guarded, "keeper") as keeper:
+        drive = driver.open("drive")
+        driver.ask("Data", drive, 5)
+        report = driver.ask("Stop")
+        assert report["stopped"]
+        (one,) = report["inputs"]
+        assert (one["function"], one["component"], one["stopped"]) == ("drive", "base", True)
+        assert base.taken.messages == [5, 0]
+        driver.ask("Data", drive, 6)
+        assert driver.refused("Stop", message={"release": True})["code"] == "denied"
+        assert keeper.refused("Stop")["code"] == "denied"
+        keeper.ask("Stop", message={"release": True})
+        driver.ask("Data", drive, 7)
+        wait(lambda: base.taken.messages == [5, 0, 7])
+
+
+def test_a_right_for_one_function_stops_nothing(guarded: Server) -> None:
+    with enter(guarded, "viewer") as viewer:
+        assert viewer.refused("Stop")["code"] == "denied"
+
+
+def test_a_stop_waits_for_no_call_that_hangs_and_no_limit(guarded: Server, base: Taker) -> None:
+    with enter(guarded, "driver") as driver:
+        driver.open("drive")
+        driver.send("Call", "hang", 1)
+        assert driver.refused("Call", "hang", 1)["code"] == "limit"
+        assert driver.ask("Stop")["stopped"]
+        assert base.taken.messages == [0]
+
+
+def test_the_python_client(guarded: Server) -> None:
+    async def work() -> None:
+        async with connect(url(guarded), token=TOKENS["driver"]) as driver:
+            assert (await driver.stop_all())["inputs"] == []
+            with pytest.raises(ServerError, match="may not release"):
+                await driver.release()
+        async with connect(url(guarded), token=TOKENS["keeper"]) as keeper:
+            await keeper.release()
+
+    asyncio.run(work())
+
+
+def test_the_command_line_says_who_has_not_stopped(
+    guarded: Server, robot: RobotManager, memory: MemoryBridge
+) -> None:
+    def stop(who: str, *more: str) -> tuple[int, str]:
+        given = ["stop", "--url", url(guarded), "--token", TOKENS[who], *more]
+        result = CliRunner().invoke(main, given)
+        return result.exit_code, result.output
+
+    robot.request("drive")
+    code, told = stop("driver")
+    assert (code, "stopped      base.default (drive)" in told) == (0, True)
+    memory.cut("no radio")
+    code, told = stop("driver")
+    assert (code, "NOT STOPPED  base.default (drive)" in told, "no radio" in told) == (
+        1,
+        True,
+        True,
+    )
+    memory.mend()
+    assert stop("keeper")[0] == 4
+    assert stop("keeper", "--release") == (0, "commands are let through again\n")
