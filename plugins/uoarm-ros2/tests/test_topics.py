@@ -17,7 +17,7 @@ from uoarm_ros2._middleware import Station
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Health, Role
+from uoarm.model import CommandPolicy, Health, Role, StopMessage
 from uoarm.testing import patience, wait
 
 Make = Callable[..., Bridge]
@@ -51,6 +51,38 @@ def test_ten_thousand_numbered_messages_pass_a_relay_whole(make_bridge: Make, pe
     assert seen == list(range(1, 10_001))
     assert into.facts()["messages"] == out.facts()["messages"] == 10_000
     assert into.facts()["lost_by_middleware"] == 0
+
+
+class _Hanging(dict[str, Any]):
+    """A message whose field is read only when it may be."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(data=number)
+        self.is_read, self.go_on = threading.Event(), threading.Event()
+
+    def __getitem__(self, name: str) -> Any:
+        self.is_read.set()
+        assert self.go_on.wait(patience())
+        return super().__getitem__(name)
+
+
+def test_the_stop_message_waits_for_no_command_that_hangs(bridge: Bridge, peer: Start) -> None:
+    listener = peer("listener")
+    listener.do("subscribe", topic="/moved")
+    policy = CommandPolicy(stop=StopMessage({"data": 0}))
+    out = sink(bridge, evolve(endpoint(Role.INPUT, "/moved", INT64), command=policy))
+    hanging = _Hanging(7)
+    sending = threading.Thread(target=out.send, args=(hanging,))
+    sending.start()
+    assert hanging.is_read.wait(patience())
+    holding = threading.Thread(target=out.hold, args=(patience(),))
+    holding.start()
+    assert listener.do("report", topic="/moved", expected=1)["seen"] == [0]
+    hanging.go_on.set()  # the command arrives behind the stop, which is sent once more
+    assert listener.do("report", topic="/moved", expected=3)["seen"] == [0, 7, 0]
+    sending.join(patience())
+    holding.join(patience())
+    assert out.facts()["messages"] == 3
 
 
 def test_images_of_six_megabytes_flow(bridge: Bridge, peer: Start) -> None:

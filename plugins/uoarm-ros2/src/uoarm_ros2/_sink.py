@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -63,13 +64,19 @@ class TopicSink(Sink):
     left ask for something else. `send` blocks only with `history: keep_all`, while slow readers
     catch up.
 
+    A publisher takes messages from several threads at once: so ROS 2 promises of `rmw_publish`, and
+    rclpy keeps one that is being destroyed until no call uses it.
+
     Args:
         place: where to publish.
         write: makes what is published (a native object or serialised bytes) of a message.
     """
 
+    parallel = True
+
     def __init__(self, place: Place, write: Callable[[Message], Any]) -> None:
         super().__init__(place.endpoint)
+        self._counting = threading.Lock()
         self._place = place
         self._write = write
         self.pulse = Pulse(lambda health, cause: place.report(self, health, cause))
@@ -90,7 +97,8 @@ class TopicSink(Sink):
             publisher.publish(native)
         except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
             self._publish_anyway(native, publisher, error)
-        self.pulse.count += 1
+        with self._counting:  # the stop message is sent beside a command
+            self.pulse.count += 1
 
     def wait(self) -> None:
         """Wait until every fitting subscription on the graph is matched.
