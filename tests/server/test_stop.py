@@ -100,7 +100,7 @@ def test_a_stop_is_told_truly_and_only_who_may_releases(guarded: Server, base: T
         (one,) = report["inputs"]
         assert (one["function"], one["component"], one["stopped"]) == ("drive", "base", True)
         assert base.taken.messages == [5, 0]
-        driver.ask("Data", drive, 6)
+        assert driver.refused("Data", drive, 6)["code"] == "held"
         assert driver.refused("Stop", message={"release": True})["code"] == "denied"
         assert keeper.refused("Stop")["code"] == "denied"
         keeper.ask("Stop", message={"release": True})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from attrs import define, field
 
@@ -96,6 +97,7 @@ class Sender:
     ) -> None:
         port = next(one for one in live.component.inputs if one.name == name)
         send, default_queue = live.open_input(name, lambda: self._route.closed)
+        self._require_released = partial(live.require_released, name)
         self.place = place = f"{live.component.name}.{name}"
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
         self._check = make_check(live.structures[f"input.{name}"], mode, place)
@@ -107,8 +109,10 @@ class Sender:
         """Hand one message over.
 
         Raises:
+            CommandRefusedError: the emergency stop holds the input.
             MessageError: it does not match the input's structure.
         """
+        self._require_released()
         if self._check is not None:
             self._check(message)
         self._route.deliver(message)

@@ -126,6 +126,8 @@ class Connection(Generic[T]):
             port: name of the input; None where there is one only.
 
         Raises:
+            CommandRefusedError: the emergency stop holds the input, until it is released. What else
+                the last hop refuses is counted in the status.
             MessageError: the message does not match the input's structure.
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.

@@ -153,6 +153,14 @@ class LiveComponent:
         # Of commands that wait, only the newest one is worth sending.
         return send, sink.default_queue if sink.endpoint.command is None else _NEWEST
 
+    def require_released(self, name: str) -> None:
+        """Refuse a command to an open input while the emergency stop holds it.
+
+        Raises:
+            CommandRefusedError: it does.
+        """
+        self._emergency_stop.refuse(self._sinks[name])
+
     def watch(self, name: str) -> InputWatch:
         """Return what the routes into an input tell what became of messages."""
         return self._watches[name]

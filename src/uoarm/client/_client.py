@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import itertools
 import ssl
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Any, TypeAlias, final, overload
 
 from websockets.asyncio.client import ClientConnection
@@ -24,12 +25,13 @@ __all__ = ["Client", "ServerError", "connect"]
 
 _HELD = 1024
 _Changes: TypeAlias = "asyncio.Queue[StatusEvent | None]"
-_ERRORS: Mapping[str, type[errors.UoarmError]] = {
+_ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
     "configuration": errors.ConfigurationError,
     "resolution": errors.ResolutionError,
     "bridge": errors.BridgeError,
     "timeout": errors.BridgeTimeoutError,
     "message": errors.MessageError,
+    "held": partial(errors.CommandRefusedError, reason="held"),
     "usage": errors.UsageError,
     "closed": errors.ConnectionClosedError,
     "unknown": errors.ConnectionClosedError,

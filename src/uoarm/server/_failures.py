@@ -39,6 +39,7 @@ _CODES: _Kinds = {
     errors.BridgeError: "bridge",
     errors.PluginError: "bridge",
     errors.MessageError: "message",
+    errors.CommandRefusedError: "held",
     errors.UsageError: "usage",
     errors.ConnectionClosedError: "closed",
     LimitError: "limit",

@@ -2,7 +2,7 @@
 
 export type Code =
   | "unreadable" | "unknown" | "denied" | "resolution" | "bridge" | "timeout" | "message"
-  | "usage" | "closed" | "limit" | "busy" | "configuration" | "internal";
+  | "usage" | "closed" | "limit" | "busy" | "configuration" | "held" | "internal";
 
 /** A JSON value, and with `binary` also octets, typed arrays and BigInt. */
 export type Message = unknown;
