@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import threading
 from collections.abc import Iterator
 
@@ -12,7 +13,7 @@ from uoarm import AsyncRobotManager, RobotManager
 from uoarm.bridge import Bridge, Description, Registry, Sink, Source
 from uoarm.config import loads
 from uoarm.errors import CommandRefusedError
-from uoarm.model import Deliver, Endpoint, Message, MessageStructure
+from uoarm.model import Deliver, Endpoint, Message, MessageStructure, to_json
 from uoarm.testing import Background, patience, wait
 
 ROBOT = """
@@ -21,7 +22,13 @@ bridges: {motors: {plugin: python}}
 functions:
   left:
     components:
-      - {name: left, bridge: motors, input: {endpoint: [left], lifetime: 3600, stop: {message: 0}}}
+      - name: left
+        bridge: motors
+        input:
+          endpoint: [left]
+          lifetime: 3600
+          stop: {message: 0}
+          limits: {".": {minimum: 0, maximum: 8}}
   right:
     components: [{name: right, bridge: motors, input: {endpoint: [right], stop: {message: 0}}}]
   lamp:
@@ -100,6 +107,28 @@ def test_everything_that_moves_stops_and_stays_so_until_it_is_released(
     robot.release()
     left.send(8)
     assert motors.taken["left"] == [5, 0, 8]
+
+
+def test_the_status_shows_what_moves_and_for_how_long(robot: RobotManager) -> None:
+    left = robot.request("left")
+    robot.request("lamp")
+    assert "commands: 1" in str(robot.status())
+    assert robot.status().held is None
+    left.send(5)
+    left.send(9)
+    text = str(robot.status())
+    limits = r"\. at least 0, at most 8"
+    assert re.search(rf"left\.default +moving .* 3599\.\d+ s +3600\.000 s +{limits}", text), text
+    assert "beyond-limits 1" in text
+    robot.stop_all(timeout=patience())
+    text = str(robot.status())
+    assert text.startswith("commands are refused since ")
+    assert re.search(r"left\.default +stopped", text), text
+    told = to_json(robot.status())
+    assert told["held"] >= 0
+    channel = next(one for one in told["components"] if one["name"] == "left")["channels"][0]
+    assert channel["command"]["phase"] == "stopped"
+    assert channel["limits"] == [{"path": ".", "minimum": 0.0, "maximum": 8.0, "rate": None}]
 
 
 def test_who_does_not_stop_is_named_with_the_cause_and_keeps_nobody_waiting(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import logging
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,6 +108,27 @@ def test_a_stop_is_told_truly_and_only_who_may_releases(guarded: Server, base: T
         keeper.ask("Stop", message={"release": True})
         driver.ask("Data", drive, 7)
         wait(lambda: base.taken.messages == [5, 0, 7])
+
+
+def test_who_stopped_and_released_is_in_the_audit_log(
+    guarded: Server, base: Taker, memory: MemoryBridge, caplog: pytest.LogCaptureFixture
+) -> None:
+    del base
+    caplog.set_level(logging.INFO, "uoarm.audit")
+    with enter(guarded, "driver") as driver, enter(guarded, "keeper") as keeper:
+        driver.open("drive")
+        memory.cut("no radio")
+        driver.ask("Stop")
+        memory.mend()
+        wait(lambda: driver.ask("Stop")["stopped"])
+        keeper.ask("Stop", message={"release": True})
+    told = [json.loads(one.getMessage()) for one in caplog.records if one.name == "uoarm.audit"]
+    stops = [one for one in told if one.get("operation") == "stop" and "done" in one]
+    assert {one["role"] for one in stops} == {"driver"}
+    assert (stops[0]["done"], stops[0]["left"]) == (False, ["base.default"])
+    assert (stops[-1]["done"], stops[-1]["left"]) == (True, [])
+    (released,) = [one for one in told if one.get("operation") == "release" and "done" in one]
+    assert (released["role"], released["done"]) == ("keeper", True)
 
 
 def test_a_right_for_one_function_stops_nothing(guarded: Server) -> None:

@@ -38,6 +38,11 @@ class EmergencyStop:
         """Whether commands are refused."""
         return self._since is not None
 
+    def held(self) -> float | None:
+        """Return for how many seconds commands are refused; None where they are not."""
+        since = self._since
+        return None if since is None else self._clock() - since
+
     def enter(self, sink: Sink, function: str) -> None:
         """Take in an input that was just opened; it is stopped where the others are held.
 

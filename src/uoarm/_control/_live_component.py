@@ -244,4 +244,6 @@ def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterat
         lost = dict(facts).get("lost_on_link", 0)
         command = channel.command_status() if isinstance(channel, Sink) else None
         lost = lost if isinstance(lost, int) else 0
-        yield ChannelStatus(f"{direction}.{name}", facts, lost, command)
+        policy = channel.endpoint.command
+        lifetime, limits = (None, ()) if policy is None else (policy.lifetime, policy.limits)
+        yield ChannelStatus(f"{direction}.{name}", facts, lost, command, lifetime, limits)

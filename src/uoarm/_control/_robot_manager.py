@@ -332,6 +332,7 @@ class RobotManager:
             deaths=self._executor.deaths(),
             takeovers=self._executor.takeovers(),
             offers=self._offers.statuses(),
+            held=self._executor.live.emergency_stop.held(),
         )
 
     def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:

@@ -119,16 +119,24 @@ def token(name: str, role: str) -> None:
 @contextmanager
 def _stopping(manager: RobotManager) -> Iterator[None]:
     """Stop all at SIGUSR1 and release at SIGUSR2, each in a thread of its own."""
+    from uoarm.server.access import Audit  # noqa: PLC0415 - an extra, and slow
+
+    audit = Audit()
 
     def stop() -> None:
-        click.echo(str(manager.stop_all()), err=True)
+        report = manager.stop_all()
+        audit.stopped("SIGUSR1", "", report)
+        click.echo(str(report), err=True)
 
     def release() -> None:
         try:
             manager.release()
-            click.echo("commands are let through again", err=True)
         except UoarmError as error:
+            audit.released("SIGUSR2", "", str(error))
             click.echo(f"error: {error}", err=True)
+        else:
+            audit.released("SIGUSR2", "")
+            click.echo("commands are let through again", err=True)
 
     former = {
         number: signal.signal(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +20,12 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
     "components": ("name", "function", "health", "failed", "lost", "cause"),
     "channels": ("component", "port", "facts"),
+    "commands": ("component", "phase", "for", "left", "lifetime", "limits", "refused", "cause"),
     "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
     "offers": ("name", "state", "calls", "failed", "cause"),
 }
-_OFTEN_NONE = frozenset({"machines", "channels", "offers"})
+_OFTEN_NONE = frozenset({"machines", "channels", "commands", "offers"})
 
 
 def tell_plan(plan: Plan) -> str:
@@ -89,9 +90,10 @@ def tell_reason(reason: Reason) -> list[str]:
 
 def tell_status(status: Mapping[str, Any]) -> str:
     """Return a status map, as data or as JSON has it, as one table for each kind of thing."""
-    lines: list[str] = []
+    held = status.get("held")
+    lines = [] if held is None else [f"commands are refused since {held:.3f} s, until a release"]
     for name, columns in _COLUMNS.items():
-        found = _channels(status) if name == "channels" else status.get(name, ())
+        found = _OF_CHANNELS[name](status) if name in _OF_CHANNELS else status.get(name, ())
         rows = [[_shown(one.get(column), column) for column in columns] for one in found]
         if name in _OFTEN_NONE and not rows:
             continue
@@ -99,6 +101,36 @@ def tell_status(status: Mapping[str, Any]) -> str:
         if rows:
             lines.extend(_table(columns, rows))
     return "\n".join(lines)
+
+
+def _commands(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the inputs that move something: what each was told last, and how long that holds."""
+    return [
+        {
+            "component": f"{component['name']}.{channel['port'].partition('.')[2]}",
+            "phase": told["phase"],
+            "for": _seconds(told["since"]),
+            "left": _seconds(told["left"]),
+            "lifetime": _seconds(channel.get("lifetime")),
+            "limits": "; ".join(map(_limit, channel.get("limits", ()))),
+            "refused": told["dropped"],
+            "cause": told["cause"],
+        }
+        for component in status.get("components", ())
+        for channel in component.get("channels", ())
+        if (told := channel.get("command"))
+    ]
+
+
+def _seconds(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f} s"
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    """Return the limits of one number, as `linear.x at least -0.5, at most 0.5, 1 in a second`."""
+    words = {"minimum": "at least {:g}", "maximum": "at most {:g}", "rate": "{:g} in a second"}
+    told = (text.format(limit[key]) for key, text in words.items() if limit[key] is not None)
+    return f"{limit['path']} {', '.join(told)}"
 
 
 def _channels(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -109,6 +141,12 @@ def _channels(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         for channel in component.get("channels", ())
         if channel["facts"]
     ]
+
+
+_OF_CHANNELS: Mapping[str, Callable[[Mapping[str, Any]], list[Mapping[str, Any]]]] = {
+    "channels": _channels,
+    "commands": _commands,
+}
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -6,7 +6,7 @@ from enum import Enum
 
 from attrs import asdict, frozen
 
-from uoarm.model._command import CommandStatus
+from uoarm.model._command import CommandStatus, FieldLimit
 from uoarm.model._explain import tell_status
 from uoarm.model._offer import OfferStatus
 
@@ -110,12 +110,16 @@ class ChannelStatus:
         facts: what the framework knows of the link, by name: matched peers, policies, losses.
         lost: messages that it knows will never arrive, its fact `lost_on_link`.
         command: what an input that moves something was told last; None of any other channel.
+        lifetime: of its commands, in seconds; None where they do not expire.
+        limits: of its commands.
     """
 
     port: str
     facts: tuple[tuple[str, object], ...] = ()
     lost: int = 0
     command: CommandStatus | None = None
+    lifetime: float | None = None
+    limits: tuple[FieldLimit, ...] = ()
 
 
 @frozen
@@ -233,6 +237,7 @@ class StatusMap:
     Attributes:
         deaths: how often each component was lost, since the manager began.
         takeovers: how often another plan took over for each function, returns included.
+        held: seconds since commands are refused by an emergency stop; None where they are not.
 
     As text (`str`, `print`) it is what `uoarm status --url` shows.
     """
@@ -245,6 +250,7 @@ class StatusMap:
     deaths: tuple[tuple[str, int], ...] = ()
     takeovers: tuple[tuple[str, int], ...] = ()
     offers: tuple[OfferStatus, ...] = ()
+    held: float | None = None
 
     def __str__(self) -> str:
         return tell_status(asdict(self))

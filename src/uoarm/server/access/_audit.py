@@ -6,6 +6,7 @@ import logging
 
 import orjson
 
+from uoarm.model import StopReport
 from uoarm.server.access._role import Operation, Role
 
 __all__ = ["Audit"]
@@ -36,6 +37,25 @@ class Audit:
                 function=function[:200],
                 allowed=allowed,
             )
+
+    def stopped(self, asker: str, role: str, report: StopReport) -> None:
+        """Record what an emergency stop came to, and which inputs have not stopped.
+
+        Args:
+            asker: the session, or the name of the signal.
+            role: of the session.
+            report: what it came to.
+        """
+        left = [f"{one.component}.{one.port}" for one in report.inputs if not one.stopped]
+        level = logging.WARNING if left else logging.INFO
+        self._write(level, session=asker, role=role, operation="stop", done=not left, left=left)
+
+    def released(self, asker: str, role: str, cause: str = "") -> None:
+        """Record that commands are let through again, or, with a cause, why they are not."""
+        level = logging.WARNING if cause else logging.INFO
+        self._write(
+            level, session=asker, role=role, operation="release", done=not cause, cause=cause
+        )
 
     def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
         """Record a client that was admitted, or, with a cause, that was not."""

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 from uoarm._deadlines import result_within
-from uoarm.model import Spending
+from uoarm.model import Spending, StopReport
 from uoarm.server._limits import Limits
 from uoarm.server.access import Audit, Credentials, Operation, Role
 from uoarm.server.session._connection import TurnConnection, address_of
@@ -121,6 +121,14 @@ class Client:
         allowed = self.role.allows(operation, function)
         self._audit.note(self.identity, self.role, operation, function, allowed=allowed)
         self.role.require(operation, function)
+
+    def note_stop(self, report: StopReport) -> None:
+        """Write to the audit log what a stop came to that it asked for."""
+        self._audit.stopped(self.identity, self.role.name, report)
+
+    def note_release(self, cause: str = "") -> None:
+        """Write to the audit log that it released, or why that failed."""
+        self._audit.released(self.identity, self.role.name, cause)
 
     async def run(self, session: Session, socket: TurnConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""

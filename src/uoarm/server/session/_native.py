@@ -224,10 +224,16 @@ class NativeSession:
 
     async def _stop_all(self, asked: ControlMessage) -> None:
         report = await self._registry.stop_all()
+        self._client.note_stop(report)
         self._reply(asked, {**to_json(report), "stopped": report.stopped, "text": str(report)})
 
     async def _release(self, asked: ControlMessage) -> None:
-        await self._registry.release()
+        try:
+            await self._registry.release()
+        except UoarmError as error:
+            self._client.note_release(str(error))
+            raise
+        self._client.note_release()
         self._reply(asked, None)
 
     def _list(self, asked: ControlMessage) -> None:

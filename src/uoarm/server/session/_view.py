@@ -83,6 +83,7 @@ def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any
         connections=tuple(connections),
         routes=tuple(routes),
         machines=tuple(one for one in status.machines if possible.intersection(one.bridges)),
+        held=status.held,
     )
     data: dict[str, Any] = to_json(shown)
     return data
