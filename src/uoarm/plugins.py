@@ -1,4 +1,4 @@
-"""What plugins bring beside bridges and front ends: commands, and checks of `uoarm doctor`.
+"""What plugins bring beside bridges and front ends: commands, checks, formats of definitions.
 
 Bridges have their contract in `uoarm.bridge`, front ends theirs in `uoarm.server.front_end`.
 """
@@ -6,12 +6,24 @@ Bridges have their contract in `uoarm.bridge`, front ends theirs in `uoarm.serve
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 from attrs import field, frozen
 
 from uoarm._plugins import hookimpl, hookspec
 
-__all__ = ["CONTRACT_VERSION", "Check", "CheckHooks", "Command", "CommandHooks", "hookimpl"]
+__all__ = [
+    "CONTRACT_VERSION",
+    "Check",
+    "CheckHooks",
+    "Command",
+    "CommandHooks",
+    "DefinitionFormat",
+    "DefinitionHooks",
+    "Definitions",
+    "hookimpl",
+]
 
 CONTRACT_VERSION = 1
 """Of the hooks of this module."""
@@ -49,6 +61,38 @@ class Check:
     contract: int = field(kw_only=True)
 
 
+@frozen
+class Definitions:
+    """The message types that files of a folder define.
+
+    Attributes:
+        schemas: the JSON Schema of each type, as the bridge to its framework describes it, by the
+            native type.
+        problems: why a type cannot be read, by the native type.
+    """
+
+    schemas: Mapping[str, Mapping[str, Any]]
+    problems: Mapping[str, str] = field(factory=dict)
+
+
+@frozen
+class DefinitionFormat:
+    """Files that define message types, read without their framework.
+
+    Attributes:
+        name: of the format, in errors.
+        suffixes: of its files, `.msg` and the like.
+        read: returns what the files below a folder define; raises ConfigurationError, with what to
+            do, where it cannot. It ends by itself, whatever the folder holds.
+        contract: as of `Command`.
+    """
+
+    name: str
+    suffixes: frozenset[str]
+    read: Callable[[Path], Definitions]
+    contract: int = field(kw_only=True)
+
+
 class CommandHooks:
     """The hooks that a module behind an entry point of group `uoarm.commands` implements."""
 
@@ -67,4 +111,13 @@ class CheckHooks:
     @hookspec
     def uoarm_checks(self) -> list[Check]:
         """Return the checks of this plugin. Called by `uoarm doctor`; imports no middleware."""
+        raise NotImplementedError
+
+
+class DefinitionHooks:
+    """The hooks that a module behind an entry point of group `uoarm.definitions` implements."""
+
+    @hookspec
+    def uoarm_definition_formats(self) -> list[DefinitionFormat]:
+        """Return the formats that this plugin reads. Imports no middleware."""
         raise NotImplementedError

@@ -1,7 +1,8 @@
 """The lock: what a robot's plans rest on, as a file, and what a difference of it breaks."""
 
 from uoarm._lock._compare import Finding, Outcome, compare
-from uoarm._lock._record import Lock, LockError, read_lock, read_schemas, record, write_lock
+from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
+from uoarm._lock._schemas import read_schemas
 
 __all__ = [
     "Finding",

@@ -9,7 +9,6 @@ from typing import Any
 
 from attrs import field, frozen
 
-from uoarm._meaning import name_of_type
 from uoarm.errors import ConfigurationError
 from uoarm.model import (
     Edge,
@@ -23,11 +22,10 @@ from uoarm.model import (
     to_json,
 )
 
-__all__ = ["Lock", "LockError", "read_lock", "read_schemas", "record", "write_lock"]
+__all__ = ["Lock", "LockError", "read_json", "read_lock", "record", "write_lock"]
 
 _VERSION = 1
 _MOST_OCTETS = 100_000_000
-_MOST_FILES = 10_000
 
 
 class LockError(ConfigurationError):
@@ -158,7 +156,7 @@ def read_lock(path: Path) -> Lock:
     Raises:
         LockError: there is none, or it is no lock of this version.
     """
-    data = _json(path)
+    data = read_json(path)
     if not isinstance(data, dict) or data.get("version") != _VERSION:
         told = data.get("version") if isinstance(data, dict) else None
         raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {told}")
@@ -175,29 +173,8 @@ def read_lock(path: Path) -> Lock:
     return lock
 
 
-def read_schemas(folder: Path) -> dict[str, Any]:
-    """Return the JSON Schemas of a folder by the types that they are of.
-
-    Types are named by `x-type`, by the title and by the name of the file, `.json` or `.schema`.
-
-    Raises:
-        LockError: a file cannot be read, or there is none.
-    """
-    found: dict[str, Any] = {}
-    paths = sorted(path for path in folder.rglob("*") if path.suffix in {".json", ".schema"})
-    if not paths or len(paths) > _MOST_FILES:
-        raise LockError(
-            f"{folder}: expected 1 to {_MOST_FILES:,} files *.json or *.schema, got {len(paths):,}"
-        )
-    for path in paths:
-        schema = _json(path)
-        if isinstance(schema, dict):
-            names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
-            found |= {name: schema for name in names if isinstance(name, str) and name}
-    return found
-
-
-def _json(path: Path) -> Any:
+def read_json(path: Path) -> Any:
+    """Return what a file of JSON holds; raises LockError."""
     try:
         if path.stat().st_size > _MOST_OCTETS:
             raise LockError(f"{path}: larger than {_MOST_OCTETS:,} octets")

@@ -34,7 +34,8 @@ __all__ = ["lock"]
 @click.option(
     "--against",
     type=click.Path(exists=True),
-    help="Compare with this lock, or with the JSON Schemas of this folder; no bridge is asked.",
+    help="Compare with this lock, or with the definitions of this folder: JSON Schemas, and what "
+    "plugins read; no bridge is asked.",
 )
 @click.option(
     "--format", "form", type=click.Choice(["text", "json", "github"]), default="text",
@@ -57,7 +58,7 @@ def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -
                 findings = list(compare(before, _lock_of(robot)))
         else:
             other = Path(against)
-            after = read_schemas(other) if other.is_dir() else read_lock(other)
+            after = read_schemas(other, before) if other.is_dir() else read_lock(other)
             findings = list(compare(before, after))
     _tell(findings, form, path)
     sys.exit(0 if all(one.outcome is Outcome.FITS for one in findings) else REFUSED)

@@ -75,6 +75,15 @@ def read_definitions(*folders: str | Path) -> Definitions:
     return reading.definitions()
 
 
+def types_of(path: Path) -> tuple[str, ...]:
+    """Return the types that a file defines, as its name and its folders tell."""
+    kind = _KINDS.get(path.suffix) or path.parent.name
+    if kind not in _PARTS:
+        kind = "msg"
+    package = path.parent.parent if path.parent.name == kind else path.parent
+    return tuple(f"{package.name}/{kind}/{path.stem}{ending}" for ending in _PARTS[kind])
+
+
 class _Reading:
     """Definitions that were read, each turned into a record when it is asked for."""
 
@@ -121,15 +130,12 @@ class _Reading:
                 if message.name not in self._messages:
                     self._messages[message.name] = message, {}
             return
-        kind = _KINDS[path.suffix]
-        package = path.parent.parent if path.parent.name == kind else path.parent
-        name = f"{package.name}/{kind}/{path.stem}"
         parts = re.split(r"^---[ \t]*$", text, flags=re.MULTILINE)
-        endings = _PARTS[kind]
-        if len(parts) != len(endings):
-            raise ValueError(f"{len(parts)} parts between lines of ---, not {len(endings)}")
-        for ending, part in zip(endings, parts, strict=True):
-            self._messages[name + ending] = self._parse(f"{name}{ending}", part)
+        names = types_of(path)
+        if len(parts) != len(names):
+            raise ValueError(f"{len(parts)} parts between lines of ---, not {len(names)}")
+        for name, part in zip(names, parts, strict=True):
+            self._messages[name] = self._parse(name, part)
 
     def _parse(self, name: str, text: str) -> tuple[Message, Mapping[str, tuple[bool, str]]]:
         """Return a message, and of its texts whether they are wide and what follows their names.

@@ -1,0 +1,104 @@
+"""The structures that files of a folder define: JSON Schemas, and what plugins read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from uoarm._lock._record import Lock, LockError, read_json
+from uoarm._meaning import name_of_type
+from uoarm._origin import install_command
+from uoarm._plugins import cause_of, values_of
+from uoarm.errors import ConfigurationError, PluginError
+from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
+
+__all__ = ["read_schemas"]
+
+_GROUP = "uoarm.definitions"
+_SCHEMAS = frozenset({".json", ".schema"})
+_OF_ROS = frozenset({".msg", ".srv", ".action"})
+_MOST_FILES = 20_000
+
+
+def read_schemas(folder: Path, lock: Lock) -> dict[str, Any]:
+    """Return the JSON Schemas of a folder by the types that they are of.
+
+    Types of schemas are named by `x-type`, by the title and by the name of the file, `.json` or
+    `.schema`; those of other definitions by the plugin that reads them.
+
+    Args:
+        folder: with all that is below it.
+        lock: whose types are to be readable where the folder defines them.
+
+    Raises:
+        LockError: a file or the definition of a type of the lock cannot be read, or there is none.
+        ConfigurationError: what reads the files is not installed.
+    """
+    formats = _formats()
+    known = _SCHEMAS.union(_OF_ROS, *(one.suffixes for one, _ in formats))
+    paths = sorted(path for path in folder.rglob("*") if path.suffix in known)
+    if not paths or len(paths) > _MOST_FILES:
+        kinds = ", ".join(f"*{suffix}" for suffix in sorted(known))
+        raise LockError(
+            f"{folder}: expected 1 to {_MOST_FILES:,} files of {kinds}, got {len(paths):,}"
+        )
+    found: dict[str, Any] = {}
+    for path in paths:
+        schema = read_json(path) if path.suffix in _SCHEMAS else None
+        if isinstance(schema, dict):
+            names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
+            found |= {name: schema for name in names if isinstance(name, str) and name}
+    left = {path.suffix for path in paths} - _SCHEMAS
+    for one, point in formats:
+        if one.suffixes & left:
+            left -= one.suffixes
+            defined = _read(one, point, folder)
+            _refuse_unreadable(folder, lock, defined.problems)
+            found |= defined.schemas
+    if left:
+        raise LockError(
+            f"{folder}: nothing that is installed reads its files of {sorted(left)}: definitions "
+            f"of ROS are read with {install_command('uoarm-ros2', 'definitions')}"
+        )
+    return found
+
+
+def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
+    found = []
+    for point in sorted(entry_points(group=_GROUP), key=lambda point: point.name):
+        try:
+            found += [(one, point) for one in _load(point)]
+        except Exception as error:
+            # Without it a definition that differs would pass for one that is not there.
+            text = f"the plugin {point.name} cannot be used: {cause_of(error, point)}"
+            raise LockError(text) from error
+    return found
+
+
+def _load(point: EntryPoint) -> list[DefinitionFormat]:
+    formats = values_of(point, DefinitionHooks, "uoarm_definition_formats", DefinitionFormat)
+    for one in formats:
+        if one.contract != CONTRACT_VERSION:
+            raise PluginError(
+                f"it is written for version {one.contract} of the hooks, this uoarm has version "
+                f"{CONTRACT_VERSION}: install matching versions"
+            )
+    return formats
+
+
+def _read(one: DefinitionFormat, point: EntryPoint, folder: Path) -> Definitions:
+    try:
+        return one.read(folder)
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        text = f"{folder}: {one.name} cannot be read: {cause_of(error, point)}"
+        raise LockError(text) from error
+
+
+def _refuse_unreadable(folder: Path, lock: Lock, problems: Mapping[str, str]) -> None:
+    """Raise LockError for the first type of the lock that cannot be read, which may differ."""
+    for name in sorted({one.native_type for one in lock.structures.values()} & set(problems)):
+        raise LockError(f"{folder}: the definition of {name} cannot be read: {problems[name]}")

@@ -1,0 +1,103 @@
+"""A lock is compared with what plugins read; what they cannot read never passes for unchanged."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from uoarm._lock import _schemas
+from uoarm.cli import main
+from uoarm.errors import ConfigurationError
+from uoarm.plugins import DefinitionFormat, Definitions, hookimpl
+
+BEFORE = {"type": "object", "properties": {"width": {"type": "number"}}, "required": ["width"]}
+
+
+def read(folder: Path) -> Definitions:
+    schemas: dict[str, Mapping[str, Any]] = {}
+    problems: dict[str, str] = {}
+    for path in folder.rglob("*.fields"):
+        text = path.read_text()
+        if text == "absent":
+            raise ConfigurationError("the parser is not installed: install uoarm-mine[parser]")
+        if text == "broken":
+            raise RuntimeError("out of luck")
+        if text == "?":
+            problems[f"mine/{path.stem}"] = "line 1 is no field"
+        else:
+            fields = {name: {"type": "number"} for name in text.split()}
+            schemas[f"mine/{path.stem}"] = {
+                "type": "object", "properties": fields, "required": [*fields],
+            }  # fmt: skip
+    return Definitions(schemas, problems)
+
+
+@hookimpl
+def uoarm_definition_formats() -> list[DefinitionFormat]:
+    return [DefinitionFormat("lists of fields", frozenset({".fields"}), read, contract=1)]
+
+
+@pytest.fixture(autouse=True)
+def plugins(monkeypatch: pytest.MonkeyPatch) -> list[EntryPoint]:
+    points = [EntryPoint("mine", __name__, "uoarm.definitions")]
+    monkeypatch.setattr(_schemas, "entry_points", lambda group: points)
+    return points
+
+
+def check(folder: Path, **files: str) -> Result:
+    part = {
+        "component": "gripper", "function": "grip", "bridge": "b", "plugin": "mine",
+        "ports": {"output.default": "f"},
+    }  # fmt: skip
+    function = {"parts": [part], "edges": [], "passed_over": {}, "refused": ""}
+    structures = {"f": {"native_type": "mine/Grip", "structure": BEFORE}}
+    lock = {"version": 1, "functions": {"grip": function}, "structures": structures}
+    (folder / "robot.lock").write_text(json.dumps(lock))
+    against = folder / "definitions"
+    against.mkdir()
+    for name, text in files.items():
+        (against / name.replace("__", ".")).write_text(text)
+    words = ["--lock", str(folder / "robot.lock"), "--check", "--against", str(against)]
+    return CliRunner().invoke(main, ["lock", *words])
+
+
+def test_what_a_plugin_reads_is_compared(tmp_path: Path) -> None:
+    done = check(tmp_path, Grip__fields="opening", Other__fields="?")
+    assert done.exit_code == 1, done.output
+    assert "grip: output.default: breaks: the field 'width' is required" in done.output
+
+
+def test_what_is_the_same_fits(tmp_path: Path) -> None:
+    done = check(tmp_path, Grip__fields="width", Other__json="{}")
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"Grip__fields": "?"}, "the definition of mine/Grip cannot be read: line 1 is no field"),
+        ({"Grip__fields": "absent"}, "install uoarm-mine[parser]"),
+        ({"Grip__fields": "broken"}, "lists of fields cannot be read: RuntimeError: out of luck"),
+        ({"Grip__msg": "int8 a", "Other__json": "{}"}, "uoarm-ros2[definitions]"),
+        ({}, "expected 1 to 20,000 files of *.action, *.fields, *.json, *.msg, *.schema, *.srv"),
+    ],
+)
+def test_what_cannot_be_read_is_an_error(tmp_path: Path, files: dict[str, str], said: str) -> None:
+    done = check(tmp_path, **files)
+    assert done.exit_code == 3, done.output
+    assert said in done.output
+
+
+def test_a_plugin_that_cannot_be_loaded_is_an_error(
+    tmp_path: Path, plugins: list[EntryPoint]
+) -> None:
+    plugins.append(EntryPoint("gone", "no_such_module", "uoarm.definitions"))
+    done = check(tmp_path, Grip__fields="width")
+    assert done.exit_code == 3, done.output
+    assert "the plugin gone cannot be used: ModuleNotFoundError" in done.output
