@@ -6,13 +6,14 @@ import asyncio
 import re
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from uoarm import AsyncRobotManager, RobotManager
 from uoarm.bridge import Bridge, Description, Registry, Sink, Source
 from uoarm.config import loads
-from uoarm.errors import CommandRefusedError
+from uoarm.errors import BridgeError, CommandRefusedError
 from uoarm.model import Deliver, Endpoint, Message, MessageStructure, to_json
 from uoarm.testing import Background, patience, wait
 
@@ -187,3 +188,48 @@ def test_the_twin_for_event_loops_stops_and_releases(robot: RobotManager, motors
 
     asyncio.run(run())
     assert motors.taken == {"left": [0]}
+
+
+class TestStopFile:
+    """Of a manager that is made again."""
+
+    def made(self, motors: Motors, file: Path) -> RobotManager:
+        given = {"motors": motors}
+        return RobotManager(loads(ROBOT), registry=Registry(()), bridges=given, stop_file=file)
+
+    def test_what_opens_after_a_restart_is_held(self, tmp_path: Path) -> None:
+        file = tmp_path / "folder" / "stopped"
+        with self.made(Motors(), file) as robot:
+            assert not robot.is_stopped
+            robot.stop_all(timeout=patience())
+            assert file.exists()
+        motors = Motors()
+        with self.made(motors, file) as robot:
+            assert robot.is_stopped
+            left = robot.request("left")
+            assert motors.taken == {"left": [0]}
+            with pytest.raises(CommandRefusedError):
+                left.send(5)
+            robot.release()
+            left.send(5)
+            assert not file.exists()
+        with self.made(Motors(), file) as robot:
+            assert not robot.is_stopped
+
+    def test_where_it_cannot_be_written_the_stop_goes_on_and_says_so(self, tmp_path: Path) -> None:
+        (tmp_path / "folder").write_text("a file", encoding="utf-8")
+        motors = Motors()
+        with self.made(motors, tmp_path / "folder" / "stopped") as robot:
+            robot.request("left")
+            report = robot.stop_all(timeout=patience())
+            assert motors.taken == {"left": [0]}
+            assert "NOT STOPPED AFTER A RESTART" in str(report)
+            assert "cannot be written" in report.unkept
+
+    def test_where_it_cannot_be_removed_nothing_is_released(self, tmp_path: Path) -> None:
+        file = tmp_path / "stopped"
+        (file / "full").mkdir(parents=True)
+        with self.made(Motors(), file) as robot:
+            with pytest.raises(BridgeError, match="nothing was released"):
+                robot.release()
+            assert robot.is_stopped

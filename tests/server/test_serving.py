@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import stat
 import subprocess
 import sys
 import urllib.error
@@ -90,7 +91,12 @@ def start(tmp_path: Path) -> Iterator[Start]:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"},
+            env={
+                **os.environ,
+                "PYTHONPATH": str(ROOT),
+                "PYTHONUNBUFFERED": "1",
+                "XDG_STATE_HOME": str(tmp_path / "state"),
+            },
         )
         processes.append(process)
         assert process.stdout is not None
@@ -238,6 +244,28 @@ def test_two_signals_stop_what_moves_and_let_commands_through_again(start: Start
     assert "commands are refused since" in "".join(told)
     process.send_signal(signal.SIGUSR2)
     _until(process, "commands are let through again")
+
+
+def test_what_was_stopped_is_stopped_after_a_restart_until_it_is_released(
+    start: Start, tmp_path: Path
+) -> None:
+    process, port = start()
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        client.ask("Stop")
+        process.kill()  # right after the answer
+    (kept,) = (tmp_path / "state" / "uoarm" / "stopped").iterdir()
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o600
+    process, port = start()
+    told = _until(process, "commands are refused")
+    assert str(kept) in told[-1]
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        assert client.ask("Status")["held"] >= 0
+        client.ask("Stop", message={"release": True})
+        assert not kept.exists()
+        process.kill()
+    process, port = start()
+    with Talk(f"ws://127.0.0.1:{port}/") as client:
+        assert client.ask("Status")["held"] is None
 
 
 def test_a_file_with_mistakes_leaves_the_configuration_as_it_is(

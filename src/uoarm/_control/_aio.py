@@ -242,12 +242,14 @@ class AsyncRobotManager(_Closing):
         *,
         registry: Registry | None = None,
         clock: Clock = time.monotonic,
+        stop_file: str | PathLike[str] | None = None,
     ) -> AsyncRobotManager:
         """Read a configuration file and make its manager; raises as `RobotManager.from_file`.
 
         The file is read at once, in the calling thread.
         """
-        return cls(RobotManager.from_file(path, registry=registry, clock=clock))
+        robot = RobotManager.from_file(path, registry=registry, clock=clock, stop_file=stop_file)
+        return cls(robot)
 
     @property
     def config(self) -> Robot:

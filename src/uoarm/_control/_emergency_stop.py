@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
 
+from uoarm._control._stop_file import StopFile
 from uoarm._dataplane import Clock
 from uoarm._raised import text_of
 from uoarm.bridge import Sink
@@ -14,6 +16,7 @@ from uoarm.model import CommandPhase, CommandStatus, StopOutcome, StopReport
 
 __all__ = ["EmergencyStop"]
 
+_log = logging.getLogger("uoarm.commands")
 _OPENING_SECONDS = 2.0
 _SHARE = 0.8  # of the time, for the answer of an input; the rest is for what it says to get here
 
@@ -25,13 +28,16 @@ class EmergencyStop:
 
     Args:
         clock: seconds.
+        file: is there while all is held; where it is there already, all is held from the beginning.
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, file: StopFile | None = None) -> None:
         self._clock = clock
+        self._file = file
         self._lock = threading.Lock()
         self._sinks: dict[Sink, str] = {}
-        self._since: float | None = None
+        self._asked = 0
+        self._since = clock() if file is not None and file.is_there() else None
 
     @property
     def is_held(self) -> bool:
@@ -70,7 +76,10 @@ class EmergencyStop:
         """Stop everything; say what came of it. Blocks for `timeout` seconds at most."""
         with self._lock:
             since = self._since = self._clock() if self._since is None else self._since
+            self._asked += 1
             sinks = dict(self._sinks)
+        keeping = self._keep()
+        deadline = time.monotonic() + timeout
         results: dict[Sink, CommandStatus | str] = {}
 
         def hold(sink: Sink) -> None:
@@ -80,6 +89,7 @@ class EmergencyStop:
 
         _each(hold, sinks, results, timeout)
         late = f"no answer within {timeout:g} s"
+        unkept = keeping(max(0.0, deadline - time.monotonic()))
         outcomes = [
             _outcome(sink, function, results.get(sink, late))
             for sink, function in sinks.items()
@@ -88,17 +98,56 @@ class EmergencyStop:
         return StopReport(
             self._clock() - since,
             tuple(sorted(outcomes, key=lambda one: (one.component, one.port))),
+            unkept,
         )
+
+    def _keep(self) -> Callable[[float], str]:
+        """Begin to settle the file; what is returned waits for it, and says why it is not there.
+
+        A disk that hangs keeps nothing from being stopped.
+        """
+        file = self._file
+        if file is None:
+            return lambda _: ""
+        told = [f"{file.path} is not settled yet"]
+
+        def write() -> None:
+            try:
+                file.settle(lambda: self.is_held)
+            except OSError as error:
+                told[0] = f"{file.path} cannot be written: {text_of(error)}"
+            else:
+                told[0] = ""
+
+        thread = threading.Thread(target=write, name="uoarm-stop-file", daemon=True)
+        thread.start()
+
+        def wait(timeout: float) -> str:
+            thread.join(timeout)
+            return told[0]
+
+        return wait
 
     def release(self, timeout: float) -> None:
         """Let commands through again; what has stopped stays so until the next one.
 
         Raises:
-            BridgeError: inputs could not be told, which go on refusing commands.
+            BridgeError: inputs could not be told, which go on refusing commands; or nothing was
+                released, since the file cannot be removed, or another stop came meanwhile.
         """
+        asked = self._asked
+        self._forget()
         with self._lock:
-            self._since = None
+            overtaken = self._asked != asked
+            if not overtaken:
+                self._since = None
             sinks = dict(self._sinks)
+        unsettled = self._keep()(timeout)  # a stop may have written it since, or be writing it
+        if unsettled:
+            _log.warning("%s", unsettled)
+        if overtaken:
+            text = "nothing was released: everything was stopped again meanwhile"
+            raise BridgeError(text, FailureReason.REFUSED)
         results: dict[Sink, CommandStatus | str] = {}
 
         def release(sink: Sink) -> None:
@@ -114,6 +163,15 @@ class EmergencyStop:
         if held:
             text = f"these inputs go on refusing commands: {'; '.join(held)}"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _forget(self) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.remove()
+        except OSError as error:
+            text = f"nothing was released: {self._file.path} cannot be removed: {text_of(error)}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 
 def _each(

@@ -17,6 +17,7 @@ from uoarm._control import _events as ev
 from uoarm._control._bridges import BridgeSet
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._draft import connection_of
+from uoarm._control._emergency_stop import EmergencyStop
 from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._lanes import Job, Lanes
 from uoarm._control._live_component import LiveComponent
@@ -50,6 +51,7 @@ class Executor:
         events: where changes are announced.
         revisions: of the configuration, in which plans are found.
         clock: seconds.
+        emergency_stop: holds all inputs that move something.
     """
 
     def __init__(
@@ -60,9 +62,10 @@ class Executor:
         events: EventDispatcher,
         revisions: Revisions,
         clock: Clock,
+        emergency_stop: EmergencyStop,
     ) -> None:
         self.state = state
-        self.live = LiveParts(bridges, lambda: self.state, clock, self._judged)
+        self.live = LiveParts(bridges, lambda: self.state, clock, self._judged, emergency_stop)
         self._bridges = bridges
         self._revisions = revisions
         self._clock = clock

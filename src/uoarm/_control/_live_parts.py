@@ -84,6 +84,7 @@ class LiveParts:
         state: gives the state of this moment.
         clock: seconds.
         judged: told, with a component's id, when the verdict on what it raises changes.
+        emergency_stop: holds all inputs that move something.
     """
 
     def __init__(
@@ -92,12 +93,13 @@ class LiveParts:
         state: Callable[[], State],
         clock: Clock,
         judged: Callable[[int, Health, str], None],
+        emergency_stop: EmergencyStop,
     ) -> None:
         self._bridges = bridges
         self._judged = judged
         self._state = state
         self._clock = clock
-        self.emergency_stop = EmergencyStop(clock)
+        self.emergency_stop = emergency_stop
         self.runtimes: dict[str, ConnectionRuntime] = {}
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}

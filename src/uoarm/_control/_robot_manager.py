@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Any, final, overload
 
@@ -18,6 +19,7 @@ from uoarm._control._candidate_watch import CandidateWatch
 from uoarm._control._connection import Connection
 from uoarm._control._connection_runtime import ConnectionRuntime
 from uoarm._control._discovery import discover
+from uoarm._control._emergency_stop import EmergencyStop
 from uoarm._control._event_dispatcher import EventDispatcher
 from uoarm._control._events import Requested
 from uoarm._control._executor import Executor
@@ -26,6 +28,7 @@ from uoarm._control._revisions import Revision, Revisions, StagedRevision
 from uoarm._control._services import Services
 from uoarm._control._staleness import StalenessWatch
 from uoarm._control._state import State, recently
+from uoarm._control._stop_file import StopFile
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._mistakes import choose
@@ -78,6 +81,9 @@ class RobotManager:
         registry: bridge plugins; None: those installed.
         bridges: ready instances by name, instead of making them from the configuration.
         clock: a monotonic clock, in seconds, for ages and rates.
+        stop_file: a file that is there from `stop_all` to `release`, readable by this user only:
+            a manager that is made while it is there begins stopped. One for each robot. None:
+            a stop lasts as long as the manager.
     """
 
     def __init__(
@@ -87,6 +93,7 @@ class RobotManager:
         registry: Registry | None = None,
         bridges: Mapping[str, Bridge] | None = None,
         clock: Clock = time.monotonic,
+        stop_file: str | PathLike[str] | None = None,
     ) -> None:
         self.registry = registry or Registry()
         robot = assign(robot, self.registry.types)
@@ -109,6 +116,9 @@ class RobotManager:
             events=self._events,
             revisions=self._revisions,
             clock=clock,
+            emergency_stop=EmergencyStop(
+                clock, None if stop_file is None else StopFile(Path(stop_file))
+            ),
         )
         self._candidates = CandidateWatch(
             self._revisions, self._executor, self._bridges.get, self.registry.types
@@ -150,6 +160,7 @@ class RobotManager:
         *,
         registry: Registry | None = None,
         clock: Clock = time.monotonic,
+        stop_file: str | PathLike[str] | None = None,
     ) -> RobotManager:
         """Read a configuration file and make its manager; bridges start when needed.
 
@@ -157,7 +168,8 @@ class RobotManager:
             ConfigurationError: the file has mistakes; the text lists all of them.
         """
         registry = registry or Registry()
-        return cls(load(path, registry.types), registry=registry, clock=clock)
+        robot = load(path, registry.types)
+        return cls(robot, registry=registry, clock=clock, stop_file=stop_file)
 
     def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
         """Return the plan that `request` would open, without opening anything.
@@ -511,7 +523,8 @@ class RobotManager:
         """Let commands through again; what has stopped stands still until the next one.
 
         Raises:
-            BridgeError: some inputs could not be told; they go on refusing commands.
+            BridgeError: some inputs could not be told; they go on refusing commands. Or nothing was
+                released: the stop file cannot be removed, or another stop came meanwhile.
         """
         self._executor.live.emergency_stop.release(timeout)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import signal
 import sys
 import threading
@@ -26,6 +27,10 @@ __all__ = ["serve", "token"]
 _USED = 5
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 5.0
+_BEGINS_STOPPED = (
+    "commands are refused: the robot was stopped and not released. "
+    "`uoarm stop --release --url URL` or SIGUSR2 lets them through. It is kept in"
+)
 _LAST_PORT = 65_535
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -78,7 +83,8 @@ def serve(
 ) -> None:
     """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM; SIGHUP reads it again.
 
-    SIGUSR1 stops every input that moves something until SIGUSR2 releases them.
+    SIGUSR1 stops every input that moves something until SIGUSR2 releases them. A robot that was
+    stopped stays so when it is served again.
 
     Endpoints: / speaks the native protocol, and each installed front end has its own: /rosbridge
     speaks rosbridge v2. /healthz and /metrics answer over HTTP.
@@ -86,10 +92,13 @@ def serve(
     ports = dict(front_end_ports)
     if rosbridge_port is not None:
         ports["rosbridge"] = rosbridge_port
-    with open_robot(robot or file) as manager:
+    stop_file = _stop_file(robot or file)
+    with open_robot(robot or file, stop_file) as manager:
         with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
         chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)
+        if manager.is_stopped:
+            click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
         try:
             with _stopping(manager), _reloading(manager, watch=watch_config):
@@ -114,6 +123,14 @@ def token(name: str, role: str) -> None:
     made = make_token()
     click.echo(f"token: {made}", err=True)
     click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
+
+
+def _stop_file(configuration: str) -> Path:
+    """Return where it is kept that the robot of a configuration file is stopped."""
+    with reporting(), needing("server"):
+        from uoarm.server.http import state_folder  # noqa: PLC0415 - an extra, and slow
+    path = str(Path(configuration).resolve())
+    return state_folder() / "stopped" / hashlib.sha256(path.encode()).hexdigest()[:32]
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -91,9 +92,9 @@ def needing(extra: str) -> Iterator[None]:
 
 
 @contextmanager
-def open_robot(file: str) -> Iterator[RobotManager]:
+def open_robot(file: str, stop_file: Path | None = None) -> Iterator[RobotManager]:
     """Read the configuration and close the manager whatever happens."""
-    with reporting(), RobotManager.from_file(file) as robot:
+    with reporting(), RobotManager.from_file(file, stop_file=stop_file) as robot:
         yield robot
 
 

@@ -124,10 +124,13 @@ class StopReport:
     Attributes:
         since: seconds since commands are refused.
         inputs: by component and port.
+        unkept: why a manager that is started again would not be stopped; empty where it would,
+            and where that was not asked for.
     """
 
     since: float
     inputs: tuple[StopOutcome, ...] = ()
+    unkept: str = ""
 
     @property
     def stopped(self) -> bool:
@@ -136,4 +139,7 @@ class StopReport:
 
     def __str__(self) -> str:
         held = f"commands are refused since {self.since:.3f} s"
-        return "\n".join((held, *(str(one) for one in self.inputs or ("nothing open moves",))))
+        lines = [held, *(str(one) for one in self.inputs or ("nothing open moves",))]
+        if self.unkept:
+            lines.append(f"NOT STOPPED AFTER A RESTART  {self.unkept}")
+        return "\n".join(lines)
