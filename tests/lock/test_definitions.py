@@ -60,7 +60,7 @@ def check(folder: Path, **files: str) -> Result:
     lock = {"version": 1, "functions": {"grip": function}, "structures": structures}
     (folder / "robot.lock").write_text(json.dumps(lock))
     against = folder / "definitions"
-    against.mkdir()
+    against.mkdir(exist_ok=True)
     for name, text in files.items():
         (against / name.replace("__", ".")).write_text(text)
     words = ["--lock", str(folder / "robot.lock"), "--check", "--against", str(against)]
@@ -76,6 +76,14 @@ def test_what_a_plugin_reads_is_compared(tmp_path: Path) -> None:
 def test_what_is_the_same_fits(tmp_path: Path) -> None:
     done = check(tmp_path, Grip__fields="width", Other__json="{}")
     assert done.exit_code == 0, done.output
+
+
+def test_what_lies_beside_a_definition_is_no_schema(tmp_path: Path) -> None:
+    schema = json.dumps({"title": "mine/Grip", "type": "string"})
+    done = check(tmp_path, Width__fields="width", Width__json=schema)
+    assert done.exit_code == 0, done.output
+    done = check(tmp_path, Width__json=schema, Width__fields="", Other__json=schema)
+    assert done.exit_code == 1, done.output
 
 
 @pytest.mark.parametrize(

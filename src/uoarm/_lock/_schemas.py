@@ -45,8 +45,12 @@ def read_schemas(folder: Path, lock: Lock) -> dict[str, Any]:
             f"{folder}: expected 1 to {_MOST_FILES:,} files of {kinds}, got {len(paths):,}"
         )
     found: dict[str, Any] = {}
+    defined_beside = {path.with_suffix("") for path in paths if path.suffix not in _SCHEMAS}
     for path in paths:
-        schema = read_json(path) if path.suffix in _SCHEMAS else None
+        # What an installed package has beside a definition describes it, and is no schema.
+        if path.suffix not in _SCHEMAS or path.with_suffix("") in defined_beside:
+            continue
+        schema = read_json(path)
         if isinstance(schema, dict):
             names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
             found |= {name: schema for name in names if isinstance(name, str) and name}
