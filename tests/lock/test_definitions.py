@@ -93,7 +93,11 @@ def test_what_lies_beside_a_definition_is_no_schema(tmp_path: Path) -> None:
         ({"Grip__fields": "absent"}, "install uoarm-mine[parser]"),
         ({"Grip__fields": "broken"}, "lists of fields cannot be read: RuntimeError: out of luck"),
         ({"Grip__msg": "int8 a", "Other__json": "{}"}, "uoarm-ros2[definitions]"),
-        ({}, "expected 1 to 20,000 files of *.action, *.fields, *.json, *.msg, *.schema, *.srv"),
+        ({"Grip__idl": "struct Grip {};", "Other__json": "{}"}, "uoarm-ros2[definitions]"),
+        (
+            {},
+            "expected 1 to 20,000 files of *.action, *.fields, *.idl, *.json, *.msg",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_an_error(tmp_path: Path, files: dict[str, str], said: str) -> None:

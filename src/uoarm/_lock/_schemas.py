@@ -18,7 +18,7 @@ __all__ = ["read_schemas"]
 
 _GROUP = "uoarm.definitions"
 _SCHEMAS = frozenset({".json", ".schema"})
-_OF_ROS = frozenset({".msg", ".srv", ".action"})
+_OF_ROS = frozenset({".msg", ".srv", ".action", ".idl"})
 _MOST_FILES = 20_000
 
 
