@@ -18,8 +18,12 @@ from uoarm.schema._errors import BudgetError
 from uoarm.schema._meter import Meter
 from uoarm.schema.explain import find_losses
 from uoarm.schema.read import Document, Pool
+from uoarm.schema.solve._branch import Branch
+from uoarm.schema.solve._number_goals import find_number_whole
+from uoarm.schema.solve._solver import State
 
 PATIENT = 1_000.0
+"""Seconds that no check takes: steps or octets end it, not the clock of a busy machine."""
 ANY: dict[str, object] = {"type": "integer"}
 
 
@@ -55,7 +59,7 @@ def test_a_long_counterexample_is_told_and_not_built(producer: Any, consumer: An
 def test_a_long_counterexample_is_built_when_asked_for() -> None:
     producer = {"prefixItems": [{"const": "x"}], **rows(30_000, {"type": "array", "minItems": 2})}
     consumer = {"maxItems": 7}
-    built = check(producer, consumer).build_counterexample()
+    built = check(producer, consumer, budget=Budget(seconds=PATIENT)).build_counterexample()
     assert built[0] == "x"
     assert built[1:] == [[0, 0]] * 29_999 or len(built) == 30_000
     assert Reference(producer).accepts(built)
@@ -73,7 +77,7 @@ def deep_object(levels: int) -> dict[str, object]:
 
 @pytest.mark.parametrize("levels", [200, 1_500])
 def test_a_deep_counterexample_is_told_in_a_form_that_json_can_write(levels: int) -> None:
-    verdict = check(deep_object(levels), {"type": "string"})
+    verdict = check(deep_object(levels), {"type": "string"}, budget=Budget(seconds=PATIENT))
     assert verdict.incompatible
     assert verdict.abridged is (levels > 250)
     assert len(json.dumps(verdict.to_dict())) < 10_000
@@ -95,7 +99,7 @@ def losing(fields: int) -> tuple[Any, Any]:
 
 def test_what_is_lost_is_told_within_the_budget() -> None:
     """Less of it is told where the budget ends; what was proven stays."""
-    whole = check(*losing(200))
+    whole = check(*losing(200), budget=Budget(seconds=PATIENT))
     assert whole.compatible
     assert len(whole.losses) == 200
     pool = Pool(Meter(10**6, PATIENT, 10**9))
@@ -112,7 +116,7 @@ def test_what_is_lost_is_told_beside_patterns_that_are_not_decided() -> None:
 
 
 def test_a_short_one_is_there_at_once() -> None:
-    verdict = check(rows(500, ANY), {"maxItems": 7})
+    verdict = check(rows(500, ANY), {"maxItems": 7}, budget=Budget(seconds=PATIENT))
     assert not verdict.abridged
     assert verdict.counterexample == verdict.build_counterexample() == [0] * 500
 
@@ -191,6 +195,38 @@ def test_what_ran_out_is_told_with_the_part_that_took_longest() -> None:
 def test_the_clock_is_read_often_however_steps_are_counted(step: int) -> None:
     with pytest.raises(BudgetError, match="time"):
         spend_often(clocked(10.0), step)
+
+
+MANY_PARTS = [{"type": "integer", "minimum": n} for n in range(2_000)]
+
+
+@pytest.mark.parametrize(
+    ("schema", "sign"),
+    [({"anyOf": MANY_PARTS}, True), ({"anyOf": MANY_PARTS}, False), ({"allOf": MANY_PARTS}, False)],
+)
+def test_the_clock_is_read_while_a_goal_of_many_schemas_is_broken_into_demands(
+    schema: dict[str, object], sign: bool
+) -> None:
+    ticks = count()
+    pool = Pool(Meter(10**9, 10**9, 10**9, clock=lambda: next(ticks)))
+    root = Document(schema, pool).root
+    numbers = {one.number for one in root.applied()}
+    assert len(numbers) == len(MANY_PARTS)
+    before = next(ticks)
+    State("number", ()).add(Branch(literals=[(root, sign)]))
+    assert next(ticks) > before + 1
+
+
+def test_the_clock_is_read_while_the_steps_of_many_numbers_are_gathered() -> None:
+    pool = Pool(Meter(10**9, 10**9, 10**9))
+    goal = ((Document({"anyOf": MANY_PARTS, "multipleOf": 7}, pool).root, True),)
+
+    def spend(steps: int) -> None:
+        raise BudgetError(f"at the first of {steps}")
+
+    with pytest.raises(BudgetError) as ended:
+        find_number_whole(goal, spend)
+    assert any(one.name == "_steps" for one in ended.traceback)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

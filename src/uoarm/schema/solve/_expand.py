@@ -32,6 +32,7 @@ def expand(literal: Literal, kind: str) -> Branch | None:
     if node.kinds is not None and kind not in node.kinds:
         return Branch()
     branches = _violations(node, kind)
+    node.document.meter.spend(len(branches) // 8)
     if not branches:
         return None
     if len(branches) == 1:
@@ -50,7 +51,7 @@ def _positive(node: Node, kind: str) -> Branch | None:
     if node.reference is not None:
         whole.literals.append((node.target(), True))
     if node.any_of is not None:
-        whole.choices.append(Choice([Branch(literals=[(one, True)]) for one in node.any_of]))
+        whole.choices.append(_any_one(node.any_of))
     if node.one_of is not None:
         whole.choices.append(_exactly_one(node.one_of, kind))
     if node.negated is not None:
@@ -87,10 +88,19 @@ def _check_few(nodes: Sequence[Node]) -> None:
         nodes[0].document.meter.spend(len(nodes) ** 2 // 8)
 
 
+def _any_one(nodes: Sequence[Node]) -> Choice:
+    ways: list[Branch] = []
+    for number, one in enumerate(nodes, 1):
+        if not number % 8:
+            one.document.meter.spend()
+        ways.append(Branch(literals=[(one, True)]))
+    return Choice(ways)
+
+
 def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
     possible = _possible(nodes, kind)
     if certainly_disjoint(possible, kind):
-        return Choice([Branch(literals=[(one, True)]) for one in possible])
+        return _any_one(possible)
     _check_few(possible)
     ways: list[Branch] = []
     for i, one in enumerate(possible):

@@ -47,7 +47,7 @@ def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> 
     Raises:
         OutOfScopeError: a schema is out of scope, or too many steps are in play.
     """
-    steps = sorted(_steps([node for node, _ in goal]))
+    steps = sorted(_steps([node for node, _ in goal], spend))
     if len(steps) > _MAX_STEPS:
         raise OutOfScopeError(f"more than {_MAX_STEPS} different steps of numbers meet")
     unknown: Unknown | None = None
@@ -73,7 +73,7 @@ def find_number_whole(goal: Sequence[Literal], spend: Callable[[int], None]) -> 
     return unknown or EMPTY
 
 
-def _steps(nodes: Sequence[Node]) -> set[Fraction]:
+def _steps(nodes: Sequence[Node], spend: Callable[[int], None]) -> set[Fraction]:
     found: set[Fraction] = set()
     waiting = list(nodes)
     seen: set[int] = set()
@@ -82,6 +82,8 @@ def _steps(nodes: Sequence[Node]) -> set[Fraction]:
         if one.number in seen:
             continue
         seen.add(one.number)
+        if not len(seen) % 32:
+            spend(1)
         if one.unsupported:
             raise OutOfScopeError(one.unsupported)
         if one.integer_only:

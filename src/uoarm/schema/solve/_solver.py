@@ -33,6 +33,8 @@ GoalKey: TypeAlias = "frozenset[tuple[int, bool]]"
 
 
 _GIVEN_UP = (OutOfScopeError, UnsupportedPatternError, TooLong)
+_LITERALS = 64
+"""Literals after which the work on them is counted, two for a step."""
 _OF_FRAME = 2_000
 _OF_ANSWER = 300
 """About the octets of a goal under way, and of an answer that is remembered."""
@@ -67,11 +69,15 @@ class State:
         """
         waiting = [branch]
         cause = ""
+        count = 0
         while waiting:
             one = waiting.pop()
             self.atoms.extend(one.atoms)
             self.choices.extend(one.choices)
             for node, sign in one.literals:
+                count += 1
+                if not count % _LITERALS:
+                    node.document.meter.spend(_LITERALS // 2)
                 key = (node.number, sign)
                 if (node.number, not sign) in self.seen:
                     return False
