@@ -13,9 +13,22 @@ from tests.server.shown import END, SHOWN, crowd, front
 from tests.server.talk import eventually
 
 from uoarm import RobotManager
+from uoarm.bridge import Registry
 from uoarm.config import loads
 from uoarm.server import Server, Settings, hash_token, serve_in_thread
+from uoarm.testing import MemoryBridge
 
+MOVES = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  move: {components: [{name: base, bridge: memory, input: {endpoint: [base], stop: {message: 0}}}]}
+"""
+GUEST = """
+version: 1
+roles: {{guest: {{see: ["*"]}}}}
+tokens: [{{name: person, role: guest, sha256: {right}}}]
+"""
 Open = Callable[..., None]
 pytestmark = pytest.mark.needs("chromium")
 
@@ -242,6 +255,61 @@ def test_why_nothing_fits_is_a_tree_too(browser: Browser, visit: Open) -> None:
     browser.until(says(".notice", "Every candidate was rejected"))
     assert browser.js(says(".tree .rejected", "unfit"))
     assert browser.js(says(".tree .rejected .rejected", "counterexample"))
+
+
+class TestEmergencyStop:
+    """Of a base that takes its stop message, or does not."""
+
+    @pytest.fixture
+    def memory(self) -> MemoryBridge:
+        return MemoryBridge()
+
+    @pytest.fixture
+    def robot(self, memory: MemoryBridge) -> Iterator[RobotManager]:
+        memory.taker("base", {"type": "number"})
+        given = {"memory": memory}
+        with RobotManager(loads(MOVES), registry=Registry(()), bridges=given) as robot:
+            yield robot
+
+    def test_it_shows_who_has_not_stopped_until_it_has_and_is_released_when_one_is_sure(
+        self, browser: Browser, visit: Open, robot: RobotManager, memory: MemoryBridge
+    ) -> None:
+        robot.request("move")
+        visit()
+        assert not browser.js("document.querySelector('.stopped')")
+        memory.cut("no radio")
+        browser.click(".stop-all", "Stop all")
+        browser.until(says(".stopped", "NOT STOPPED base.default (move)"))
+        assert robot.is_stopped
+        assert "no radio" in browser.js(text(".stopped"))
+        assert browser.js(CONTRAST) == []
+        memory.mend()
+        browser.until(says(".stopped", "stopped base.default (move)"))
+        browser.click(".stopped .button", "Release")
+        assert robot.is_stopped
+        browser.click(".stopped .button", "sure?")
+        browser.until("!document.querySelector('.stopped')")
+        assert not robot.is_stopped
+
+    def test_who_may_not_is_told_that_nothing_was_stopped(
+        self, browser: Browser, serve: Serve, robot: RobotManager, tmp_path: Path
+    ) -> None:
+        access = tmp_path / "access.yaml"
+        access.write_text(GUEST.format(right=hash_token("right")), encoding="utf-8")
+        server = serve(access=access)
+        browser.show(375, 720, phone=True)
+        browser.go(f"http://127.0.0.1:{server.ports[0]}/")
+        browser.until("document.querySelector('.lock input')")
+        browser.click(".lock input")
+        browser.write("right")
+        browser.press("Enter")
+        browser.until("document.querySelector('.link-state.open')")
+        browser.click(".stop-all", "Stop all")
+        browser.until(says(".stopped", "may not stop"))
+        assert "NOT STOPPED" in browser.js(text(".stopped"))
+        assert not robot.is_stopped
+        browser.complaints.clear()  # of the page that had no token yet
+        assert browser.js("document.documentElement.scrollWidth") == 375
 
 
 def test_everything_works_by_keyboard(browser: Browser, visit: Open) -> None:

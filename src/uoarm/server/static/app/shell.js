@@ -2,6 +2,7 @@
 
 import { useEffect, useRef, useState } from "../vendor/htm-preact.js";
 import { VIEWS, writeAddress } from "./address.js";
+import { StopAll } from "./emergency.js";
 import { noun } from "./format.js";
 import { html, Icon } from "./ui.js";
 
@@ -33,6 +34,7 @@ export function Header({ store, address, query, setQuery }) {
           onInput=${(event) => setQuery(event.target.value)} /><kbd aria-hidden="true">/</kbd></label>
       <p class="link-state ${store.link}" role="status"><span class="lamp" aria-hidden="true"></span>
         <span>${LINKS[store.link]}</span></p>
+      ${store.link !== "locked" && html`<${StopAll} store=${store} />`}
     </header>`;
 }
 

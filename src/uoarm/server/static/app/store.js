@@ -17,6 +17,7 @@ export class Store {
     this.events = [];
     this.since = new Date();
     this.owners = new Map(); // functions of connections, kept when these have ended
+    this.trouble = null; // of the last stop or release
     this.system = join([], NOTHING);
     this.listeners = new Set();
     this.frame = frame;
