@@ -37,6 +37,7 @@ LAYERS = [
     {"config"},
     {"_resolve"},
     {"_lock"},
+    {"_types"},
     {"_control"},
     {"__init__"},
     {"testing", "_pytest_plugin"},

@@ -24,7 +24,7 @@ from uoarm.cli._shared import REFUSED, configuration_option, open_robot, print_j
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
 
-__all__ = ["lock"]
+__all__ = ["lock", "lock_of"]
 
 
 @click.command()
@@ -55,7 +55,7 @@ def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -
         before = read_lock(Path(path))
         if against is None:
             with open_robot(file) as robot:
-                findings = list(compare(before, _lock_of(robot)))
+                findings = list(compare(before, lock_of(robot)))
         else:
             other = Path(against)
             after = read_schemas(other, before) if other.is_dir() else read_lock(other)
@@ -66,7 +66,7 @@ def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -
 
 def _write(file: str, path: Path) -> int:
     with open_robot(file) as robot:
-        made = _lock_of(robot)
+        made = lock_of(robot)
     write_whole(path, write_lock(made).encode())
     refused = {name: one.refused for name, one in made.functions.items() if one.refused}
     for name, why in refused.items():
@@ -76,7 +76,8 @@ def _write(file: str, path: Path) -> int:
     return REFUSED if refused else 0
 
 
-def _lock_of(robot: RobotManager) -> Lock:
+def lock_of(robot: RobotManager) -> Lock:
+    """Return the lock of a robot, as its bridges describe themselves now."""
     plans: dict[str, Plan | str] = {}
     for name in robot.config.functions:
         try:

@@ -36,6 +36,7 @@ from uoarm.cli._shared import (
 )
 from uoarm.cli._status import status
 from uoarm.cli._stop import stop
+from uoarm.cli._types import types
 from uoarm.config import inspect, load
 from uoarm.schema._command import schema
 
@@ -188,3 +189,4 @@ main.add_command(serve)
 main.add_command(token)
 main.add_command(status)
 main.add_command(stop)
+main.add_command(types)

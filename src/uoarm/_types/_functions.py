@@ -1,0 +1,100 @@
+"""The functions of a lock as applications see them, with the shapes of their ports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from attrs import field, frozen
+
+from uoarm._lock import Lock
+from uoarm._types._shape import Named, Names, Record, Shape, Shaper
+
+__all__ = ["Function", "Functions", "Root", "read_functions"]
+
+# What the modules that are written use themselves.
+_RESERVED = frozenset({
+    "Any", "Array", "Callable", "Connection", "False", "FunctionName", "Inputs", "Integer",
+    "Literal", "Never", "None", "NotRequired", "Number", "Numbers", "Object", "Octets", "Outputs",
+    "Promise", "Protocol", "QueuePolicy", "Real", "Record", "Replies", "Requests",
+    "RequestOptions", "Robot", "RobotManager", "Stream", "String", "True", "TypeAlias",
+    "TypedDict", "TypedRobot", "TypedStream", "Uint8Array", "ValidationMode", "bool", "boolean",
+    "bytes", "cast", "dict", "float", "int", "list", "never", "null", "number", "object",
+    "overload", "str", "string", "symbol", "type", "typed", "undefined", "unknown",
+})  # fmt: skip
+
+
+@frozen
+class Root:
+    """The type of one structure: its name, what it is, and the records below it."""
+
+    name: str
+    schema: Any
+    shape: Shape
+    records: tuple[Record, ...]
+
+
+@frozen
+class Function:
+    """What applications send to a function and get from it: port to the name of the type.
+
+    `refused` says that it has no plan.
+    """
+
+    outputs: dict[str, str] = field(factory=dict)
+    inputs: dict[str, str] = field(factory=dict)
+    request: str = ""
+    reply: str = ""
+    refused: bool = False
+
+    def names(self, function: str) -> Iterator[tuple[str, str]]:
+        """Yield by which names an output may be asked for, and its type."""
+        if len(self.outputs) == 1:
+            yield function, next(iter(self.outputs.values()))
+        for output, kind in self.outputs.items():
+            yield f"{function}.{output}", kind
+
+
+@frozen
+class Functions:
+    """All functions of a robot, by name, and the types of their structures."""
+
+    functions: dict[str, Function]
+    roots: tuple[Root, ...]
+
+
+def read_functions(lock: Lock) -> Functions:
+    """Return the functions of a lock, in the order of their names; it does not raise."""
+    names = Names(_RESERVED)
+    roots: dict[str, Root] = {}
+    functions: dict[str, Function] = {}
+    for name, locked in sorted(lock.functions.items()):
+        if not locked.parts:
+            functions[name] = Function(refused=True)
+            continue
+        provider = locked.parts[-1]
+        fed = {edge.input for edge in locked.edges if edge.consumer == provider.component}
+        function = Function()
+        single: dict[str, str] = {}
+        for port, fingerprint in sorted(provider.ports.items()):
+            kind, _, own = port.partition(".")
+            if kind == "input" and own in fed:
+                continue
+            if fingerprint not in roots:
+                schema = lock.structure(fingerprint).schema
+                wanted = f"{name} {kind} {'' if own == 'default' else own}"
+                made = Shaper(schema, wanted, names)
+                shape = made.shape
+                root = shape.name if isinstance(shape, Named) else names.give(wanted)
+                roots[fingerprint] = Root(root, schema, shape, tuple(made.records))
+            told = roots[fingerprint].name
+            if kind == "output":
+                function.outputs[own] = told
+            elif kind == "input":
+                function.inputs[own] = told
+            else:
+                single[kind] = told
+        functions[name] = Function(
+            function.outputs, function.inputs, single.get("request", ""), single.get("reply", "")
+        )
+    return Functions(functions, tuple(roots.values()))
