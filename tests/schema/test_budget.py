@@ -111,8 +111,9 @@ def test_what_is_lost_is_told_within_the_budget() -> None:
 
 def test_what_is_lost_is_told_beside_patterns_that_are_not_decided() -> None:
     one = {"properties": {"a": ANY}, "patternProperties": {"(?<=a)b": ANY}}
-    assert check({"allOf": [one], "properties": {"a": ANY}}, one).compatible
-    assert check(one, one).compatible
+    patient = Budget(seconds=PATIENT)
+    assert check({"allOf": [one], "properties": {"a": ANY}}, one, budget=patient).compatible
+    assert check(one, one, budget=patient).compatible
 
 
 def test_a_short_one_is_there_at_once() -> None:
