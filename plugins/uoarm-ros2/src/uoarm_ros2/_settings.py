@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from attrs import field, frozen
+from attrs import evolve, field, frozen
 
 from uoarm.bridge import reading_endpoint
 from uoarm.model import Endpoint, Options, Role, Schema
@@ -131,13 +131,14 @@ def address_of(endpoint: Endpoint) -> Address:
 
 
 def settings_of(endpoint: Endpoint) -> Settings:
-    """Read an endpoint's options.
+    """Read an endpoint's options. What is offered needs nobody at the other end.
 
     Raises:
         BridgeError: with BAD_ENDPOINT and what is wrong.
     """
     with reading_endpoint(endpoint):
-        return _settings(endpoint.options)
+        settings = _settings(endpoint.options)
+        return evolve(settings, peer_required=False) if endpoint.is_offered else settings
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:

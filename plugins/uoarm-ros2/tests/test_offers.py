@@ -1,0 +1,78 @@
+"""Functions of another framework, offered as topics and services to nodes that know only ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from peers import Peer
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.config import loads
+from uoarm.model import OfferState
+from uoarm.testing import MemoryBridge, wait
+
+Start = Callable[..., Peer]
+NUMBER = {
+    "type": "object",
+    "properties": {"data": {"type": "integer", "minimum": -(2**63), "maximum": 2**63 - 1}},
+    "required": ["data"],
+    "additionalProperties": False,
+}
+FLAG = {
+    "type": "object",
+    "properties": {"data": {"type": "boolean"}},
+    "required": ["data"],
+    "additionalProperties": False,
+}
+TOLD = {
+    "type": "object",
+    "properties": {"success": {"type": "boolean"}, "message": {"type": "string"}},
+    "required": ["success", "message"],
+    "additionalProperties": False,
+}
+ROBOT = """
+version: 1
+bridges: {ros: {plugin: ros2}, one: {plugin: memory}}
+functions:
+  counter: {components: [{name: counter, bridge: one, output: {endpoint: [counter]}}]}
+  arm: {components: [{name: arm, bridge: one, input: {endpoint: [arm]}}]}
+  switch: {components: [{name: switch, bridge: one, service: {endpoint: [switch]}}]}
+offer:
+  ros:
+    counter: {output: {endpoint: [/offered/count, std_msgs/msg/Int64]}}
+    arm: {input: {endpoint: [/offered/goal, std_msgs/msg/Int64]}}
+    switch: {service: {endpoint: [/offered/switch, std_srvs/srv/SetBool]}}
+"""
+
+
+def test_nodes_use_what_is_offered_and_nobody_has_to_be_there_first(
+    make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    memory = MemoryBridge("one")
+    counter: Any = memory.emitter("counter", NUMBER)
+    arm = memory.taker("arm", NUMBER)
+    memory.service("switch", FLAG, TOLD, lambda one: {"success": one["data"], "message": "done"})
+    with RobotManager(loads(ROBOT), bridges={"ros": make_bridge(), "one": memory}) as robot:
+        robot.offer()
+        wait(lambda: {one.state for one in robot.status().offers} == {OfferState.OPEN})
+        node = peer("node")
+        assert node.do("call", name="/offered/switch", value=True) == {
+            "success": True,
+            "message": "done",
+        }
+        node.do("subscribe", topic="/offered/count")
+
+        def heard() -> list[int]:
+            counter.emit({"data": 7})
+            seen: list[int] = node.do("report", topic="/offered/count", expected=1, timeout=0.1)[
+                "seen"
+            ]
+            return seen
+
+        wait(heard)
+        node.do("advertise", topic="/offered/goal")
+        node.do("subscriptions", topic="/offered/goal", expected=1)
+        node.do("publish", topic="/offered/goal", count=3)
+        wait(lambda: [one["data"] for one in arm.taken.messages][-1:] == [3])
