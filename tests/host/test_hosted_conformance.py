@@ -25,7 +25,7 @@ class HostedWorld(World):
 
     def spec(self) -> BridgeSpec:
         path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
-        return BridgeSpec("python", "python", {"path": path})
+        return BridgeSpec("python", "python", {"path": path, "discover": ["parts:Numbers"]})
 
     def pair(self, kind: str) -> Pair:
         return Pair(at(f"parts:{kind}", Role.INPUT), at(f"parts:{kind}", Role.OUTPUT))

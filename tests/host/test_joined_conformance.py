@@ -25,7 +25,9 @@ class JoinedWorld(HostedWorld):
 
     def bridge(self) -> Bridge:
         path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
-        spec = BridgeSpec("python", "python", {"path": path}, {"machine": "arm"})
+        spec = BridgeSpec(
+            "python", "python", {"path": path, "discover": ["parts:Numbers"]}, {"machine": "arm"}
+        )
         return RemoteBridge(spec, self._desk)
 
 

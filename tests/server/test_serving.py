@@ -157,14 +157,11 @@ def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:
     assert "Traceback" not in err
 
 
-def test_tls_auto_tells_the_fingerprint(
-    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+def test_tls_auto_tells_the_fingerprint(start: Start, tmp_path: Path) -> None:
     process, _ = start("--tls", "auto")
     assert process.stdout is not None
     told = process.stdout.readline()
-    path = tmp_path / "uoarm" / "tls" / "server.pem"
+    path = tmp_path / "state" / "uoarm" / "tls" / "server.pem"
     assert told == f"certificate {path}, SHA-256 {fingerprint_of(path)}\n"
 
 
