@@ -77,7 +77,10 @@ def test_commands_and_their_options_exist(block: Block, line: str) -> None:
     command: click.Command = main
     context = click.Context(main)
     while isinstance(command, click.Group):
-        found = command.get_command(context, words.pop(0))
+        name = words.pop(0)
+        found = command.get_command(context, name)
+        if found is None and (ROOT / "plugins" / f"uoarm-{name}").is_dir():
+            pytest.skip(f"uoarm-{name}, which brings the command, is not installed")
         assert found is not None, f"{block}: no such command in {line!r}"
         command = found
     known = {option for one in command.params for option in one.opts} | {"--help"}
