@@ -18,27 +18,14 @@ import numpy.typing as npt
 from uoarm.model import Message
 from uoarm_ros2._checks import Misfit, checker, shown
 from uoarm_ros2._schema import FLOAT32_MAX, integer_range
-from uoarm_ros2._shape import Listing, Scalar, Text
+from uoarm_ros2._shape import NUMBER_CODES, Listing, Scalar, Text
 
 __all__ = ["is_buffer", "taker"]
-
-_CODES = {
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
 
 
 def is_buffer(listing: Listing) -> bool:
     """Whether the native field is one block of numbers."""
-    return isinstance(listing.element, Scalar) and listing.element.name in _CODES
+    return isinstance(listing.element, Scalar) and listing.element.name in NUMBER_CODES
 
 
 def taker(listing: Listing) -> Callable[[Message], object]:
@@ -47,7 +34,7 @@ def taker(listing: Listing) -> Callable[[Message], object]:
     The listing's elements are scalars or texts.
     """
     counted = _counter(listing)
-    if isinstance(listing.element, Scalar) and listing.element.name in _CODES:
+    if isinstance(listing.element, Scalar) and listing.element.name in NUMBER_CODES:
         return _buffers(listing.element.name, counted, fixed=listing.fixed)
     if isinstance(listing.element, Scalar) and listing.element.name == "byte":
         octets = _buffers("uint8", counted, fixed=False)
@@ -87,7 +74,7 @@ def _items(element: Scalar | Text, counted: Callable[[int], None]) -> Callable[[
 def _buffers(
     name: str, counted: Callable[[int], None], *, fixed: bool
 ) -> Callable[[Message], object]:
-    dtype, code = np.dtype(name), _CODES[name]
+    dtype, code = np.dtype(name), NUMBER_CODES[name]
     octets = name == "uint8"
 
     def take(value: Message) -> object:

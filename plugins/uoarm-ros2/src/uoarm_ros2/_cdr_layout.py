@@ -6,25 +6,12 @@ another, each number at a multiple of its own size, counted from behind those fo
 
 from __future__ import annotations
 
-from uoarm_ros2._shape import Scalar
+from uoarm_ros2._shape import NUMBER_CODES, Scalar
 
 __all__ = ["CODES", "HEADER", "Cursor", "size_of"]
 
 HEADER = 4
-CODES = {
-    "bool": "?",
-    "byte": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
+CODES = {"bool": "?", "byte": "B", **NUMBER_CODES}
 _SIZES = {"?": 1, "b": 1, "B": 1, "h": 2, "H": 2, "i": 4, "I": 4, "q": 8, "Q": 8, "f": 4, "d": 8}
 _GREATEST = 8
 

@@ -10,6 +10,7 @@ from attrs import field, frozen
 from uoarm.errors import BridgeError, FailureReason
 
 __all__ = [
+    "NUMBER_CODES",
     "Field",
     "Listing",
     "Record",
@@ -20,6 +21,20 @@ __all__ = [
     "is_large",
     "shape_of",
 ]
+
+NUMBER_CODES = {
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+"""How `array` and `struct` call the elements of a block of numbers."""
 
 _MAX_DEPTH = 32
 _OCTETS = frozenset({"byte", "int8", "uint8"})

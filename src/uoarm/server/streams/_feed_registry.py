@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import logging
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
@@ -267,7 +266,7 @@ class FeedRegistry:
     async def stop_all(self) -> StopReport:
         """Stop what moves, for whoever asks while it lasts; goes on when they are gone."""
         if self._stopping is None or self._stopping.done():
-            self._stopping = self._in_lane(
+            self._stopping = self.workers.stop(
                 functools.partial(self.robot.stop_all, timeout=_STOP_SECONDS)
             )
         return await asyncio.shield(self._stopping)
@@ -279,26 +278,10 @@ class FeedRegistry:
             BridgeError: some inputs could not be told.
         """
         if self._releasing is None or self._releasing.done():
-            self._releasing = self._in_lane(
+            self._releasing = self.workers.stop(
                 functools.partial(self.robot.release, timeout=_STOP_SECONDS)
             )
         await asyncio.shield(self._releasing)
-
-    def _in_lane(self, act: Callable[[], T]) -> asyncio.Future[T]:
-        """Act in a thread of its own, since every worker may be waiting for a bridge that hangs."""
-        loop = asyncio.get_running_loop()
-        done: asyncio.Future[T] = loop.create_future()
-
-        def run() -> None:
-            try:
-                result = act()
-            except Exception as error:  # noqa: BLE001 - handed to whoever asked
-                self.mailbox.put(functools.partial(_fail, done, error))
-            else:
-                self.mailbox.put(functools.partial(_succeed, done, result))
-
-        threading.Thread(target=run, name="uoarm-serve-stop", daemon=True).start()
-        return done
 
     async def structures(
         self, functions: Iterable[str]
@@ -409,13 +392,3 @@ def _ignore(message: Message) -> None:
 
 def _functions_of_components(robot: RobotManager) -> dict[str, str]:
     return {one.name: one.function for one in robot.config.components()}
-
-
-def _succeed(done: asyncio.Future[T], result: T) -> None:
-    if not done.done():
-        done.set_result(result)
-
-
-def _fail(done: asyncio.Future[T], error: Exception) -> None:
-    if not done.done():
-        done.set_exception(error)

@@ -17,7 +17,7 @@ _FREEING = 16
 
 
 class Workers:
-    """Daemon threads for jobs that wait: for calls, for what opens and for what frees something.
+    """Daemon threads for jobs that wait: for calls, for what opens, frees or stops something.
 
     Daemon, because a bridge that hangs must not keep the process from ending.
 
@@ -33,6 +33,7 @@ class Workers:
         self._asking = WorkerPool("uoarm-serve-call", limit)
         self._opening = WorkerPool("uoarm-serve-open", openings)
         self._freeing = WorkerPool("uoarm-serve-free", _FREEING)
+        self._stopping = WorkerPool("uoarm-serve-stop")
 
     @property
     def busy(self) -> int:
@@ -69,10 +70,21 @@ class Workers:
         """
         return self._submit(self._freeing, action, queue=True)
 
+    def stop(self, action: Callable[[], T]) -> asyncio.Future[T]:
+        """Run what stops the robot, or lets it go on: at once, whatever the other threads wait for.
+
+        The caller bounds how many there are.
+
+        Raises:
+            BusyError: the server is closing.
+        """
+        return self._submit(self._stopping, action, queue=True)
+
     def close(self) -> None:
         """Start no more actions; those that were taken are done still. Idempotent."""
         self._asking.close(drop=False)
         self._opening.close(drop=False)
+        self._stopping.close(drop=False)
         self._freeing.close(drop=False)
         # What was being opened until now is to be freed still, by threads that do not stay.
         self._freeing = WorkerPool("uoarm-serve-free", _FREEING, idle_seconds=0)
