@@ -79,12 +79,23 @@ ALONE = {
     "local": {"local", "bridge", "_hints", "model", "errors", "_mistakes", "_spelling", "_workers"},
 }
 
-# Within the hosts' package: what each part may import of it; what is not a folder may import all.
-HOST_PARTS = {
-    "transport": {"transport"},
-    "process": {"process", "transport"},
-    "machines": {"machines", "process", "transport"},
-    "agent": {"agent", "transport"},
+# Within a package: what each folder may import of it; what is not in a folder may import all.
+# The host's side and the manager's share the transport, and know nothing of each other.
+PARTS = {
+    "_host": {
+        "transport": {"transport"},
+        "process": {"process", "transport"},
+        "machines": {"machines", "process", "transport"},
+        "agent": {"agent", "transport"},
+    },
+    "_control": {
+        "reconciler": {"reconciler"},
+        "bridges": {"bridges"},
+        "live": {"live", "bridges", "reconciler"},
+        "runtime": {"runtime", "live", "bridges", "reconciler"},
+        "discovery": {"discovery", "runtime"},
+        "offers": {"offers", "runtime", "bridges"},
+    },
 }
 
 
@@ -148,20 +159,20 @@ def test_a_package_is_built_in_layers_too(path: Path) -> None:
             assert name == layer or not inner, f"{layer} imports {module}, which is in another"
 
 
-@pytest.mark.parametrize("part", HOST_PARTS)
-def test_the_parts_of_hosts_import_one_way(part: str) -> None:
-    """The host's side and the manager's share the transport, and know nothing of each other."""
-    modules = sorted((ROOT / "_host" / part).glob("*.py"))
-    found = {
-        name.split(".")[2]
-        for path in modules
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("uoarm._host")
-        for name in [f"{node.module}.{alias.name}" for alias in node.names]
-    }
-    assert found
-    assert found <= HOST_PARTS[part]
-    assert {path.name for path in (ROOT / "_host").iterdir() if path.is_dir()} >= set(HOST_PARTS)
+@pytest.mark.parametrize("package", PARTS)
+def test_the_folders_of_a_package_import_one_way(package: str) -> None:
+    inside = f"uoarm.{package}"
+    allowed = PARTS[package]
+    assert {path.parent.name for path in (ROOT / package).glob("*/__init__.py")} == set(allowed)
+    for part, may in allowed.items():
+        for path in sorted((ROOT / package / part).glob("*.py")):
+            found = {
+                f"{node.module}.{alias.name}".split(".")[2]
+                for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(inside)
+                for alias in node.names
+            }
+            assert found <= may, f"{path.name} in {part} imports {found - may}"
 
 
 def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:

@@ -11,8 +11,8 @@ import pytest
 from tests.control.world import FACE
 
 from uoarm import RobotManager
-from uoarm._control import _live_parts
-from uoarm._control._revisions import Revision
+from uoarm._control.live import parts
+from uoarm._control.runtime.revisions import Revision
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, StatusEvent
 from uoarm.testing import MemoryBridge, wait
@@ -64,7 +64,7 @@ def test_a_kill_ends_also_when_closing_fails(
 ) -> None:
     connection = stage.robot.request("face")
     with monkeypatch.context() as patch:
-        patch.setattr(_live_parts.LiveParts, "close", broken)
+        patch.setattr(parts.LiveParts, "close", broken)
         connection.kill()
     assert connection.state is ConnectionState.CLOSED
     assert "a fault of ours" in caplog.text

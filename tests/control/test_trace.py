@@ -12,12 +12,12 @@ import pytest
 from tests.control.world import FACE, Plans
 
 from uoarm import RobotManager
-from uoarm._control import _actions as act
-from uoarm._control import _events as ev
-from uoarm._control import _executor
-from uoarm._control._state import State
-from uoarm._control._step import step
-from uoarm._control._trace import read
+from uoarm._control.reconciler import actions as act
+from uoarm._control.reconciler import events as ev
+from uoarm._control.reconciler.state import State
+from uoarm._control.reconciler.step import step
+from uoarm._control.reconciler.trace import read
+from uoarm._control.runtime import executor
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
 from uoarm.testing import MemoryBridge, wait
@@ -40,7 +40,7 @@ def played(
         done.append(actions)
         return after, actions
 
-    monkeypatch.setattr(_executor, "step", watched)
+    monkeypatch.setattr(executor, "step", watched)
     caplog.set_level(logging.DEBUG, "uoarm.control")
     one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
     one.emitter("best", NUMBER)

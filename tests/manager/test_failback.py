@@ -9,8 +9,8 @@ import pytest
 from attrs import evolve
 
 from uoarm import Connection, RobotManager
-from uoarm._control._events import TimeReached
-from uoarm._control._state import ConnectionRecord
+from uoarm._control.reconciler.events import TimeReached
+from uoarm._control.reconciler.state import ConnectionRecord
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
 from uoarm.testing import Census, ManualClock, MemoryBridge, patience, wait

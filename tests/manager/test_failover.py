@@ -10,7 +10,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import ConnectionClosedError, RobotManager
-from uoarm._control import _performer
+from uoarm._control.runtime import performer
 from uoarm.bridge import Channel
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Endpoint, FailoverPolicy, Health, Robot, StatusEvent
@@ -174,7 +174,7 @@ def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> 
 def test_a_takeover_that_comes_too_late_takes_over_nothing(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_performer, "_OPEN_SECONDS", 2.0)
+    monkeypatch.setattr(performer, "_OPEN_SECONDS", 2.0)
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source
@@ -200,7 +200,7 @@ def test_a_takeover_that_comes_too_late_takes_over_nothing(
 def test_a_takeover_that_comes_too_late_still_lets_go_of_what_died(
     make: Make, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(_performer, "_OPEN_SECONDS", 0.2)
+    monkeypatch.setattr(performer, "_OPEN_SECONDS", 0.2)
     stage = make()
     connection = stage.robot.request("face")
     opened, hang = stage.two._open_source, Hang()

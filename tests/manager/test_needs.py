@@ -6,7 +6,7 @@ import pytest
 from attrs import evolve
 
 from uoarm import ResolutionError, RobotManager
-from uoarm._control import _candidate_watch
+from uoarm._control.discovery import candidate_watch
 from uoarm.bridge import Discovered
 from uoarm.config import loads, suggest
 from uoarm.model import Robot, Schema
@@ -51,8 +51,8 @@ class Lab:
 
 @pytest.fixture
 def lab(monkeypatch: pytest.MonkeyPatch) -> Lab:
-    monkeypatch.setattr(_candidate_watch, "_EVERY_SECONDS", 0.05)
-    monkeypatch.setattr(_candidate_watch, "_SETTLE_SECONDS", 0.0)
+    monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", 0.0)
     return Lab()
 
 
@@ -156,7 +156,7 @@ def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) 
 def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_candidate_watch, "_SETTLE_SECONDS", patience())
+    monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", patience())
     lab.lab.emitter("head", NUMBER)
     lab.lab.hidden.add("head")
     lab.lab.shown_at = 3

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control._offers import pause
+from uoarm._control.offers.offers import pause
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role

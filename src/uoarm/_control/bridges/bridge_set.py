@@ -1,0 +1,290 @@
+"""The bridge instances of one manager, each made when it is first needed."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+from uoarm import _bounded
+from uoarm._control.bridges.hosted import start_hosted
+from uoarm._control.bridges.machines import Machines
+from uoarm._control.bridges.restarts import Restarts
+from uoarm._dataplane import Clock
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
+
+__all__ = ["BridgeSet", "StagedBridges"]
+
+_log = logging.getLogger("uoarm")
+_START_SECONDS = 30.0
+_RETIRE_SECONDS = 10.0
+_FINE = Health.OK, ""
+
+
+class BridgeSet:
+    """Makes, keeps and closes bridges by name.
+
+    Args:
+        specs: the bridges of the configuration.
+        registry: the plugins that make them.
+        listener: told of every health event.
+        ready: instances to use instead of making them; closed with the others.
+        clock: seconds, for the waits between restarts.
+        listening: where hosts on other machines join.
+        origin: the configuration file, for those who look at the processes of hosts.
+    """
+
+    def __init__(
+        self,
+        specs: Mapping[str, BridgeSpec],
+        registry: Registry,
+        listener: Callable[[HealthEvent], None],
+        ready: Mapping[str, Bridge],
+        clock: Clock,
+        listening: Listening | None = None,
+        origin: str = "",
+    ) -> None:
+        self._origin = origin
+        self._specs = specs
+        self._registry = registry
+        self._listener = listener
+        self._bridges: dict[str, Bridge] = {}
+        self._restarts = Restarts(clock)
+        self._turns: dict[str, threading.Lock] = {}
+        self._dead: dict[str, list[Bridge]] = {}
+        self._replaced: list[Bridge] = []
+        self._retiring: set[threading.Thread] = set()
+        self._health: dict[str, tuple[Health, str]] = {}
+        self._lock = threading.Lock()
+        self._closed = False
+        self.machines = Machines(specs, listening, self._heard, self._state)
+        for name, bridge in ready.items():
+            self._bridges[name] = bridge
+            bridge.watch(self._heard)
+
+    def get(self, name: str) -> Bridge:
+        """Return the bridge of this name, starting it when it is the first time.
+
+        Raises:
+            PluginError: its plugin is missing, broken or lacks its middleware.
+            BridgeError: it failed to start, or there is no such bridge.
+            ConnectionClosedError: the manager is closed.
+        """
+        bridge = self._bridges.get(name)
+        if bridge is not None:
+            return bridge
+        with self._lock:
+            self._require_open()
+            turn = self._turns.setdefault(name, threading.Lock())
+        with turn:  # one that is slow to start holds up nobody else
+            bridge = self._bridges.get(name)
+            if bridge is not None:
+                return bridge
+            spec = self._specs.get(name)
+            bridge = self._start(name, spec)
+            with self._lock:
+                # What another configuration has no more is closed where it would go unnoticed.
+                keep = not self._closed and self._specs.get(name) == spec
+                if keep:
+                    self._bridges[name] = bridge
+                    was_lost = self._health.pop(name, _FINE)[0] is Health.LOST
+                    bridge.watch(self._heard)
+        if not keep:
+            bridge.close()
+            self._require_open()
+            text = f"the configuration of bridge {name!r} was changed while it was started"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        if was_lost:
+            self._listener(HealthEvent(name, Health.OK, "it was started again"))
+        return bridge
+
+    def is_in_use(self, bridge: Bridge) -> bool:
+        """Say whether a bridge is the one that bears its name now."""
+        return self._bridges.get(bridge.name) is bridge
+
+    def retire(self, name: str) -> None:
+        """Close a bridge that was lost, in a thread of its own: it may hang as it dies.
+
+        Failures while closing are logged.
+        """
+
+        def close() -> None:
+            for bridge in dead:
+                try:
+                    bridge.close()
+                except BridgeError as error:
+                    _log.warning("%s", error)
+            with self._lock:
+                self._retiring.discard(thread)
+
+        thread = threading.Thread(target=close, name=f"uoarm-retire-{name}", daemon=True)
+        with self._lock:
+            dead = self._dead.pop(name, [])
+            if dead:
+                self._retiring.add(thread)
+                thread.start()
+
+    def stage(self, specs: Mapping[str, BridgeSpec]) -> StagedBridges:
+        """Return the bridges of another configuration: these, where they stay as they are."""
+        return StagedBridges(self, self._specs, specs, self._start)
+
+    def adopt(self, staged: StagedBridges) -> None:
+        """Have these bridges in place of those so far, which go on for who uses them. Quick."""
+        with self._lock:
+            before, self._specs = self._specs, staged.specs
+            for name in {*before, *staged.specs}:
+                if before.get(name) == staged.specs.get(name):
+                    continue
+                self._health.pop(name, None)
+                replaced = self._bridges.pop(name, None)
+                if replaced is not None:
+                    replaced.watch(None)
+                    self._replaced.append(replaced)
+                new = staged.made.pop(name, None)
+                if new is not None:
+                    self._bridges[name] = new
+                    new.watch(self._heard)
+
+    def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
+        """Close those that were replaced and that nobody uses any more; returns at once."""
+        if not self._replaced:
+            return
+        with self._lock:
+            unused = [one for one in self._replaced if not in_use(one)]
+            self._replaced = [one for one in self._replaced if one not in unused]
+            for one in unused:
+                self._dead.setdefault(one.name, []).append(one)
+        for name in {one.name for one in unused}:
+            self.retire(name)
+
+    def statuses(self) -> tuple[BridgeStatus, ...]:
+        """Return what the status map shows: bridges that were started, those that died included."""
+        with self._lock:
+            known = {**dict.fromkeys(self._health), **self._bridges}
+            health = dict(self._health)
+        return tuple(
+            BridgeStatus(
+                name=name,
+                plugin=self._specs[name].plugin if name in self._specs else name,
+                health=health.get(name, _FINE)[0],
+                open_channels=0 if bridge is None else bridge.open_channels,
+                cause=health.get(name, _FINE)[1],
+                assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
+                process=None if bridge is None else bridge.process_id,
+            )
+            for name, bridge in known.items()
+        )
+
+    def close(self) -> list[BridgeError]:
+        """Close every bridge, and the link to other machines; return what failed.
+
+        Waits ten seconds at most for bridges that were lost.
+        """
+        with self._lock:
+            self._closed = True
+            bridges = [*self._bridges.values(), *self._replaced]
+            self._bridges.clear()
+            self._replaced.clear()
+            dead = tuple(self._dead)
+        for name in dead:
+            self.retire(name)
+        failures: list[BridgeError] = []
+        for close in (*(bridge.close for bridge in bridges), self.machines.close):
+            try:
+                close()
+            except BridgeError as error:
+                failures.append(error)
+        deadline = time.monotonic() + _RETIRE_SECONDS
+        for thread in tuple(self._retiring):
+            thread.join(max(0.0, deadline - time.monotonic()))
+        return failures
+
+    def _state(self, name: str) -> Health | None:
+        """Return how a bridge is that runs or was lost, None of any other."""
+        with self._lock:
+            health = self._health.get(name, _FINE)[0]
+            return health if name in self._bridges or health is Health.LOST else None
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise ConnectionClosedError("the robot manager is closed")
+
+    def _heard(self, event: HealthEvent) -> None:
+        """Note what happens to a whole bridge, then tell the listener.
+
+        One that is lost is there for nobody from this moment on: `get` makes a new one, which
+        bears the same name, so that nothing more is heard of the lost one.
+        """
+        if event.channel is None and event.component is None:
+            with self._lock:
+                self._health[event.bridge] = event.health, event.cause
+                if event.health is Health.LOST and event.bridge in self._bridges:
+                    lost = self._bridges.pop(event.bridge)
+                    lost.watch(None)
+                    self._dead.setdefault(event.bridge, []).append(lost)
+            if event.health is Health.LOST:
+                self._restarts.died(event.bridge, event.cause)
+        self._listener(event)
+
+    def _start(self, name: str, spec: BridgeSpec | None) -> Bridge:
+        if spec is None:
+            raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
+        if spec.host is not None:
+            return start_hosted(spec, spec.host, self._restarts, self.machines, self._origin)
+        return _bounded.run(
+            f"starting bridge {name!r}",
+            _START_SECONDS,
+            lambda: self._registry.create(spec),
+            on_late=lambda late: late.close(),
+        )
+
+
+class StagedBridges:
+    """The bridges of a configuration that is not in force yet; new ones start when needed.
+
+    Args:
+        running: the bridges in force.
+        before: their configuration.
+        specs: the bridges of the new one.
+        start: starts a bridge.
+    """
+
+    def __init__(
+        self,
+        running: BridgeSet,
+        before: Mapping[str, BridgeSpec],
+        specs: Mapping[str, BridgeSpec],
+        start: Callable[[str, BridgeSpec | None], Bridge],
+    ) -> None:
+        self._running = running
+        self._before = before
+        self._start = start
+        self._lock = threading.Lock()
+        self.specs = specs
+        self.made: dict[str, Bridge] = {}
+
+    def get(self, name: str) -> Bridge:
+        """Return the bridge of this name, starting it when it is the first time.
+
+        Raises:
+            UoarmError: as `BridgeSet.get`.
+        """
+        spec = self.specs.get(name)
+        if spec is not None and spec == self._before.get(name):
+            return self._running.get(name)
+        with self._lock:
+            if name not in self.made:
+                self.made[name] = self._start(name, spec)
+            return self.made[name]
+
+    def close(self) -> None:
+        """Close what was started for a configuration that is not taken. Failures are logged."""
+        while self.made:
+            _, bridge = self.made.popitem()
+            try:
+                bridge.close()
+            except BridgeError as error:
+                _log.warning("%s", error)

@@ -1,0 +1,221 @@
+"""Connections: the handle that an application holds on a running plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Generic, cast, final
+
+from typing_extensions import Self
+
+from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.reconciler.state import ConnectionRecord
+from uoarm._control.runtime.executor import Executor
+from uoarm._dataplane import QueueClosed
+from uoarm._hints.applications import MessageType, T, as_message
+from uoarm.errors import ConnectionClosedError, UsageError
+from uoarm.model import (
+    ConnectionState,
+    ConnectionStatus,
+    Gap,
+    Health,
+    Message,
+    Plan,
+    RouteStatus,
+)
+
+__all__ = ["Connection"]
+
+
+@final
+class Connection(Generic[T]):
+    """A running plan. Iterate over it, `send` to it, and `kill` it; also a context manager.
+
+    Made by `RobotManager.request`. All methods may be called from any thread. `Connection[Scan]`
+    gives its messages as `Scan`, which `request` was told as `as_type`.
+    """
+
+    def __init__(
+        self, runtime: ConnectionRuntime, executor: Executor, as_type: MessageType[T] | None = None
+    ) -> None:
+        self.id = runtime.id
+        self._runtime = runtime
+        self._executor = executor
+        self._type = as_type
+        runtime.handle = self
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that runs."""
+        return self._record.placement.plan
+
+    @property
+    def state(self) -> ConnectionState:
+        """Where in its life the connection is."""
+        return self._record.state
+
+    @property
+    def cause(self) -> str:
+        """Why the connection ended, or for what it waits; empty while it runs and after `kill`."""
+        return self._record.cause
+
+    @property
+    def output(self) -> str | None:
+        """The output that the application receives, None where it receives none."""
+        return self._record.output
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """The changes of plan so far, oldest first, the newest thousand of them."""
+        return self._runtime.losses.gaps
+
+    @property
+    def ended(self) -> bool:
+        """Whether the connection is closed, for whatever reason."""
+        return self._record.is_over
+
+    def get(self, timeout: float | None = None) -> T:
+        """Return the next message, waiting `timeout` seconds at most (None: until it ends).
+
+        Raises:
+            TimeoutError: nothing came in time; the text says which component is not well, and why.
+            MessageError: a component gave something else than it had declared, so that no value
+                of `as_type` could be made. The next call goes on with the next message.
+            ConnectionClosedError: the connection has ended and every message was read.
+            UsageError: the function has no output, or callbacks receive its messages.
+        """
+        if self.output is None:
+            raise UsageError(f"function {self.plan.function!r} has no output to read")
+        try:
+            message = self._runtime.receiver.inbox.get(timeout)
+        except TimeoutError as error:
+            if not timeout:  # a look whether there is one
+                raise
+            raise TimeoutError(f"{error}{self._trouble()}") from None
+        except QueueClosed:
+            text = f"connection {self.id} to {self.plan.function!r} has ended"
+            raise ConnectionClosedError(f"{text}: {self.cause}" if self.cause else text) from None
+        return cast("T", message) if self._type is None else self._type.read(message)
+
+    def __iter__(self) -> Iterator[T]:
+        """Yield messages until the connection is killed or its source finishes.
+
+        Raises:
+            MessageError: as from `get`; iterate again to go on.
+            ConnectionClosedError: a component died; the text says which and why.
+        """
+        while True:
+            try:
+                message = self.get()
+            except ConnectionClosedError:
+                if self.state is ConnectionState.FAILED:
+                    raise
+                return
+            yield message
+
+    def send(self, message: Message, port: str | None = None) -> None:
+        """Hand one message to an input that the application feeds.
+
+        It is taken over at once; a component that is slower has a queue before it, whose losses
+        are counted in the status.
+
+        Args:
+            message: plain values, or objects of dataclasses, attrs classes, pydantic models and
+                the like, also within lists and dicts; checked against the input's structure
+                unless the connection was requested with validation off.
+            port: name of the input; None where there is one only.
+
+        Raises:
+            CommandRefusedError: the emergency stop holds the input, until it is released. What else
+                the last hop refuses is counted in the status.
+            MessageError: the message does not match the input's structure.
+            UsageError: there is no such input for the application.
+            ConnectionClosedError: the connection has ended.
+        """
+        ports = self._runtime.ports
+        if not self._record.goes_on or ports is None:
+            raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
+        sender = ports.sender(port)
+        sender.send(as_message(message, sender.place))
+
+    def flush(self, timeout: float) -> bool:
+        """Wait until the component has taken what was sent; False when time ran out.
+
+        `kill` discards what a slower component has not taken yet; call this before it.
+        """
+        ports = self._runtime.ports
+        return ports is None or ports.flush(timeout)
+
+    def subscribe(self, callback: Callable[[T], None]) -> Callable[[], None]:
+        """Give messages to a callback from now on, first those that wait; returns what ends it.
+
+        The callback runs in the thread in which a message arrives. It may call `kill`. A message
+        of which no value of `as_type` can be made is logged and counted as failed.
+        """
+        if self.output is None:
+            raise UsageError(f"function {self.plan.function!r} has no output to read")
+        take = callback if self._type is None else self._type.callback(callback)
+        return self._runtime.receiver.inbox.subscribe(take)
+
+    def kill(self) -> None:
+        """End the connection and close what only it used. Once is enough; bounded in time."""
+        self._executor.kill(self.id)
+
+    def close(self) -> None:
+        """End the connection: another name for `kill`, the word of the paper."""
+        self.kill()
+
+    def _trouble(self) -> str:
+        """Say what keeps messages from coming, as far as it is known; for the end of a sentence."""
+        record = self._record
+        told = (
+            [] if not record.cause else [f"the connection is {record.state.value}: {record.cause}"]
+        )
+        told += [
+            f"{one.name} is {one.health.value}: {one.cause or one.last_error}"
+            for one in self._executor.component_statuses()
+            if one.name in record.components and one.health is not Health.OK
+        ]
+        return "".join(f"; {one}" for one in told)
+
+    def _on_wake(self, wake: Callable[[], None] | None) -> None:
+        """Have `wake` called when a message or the end can be read; for event loops."""
+        self._runtime.receiver.inbox.on_wake(wake)
+
+    def status(self) -> ConnectionStatus:
+        """Return what the status map shows."""
+        record = self._record
+        return ConnectionStatus(
+            id=self.id,
+            function=record.placement.plan.function,
+            state=record.state,
+            components=record.components,
+            cause=record.cause,
+            lost=self._runtime.losses.lost,
+            ended=self._runtime.losses.ended,
+        )
+
+    def routes(self) -> tuple[RouteStatus, ...]:
+        """Return the counters of the routes that belong to this connection alone."""
+        return self._runtime.routes()
+
+    @property
+    def _record(self) -> ConnectionRecord:
+        record = self._runtime.record
+        assert record is not None, "a handle is given once there is a plan"
+        return record
+
+    def __repr__(self) -> str:
+        components = " -> ".join(step.component.name for step in self.plan.steps)
+        return f"<Connection {self.id} to {self.plan.function!r}: {self.state.value}, {components}>"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()

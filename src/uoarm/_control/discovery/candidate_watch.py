@@ -1,0 +1,171 @@
+"""Watches what bridges see for functions that need it: bounded, and never in a caller's way."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from uoarm._control.discovery.discovery import discover
+from uoarm._control.runtime.executor import Executor
+from uoarm._control.runtime.revisions import Revisions
+from uoarm._resolve import Proofs, add_candidates
+from uoarm.bridge import Bridge, BridgeType
+from uoarm.errors import BridgeTimeoutError, UoarmError
+from uoarm.model import BridgeFindings, Endpoint, Robot
+
+__all__ = ["CandidateWatch"]
+
+_EVERY_SECONDS = 2.0
+_SETTLE_SECONDS = (
+    3.0  # frameworks learn of each other after their start, ROS 2 within a second or two
+)
+_SETTLE_EVERY = 0.25
+_REST = 4.0
+_ASK_SECONDS = 5.0
+_TURN_SECONDS = 1.0
+_KEPT_ROUNDS = 3
+_log = logging.getLogger("uoarm")
+
+
+class CandidateWatch:
+    """Has discovered components for candidates, while a configuration has functions with needs.
+
+    One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
+    takes. However often components come and go meanwhile, a round changes the candidates once at
+    most. The thread begins with the first who needs candidates. A bridge that does not answer
+    shows what it showed before, for three rounds. In a new configuration's first three seconds
+    the rounds are shorter, until every function with needs has a candidate: so long those wait who
+    ask for one.
+
+    Args:
+        revisions: of the configuration.
+        executor: knows which components are in use, and takes the change.
+        get: gives a bridge, starting it where it must.
+        types: of bridges, by plugin; they know topics.
+    """
+
+    def __init__(
+        self,
+        revisions: Revisions,
+        executor: Executor,
+        get: Callable[[str], Bridge],
+        types: Mapping[str, BridgeType],
+    ) -> None:
+        self._revisions = revisions
+        self._executor = executor
+        self._get = get
+        self._types = types
+        self._proofs = Proofs()
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._matched: Robot | None = None
+        self._is_closed = False
+        self._shown: dict[str, tuple[int, BridgeFindings]] = {}
+
+    def wait(self, timeout: float) -> None:
+        """Wait until the configuration in force has its candidates; at once without needs.
+
+        Raises:
+            BridgeTimeoutError: it has none in time.
+        """
+        if not self._revisions.current.needs_candidates:
+            return
+        end = time.monotonic() + timeout
+        with self._changed:
+            if self._thread is None and not self._is_closed:
+                self._thread = threading.Thread(
+                    target=self._run, name="uoarm-candidates", daemon=True
+                )
+                self._thread.start()
+            while self._matched is not self._revisions.current.base and not self._is_closed:
+                left = end - time.monotonic()
+                if left <= 0:
+                    raise BridgeTimeoutError("bridges have not yet told what components they see")
+                self._changed.notify_all()
+                self._changed.wait(left)
+
+    def close(self) -> None:
+        """Ask bridges no more. Idempotent; waits for a round no longer than a second."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            thread.join(_TURN_SECONDS)
+
+    def _run(self) -> None:
+        settling: Robot | None = None
+        settles_at = 0.0
+        while True:
+            begun = time.monotonic()
+            revision = self._revisions.current
+            base = revision.base
+            try:
+                if revision.needs_candidates:
+                    self._round(base)
+            except UoarmError as error:
+                _log.warning("looking for candidates failed: %s", error)
+            except Exception:  # noqa: BLE001 - the next round may do better
+                _log.exception("looking for candidates failed")
+            now = time.monotonic()
+            if settling is not base:
+                settling, settles_at = base, now + _SETTLE_SECONDS
+            is_settled = now >= settles_at or self._has_all(base)
+            with self._changed:
+                if is_settled:
+                    self._matched = base
+                    self._changed.notify_all()
+                pause = max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
+                self._changed.wait_for(partial(self._is_outdated, base), pause)
+                if self._is_closed:
+                    return
+
+    def _is_outdated(self, base: Robot) -> bool:
+        return self._is_closed or base is not self._revisions.current.base
+
+    def _has_all(self, base: Robot) -> bool:
+        """Say whether every function with needs has a candidate that was discovered."""
+        revision = self._revisions.current
+        return revision.base is base and all(
+            any(one.match is not None for one in function.components)
+            for function in revision.robot.functions.values()
+            if function.needs is not None
+        )
+
+    def _round(self, base: Robot) -> None:
+        findings = [self._shown_by(one) for one in discover(base, self._get, _ASK_SECONDS)]
+        types, bridges = self._types, base.bridges
+
+        def topic(end: Endpoint) -> str | None:
+            kind = types.get(bridges[end.bridge].plugin)
+            if kind is None or kind.topic is None:
+                return None
+            return kind.topic(end.address, end.options) or None
+
+        revision = self._revisions.current
+        in_use = {one.name for one in self._executor.state.components.values()}
+        self._proofs.begin_round()
+        robot = add_candidates(
+            base,
+            findings,
+            structures=revision.structures.structures,
+            topic=topic,
+            proofs=self._proofs,
+            kept=[one for one in revision.robot.components() if one.match and one.name in in_use],
+        )
+        if self._proofs.unjudged:
+            _log.info("%d pairs of structures wait to be compared", self._proofs.unjudged)
+        with self._revisions.alone(_TURN_SECONDS):
+            if self._revisions.current.base is base:
+                self._executor.change_candidates(robot)
+
+    def _shown_by(self, findings: BridgeFindings) -> BridgeFindings:
+        missed, before = self._shown.get(findings.bridge, (0, findings))
+        if findings.cause and missed < _KEPT_ROUNDS and not before.cause:
+            self._shown[findings.bridge] = missed + 1, before
+            return before
+        self._shown[findings.bridge] = 0, findings
+        return findings

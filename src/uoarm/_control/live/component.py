@@ -1,0 +1,249 @@
+"""Live components: the open channels of one component, opened once and closed once."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterator, Mapping
+
+from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWatch
+from uoarm._dataplane import Outlet, make_check
+from uoarm.bridge import Bridge, Channel, Sink, Source
+from uoarm.errors import BridgeError, ConnectionClosedError
+from uoarm.model import (
+    ChannelStatus,
+    Component,
+    Message,
+    MessageStructure,
+    OverflowPolicy,
+    QueuePolicy,
+    Step,
+    ValidationMode,
+)
+
+__all__ = ["LiveComponent", "facts_of"]
+
+_log = logging.getLogger("uoarm")
+_BUSY_SECONDS = 60.0
+_OPEN_SECONDS = 60.0
+_CLOSE_SECONDS = 2.0
+_TURN_SECONDS = 0.1
+_NEWEST = QueuePolicy(length=1, policy=OverflowPolicy.LATEST)
+_LOSSES = frozenset({"under_way", "lost_on_link"})
+
+
+class LiveComponent:
+    """One component that at least one connection uses.
+
+    Channels are opened when they are first needed and closed together. `close` never waits
+    for a thread that is opening: that thread closes everything when it comes out.
+
+    Args:
+        step: of the first plan that needs it.
+        bridge: opens its channels.
+        failures: watches what it raises.
+        emergency_stop: holds its inputs that move something.
+
+    Attributes:
+        lost: messages that its channels knew to have taken and not delivered when they closed.
+    """
+
+    def __init__(
+        self, step: Step, bridge: Bridge, failures: FailureWatch, emergency_stop: EmergencyStop
+    ) -> None:
+        self._emergency_stop = emergency_stop
+        self.component: Component = step.component
+        self.bridge = bridge
+        self.outlets = {output.name: Outlet() for output in self.component.outputs}
+        self.structures = step.structures
+        self.failures = failures
+        self._watches = {one.name: InputWatch(failures, one.name) for one in step.component.inputs}
+        self._sources: dict[str, Source] = {}
+        self._sinks: dict[str, Sink] = {}
+        self._turns: dict[str, threading.Lock] = {}
+        self._closed: list[Channel] = []
+        self._busy = threading.Lock()
+        self._doomed = False
+        self.lost = 0
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it was closed, after its last user or its death."""
+        return self._doomed
+
+    @property
+    def is_hanging(self) -> bool:
+        """Whether a thread is still inside its code, in a message or in closing a channel."""
+        return any(turn.locked() for turn in tuple(self._turns.values())) or any(
+            channel.is_closing for channel in tuple(self._closed)
+        )
+
+    @property
+    def unheard(self) -> int:
+        """How many messages it emitted while nobody took them, as it was being let go."""
+        return sum(outlet.unheard for outlet in self.outlets.values())
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The channels open now."""
+        return (*self._sources.values(), *self._sinks.values())
+
+    def open_output(self, name: str) -> None:
+        """Have the output's messages delivered to its outlet.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        self._take_turn()
+        try:
+            if name not in self._sources:
+                output = self.component.output(name)
+                assert output is not None, "the resolver checked every output"
+                source = self._sources[name] = self.bridge.open_source(
+                    output.endpoint,
+                    self.structures[f"output.{name}"],
+                    self.outlets[name].deliver,
+                    timeout=_OPEN_SECONDS,
+                )
+                self.outlets[name].retain(source.latched)
+        finally:
+            self._end_turn()
+
+    def open_input(
+        self, name: str, is_over: Callable[[], bool]
+    ) -> tuple[Callable[[Message], None], QueuePolicy | None]:
+        """Return a send for an input that several connections share, and the queue it needs.
+
+        None is needed where sending does not block.
+
+        One call at a time; one that waits for its turn ends with a ConnectionClosedError once
+        `is_over`: where the component hangs, only one thread stays in it.
+
+        Raises:
+            BridgeError: the bridge could not open it.
+        """
+        self._take_turn()
+        try:
+            if name not in self._sinks:
+                endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
+                sink = self._sinks[name] = self.bridge.open_sink(
+                    endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
+                )
+                self._emergency_stop.enter(sink, self.component.function)
+                watch = self._watches[name]
+                watch.is_later = sink.watch(watch.told_later)
+            sink = self._sinks[name]
+            turn = self._turns.setdefault(name, threading.Lock())
+        finally:
+            self._end_turn()
+
+        def send(message: Message) -> None:
+            while not turn.acquire(timeout=_TURN_SECONDS):
+                if is_over():
+                    raise ConnectionClosedError("the connection has ended")
+            try:
+                self._emergency_stop.refuse(sink)
+                sink.send(message)
+            finally:
+                turn.release()
+
+        if not sink.blocking:
+            return send, None
+        # Of commands that wait, only the newest one is worth sending.
+        return send, sink.default_queue if sink.endpoint.command is None else _NEWEST
+
+    def require_released(self, name: str) -> None:
+        """Refuse a command to an open input while the emergency stop holds it.
+
+        Raises:
+            CommandRefusedError: it does.
+        """
+        self._emergency_stop.refuse(self._sinks[name])
+
+    def watch(self, name: str) -> InputWatch:
+        """Return what the routes into an input tell what became of messages."""
+        return self._watches[name]
+
+    def check(
+        self, output: str, structure: MessageStructure, mode: ValidationMode
+    ) -> Callable[[Message], None] | None:
+        """Return what checks messages of an output for one route, and blames this component."""
+        place = f"{self.component.name}.{output}"
+        return make_check(structure, mode, place, OutputWatch(self.failures, output))
+
+    def drain(self, timeout: float) -> None:
+        """Wait until what is under way in its channels has arrived; inputs first.
+
+        Waits `timeout` seconds for each channel at most.
+        """
+        for channel in (*self._sinks.values(), *self._sources.values()):
+            channel.drain(timeout)
+
+    def close(self) -> None:
+        """Close every channel, sources first; failures are logged. Bounded in time."""
+        self._doomed = True
+        self._sweep()
+
+    def channel_statuses(self) -> tuple[ChannelStatus, ...]:
+        """Return what the status map shows of its channels."""
+        return (
+            *_channel_statuses("output", self._sources),
+            *_channel_statuses("input", self._sinks),
+        )
+
+    def _take_turn(self) -> None:
+        """Open nothing beside whoever opens something of it already; end it with `_end_turn`."""
+        if not self._busy.acquire(timeout=_BUSY_SECONDS):
+            raise BridgeError(f"component {self.component.name!r} is still being opened")
+        if self._doomed:
+            self._end_turn()
+            raise ConnectionClosedError(f"component {self.component.name!r} was closed")
+
+    def _end_turn(self) -> None:
+        self._busy.release()
+        if self._doomed:
+            self._sweep()
+
+    def _sweep(self) -> None:
+        while self._doomed and self.channels and self._busy.acquire(blocking=False):
+            try:
+                self._close_all()
+            finally:
+                self._busy.release()
+
+    def _close_all(self) -> None:
+        for channels in (self._sources, self._sinks):
+            while channels:
+                _, channel = channels.popitem()
+                try:
+                    channel.close(timeout=_CLOSE_SECONDS)
+                except BridgeError as error:
+                    _log.warning("%s", error)
+                self._closed.append(channel)
+                self.lost += _lost(channel)
+
+
+def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
+    """Return a channel's facts; one that cannot tell them says why, and harms no status."""
+    try:
+        return tuple(channel.facts().items())
+    except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
+        return (("failed", f"{type(error).__name__}: {error}"),)
+
+
+def _lost(channel: Channel) -> int:
+    counts = (value for name, value in facts_of(channel) if name in _LOSSES)
+    return sum(count for count in counts if isinstance(count, int))
+
+
+def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
+    # A copy at once: channels open and close meanwhile.
+    for name, channel in tuple(channels.items()):
+        facts = facts_of(channel)
+        lost = dict(facts).get("lost_on_link", 0)
+        command = channel.command_status() if isinstance(channel, Sink) else None
+        lost = lost if isinstance(lost, int) else 0
+        policy = channel.endpoint.command
+        lifetime, limits = (None, ()) if policy is None else (policy.lifetime, policy.limits)
+        yield ChannelStatus(f"{direction}.{name}", facts, lost, command, lifetime, limits)

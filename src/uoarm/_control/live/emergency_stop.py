@@ -1,0 +1,212 @@
+"""The emergency stop: every input that moves something, at once, until it is released."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+from uoarm._control.live.stop_file import StopFile
+from uoarm._dataplane import Clock
+from uoarm._raised import text_of
+from uoarm.bridge import Sink
+from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
+from uoarm.model import CommandPhase, CommandStatus, StopOutcome, StopReport
+
+__all__ = ["EmergencyStop"]
+
+_log = logging.getLogger("uoarm.commands")
+_OPENING_SECONDS = 2.0
+_SHARE = 0.8  # of the time, for the answer of an input; the rest is for what it says to get here
+
+
+class EmergencyStop:
+    """Holds the open inputs that move something, and those that open meanwhile. Thread safe.
+
+    Each input is stopped in a thread of its own, so that none waits for one that hangs.
+
+    Args:
+        clock: seconds.
+        file: is there while all is held; where it is there already, all is held from the beginning.
+    """
+
+    def __init__(self, clock: Clock, file: StopFile | None = None) -> None:
+        self._clock = clock
+        self._file = file
+        self._lock = threading.Lock()
+        self._sinks: dict[Sink, str] = {}
+        self._asked = 0
+        self._since = clock() if file is not None and file.is_there() else None
+
+    @property
+    def is_held(self) -> bool:
+        """Whether commands are refused."""
+        return self._since is not None
+
+    def held(self) -> float | None:
+        """Return for how many seconds commands are refused; None where they are not."""
+        since = self._since
+        return None if since is None else self._clock() - since
+
+    def enter(self, sink: Sink, function: str) -> None:
+        """Take in an input that was just opened; it is stopped where the others are held.
+
+        Whichever comes first, this or `stop`: it is listed before it is asked whether all is held,
+        and they are held before the list is read.
+        """
+        if sink.endpoint.command is None:
+            return
+        with self._lock:
+            self._sinks = {one: of for one, of in self._sinks.items() if not one.closed}
+            self._sinks[sink] = function
+        if self.is_held:
+            sink.hold(_OPENING_SECONDS)
+
+    def refuse(self, sink: Sink) -> None:
+        """Raise CommandRefusedError for a command while all is held.
+
+        The watchdog at the last hop refuses it as well; this spares the way there.
+        """
+        if self._since is not None and sink.endpoint.command is not None:
+            text = f"{sink.endpoint}: commands are refused until the emergency stop is released"
+            raise CommandRefusedError(text, "held")
+
+    def stop(self, timeout: float) -> StopReport:
+        """Stop everything; say what came of it. Blocks for `timeout` seconds at most."""
+        with self._lock:
+            since = self._since = self._clock() if self._since is None else self._since
+            self._asked += 1
+            sinks = dict(self._sinks)
+        keeping = self._keep()
+        deadline = time.monotonic() + timeout
+        results: dict[Sink, CommandStatus | str] = {}
+
+        def hold(sink: Sink) -> None:
+            results[sink] = (
+                sink.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
+            )
+
+        _each(hold, sinks, results, timeout)
+        late = f"no answer within {timeout:g} s"
+        unkept = keeping(max(0.0, deadline - time.monotonic()))
+        outcomes = [
+            _outcome(sink, function, results.get(sink, late))
+            for sink, function in sinks.items()
+            if not sink.closed
+        ]
+        return StopReport(
+            self._clock() - since,
+            tuple(sorted(outcomes, key=lambda one: (one.component, one.port))),
+            unkept,
+        )
+
+    def _keep(self) -> Callable[[float], str]:
+        """Begin to settle the file; what is returned waits for it, and says why it is not there.
+
+        A disk that hangs keeps nothing from being stopped.
+        """
+        file = self._file
+        if file is None:
+            return lambda _: ""
+        told = [f"{file.path} is not settled yet"]
+
+        def write() -> None:
+            try:
+                file.settle(lambda: self.is_held)
+            except OSError as error:
+                told[0] = f"{file.path} cannot be written: {text_of(error)}"
+            else:
+                told[0] = ""
+
+        thread = threading.Thread(target=write, name="uoarm-stop-file", daemon=True)
+        thread.start()
+
+        def wait(timeout: float) -> str:
+            thread.join(timeout)
+            return told[0]
+
+        return wait
+
+    def release(self, timeout: float) -> None:
+        """Let commands through again; what has stopped stays so until the next one.
+
+        Raises:
+            BridgeError: inputs could not be told, which go on refusing commands; or nothing was
+                released, since the file cannot be removed, or another stop came meanwhile.
+        """
+        asked = self._asked
+        self._forget()
+        with self._lock:
+            overtaken = self._asked != asked
+            if not overtaken:
+                self._since = None
+            sinks = dict(self._sinks)
+        unsettled = self._keep()(timeout)  # a stop may have written it since, or be writing it
+        if unsettled:
+            _log.warning("%s", unsettled)
+        if overtaken:
+            text = "nothing was released: everything was stopped again meanwhile"
+            raise BridgeError(text, FailureReason.REFUSED)
+        results: dict[Sink, CommandStatus | str] = {}
+
+        def release(sink: Sink) -> None:
+            sink.release()
+            results[sink] = ""
+
+        _each(release, sinks, results, timeout)
+        held = [
+            f"{sink.endpoint.component}.{sink.endpoint.port}: {told}"
+            for sink in sinks
+            if not sink.closed and (told := results.get(sink, f"no answer within {timeout:g} s"))
+        ]
+        if held:
+            text = f"these inputs go on refusing commands: {'; '.join(held)}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _forget(self) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.remove()
+        except OSError as error:
+            text = f"nothing was released: {self._file.path} cannot be removed: {text_of(error)}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+
+
+def _each(
+    act: Callable[[Sink], None],
+    sinks: dict[Sink, str],
+    results: dict[Sink, CommandStatus | str],
+    timeout: float,
+) -> None:
+    """Do something to every input, in a thread for each; note what it raises."""
+
+    def one(sink: Sink) -> None:
+        try:
+            act(sink)
+        except Exception as error:  # noqa: BLE001 - a bridge may raise anything
+            results[sink] = text_of(error)
+
+    threads = [
+        threading.Thread(target=one, args=(sink,), name="uoarm-stop", daemon=True) for sink in sinks
+    ]
+    for thread in threads:
+        thread.start()
+    deadline = time.monotonic() + timeout
+    for thread in threads:
+        thread.join(max(0.0, deadline - time.monotonic()))
+
+
+def _outcome(sink: Sink, function: str, told: CommandStatus | str) -> StopOutcome:
+    component, port = sink.endpoint.component, sink.endpoint.port
+    if isinstance(told, str):
+        return StopOutcome(function, component, port, stopped=False, cause=told)
+    if told.phase is CommandPhase.STOPPED and told.held:
+        return StopOutcome(function, component, port, stopped=True, since=told.since)
+    assert sink.endpoint.command is not None, "only those are listed"
+    if sink.endpoint.command.stop is None:
+        cause = "it has no stop message; commands are refused"
+    else:
+        cause = told.cause or "it has not taken the stop message yet"
+    return StopOutcome(function, component, port, stopped=False, cause=cause)

@@ -1,0 +1,182 @@
+"""What components raise, and what they give that does not match: counted and judged by the rule."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from attrs import frozen
+
+from uoarm._control.live.failure_rule import FailureRule
+from uoarm._dataplane import Clock
+from uoarm._raised import LimitedLog, is_raised, text_of
+from uoarm.errors import MessageError
+from uoarm.model import FailureLimits, Health
+
+__all__ = ["FailureWatch", "InputWatch", "OutputWatch", "Tell"]
+
+Tell = Callable[[Health, str], None]
+"""Takes a new verdict and its cause; must not block."""
+
+
+@frozen
+class _Deed:
+    """What a component did, for people: `its input 'default' raised`, and how often."""
+
+    once: str
+    often: str
+
+    @classmethod
+    def raising(cls, place: str) -> _Deed:
+        return cls(f"{place} raised", f"{place} raises again and again")
+
+
+class FailureWatch:
+    """Watches one instance of a component, or one service. Thread safe.
+
+    Args:
+        name: of the component.
+        limits: when it is lost.
+        clock: seconds.
+        tell: told each time the verdict changes.
+
+    Attributes:
+        failed: how many messages or calls it raised on, and how many did not match.
+        last_error: of the last of these, empty when there was none.
+        cause: of the verdict, empty when it is well.
+        is_alert: whether successes count, too: it has failed and is not well again.
+    """
+
+    def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
+        self._rule = FailureRule(limits)
+        self._clock = clock
+        self._tell = tell
+        self._lock = threading.Lock()
+        self._records = LimitedLog(f"uoarm.component.{name}", clock=clock)
+        self.failed = 0
+        self.last_error = ""
+        self.cause = ""
+        self.is_alert = False
+
+    @property
+    def health(self) -> Health:
+        """The verdict."""
+        return self._rule.health
+
+    def raised(self, place: str, error: BaseException) -> None:
+        """Take in that the component raised, and log it."""
+        text = text_of(error)
+        self.note(_Deed.raising(place), 0, 1, text)
+        self._records.write(logging.WARNING, f"{place} raised {text}", error)
+
+    def told_later(self, place: str, taken: int, failed: int, text: str) -> None:
+        """Take in what a channel tells of messages that were sent before."""
+        self.note(_Deed.raising(place), taken, failed, text)
+        if failed:
+            self._records.write(logging.WARNING, f"{place} raised {text}")
+
+    def took(self) -> None:
+        """Take in a success; needed only while `is_alert`."""
+        self.note(_Deed("", ""), 1, 0, "")
+
+    def note(self, deed: _Deed, taken: int, failed: int, text: str) -> None:
+        """Take in what became of some messages.
+
+        Args:
+            deed: what it did where it failed, for people.
+            taken: how many went well.
+            failed: how many it failed on.
+            text: of the last error.
+        """
+        with self._lock:
+            if failed:
+                self.failed += failed
+                self.last_error = text
+            changed = self._rule.note(taken, failed, self._clock())
+            health, count = self._rule.health, self.failed
+            self.is_alert = health is not Health.OK
+            # Within the lock, so that verdicts are told in their order; nobody waits there for us.
+            if changed:
+                told = _cause(health, deed, count, text)
+                self.cause = "" if health is Health.OK else told
+                self._tell(health, told)
+
+
+class InputWatch:
+    """Watches one input: what a route that feeds it tells of its messages.
+
+    Args:
+        component: watches all of it.
+        port: name of the input.
+
+    Attributes:
+        is_later: whether the channel tells what became of messages, later than `send` returns.
+    """
+
+    __slots__ = ("_component", "_place", "is_later")
+
+    def __init__(self, component: FailureWatch, port: str) -> None:
+        self._component = component
+        self._place = f"its input {port!r}"
+        self.is_later = False
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a success should be told."""
+        return self._component.is_alert and not self.is_later
+
+    def took(self) -> None:
+        """Take in that a message was taken."""
+        self._component.took()
+
+    def raised(self, error: Exception) -> bool:
+        """Take in what a message came to; say whether it was the component's failure."""
+        if not is_raised(error):
+            return False
+        self._component.raised(self._place, error)
+        return True
+
+    def told_later(self, taken: int, failed: int, text: str) -> None:
+        """Take in what became of messages that were sent before."""
+        if failed or self._component.is_alert:
+            self._component.told_later(self._place, taken, failed, text)
+
+
+class OutputWatch:
+    """Watches one output: what the checks of its messages find, those of each route by themselves.
+
+    Args:
+        component: watches all of it.
+        port: name of the output.
+    """
+
+    __slots__ = ("_component", "_deed")
+
+    def __init__(self, component: FailureWatch, port: str) -> None:
+        self._component = component
+        self._deed = _Deed(
+            f"its output {port!r} gave what does not match its structure:",
+            f"its output {port!r} gives again and again what does not match its structure",
+        )
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a message that matches should be told."""
+        return self._component.is_alert
+
+    def took(self) -> None:
+        """Take in that a message matched."""
+        self._component.took()
+
+    def mismatched(self, error: MessageError) -> None:
+        """Take in that a message did not match; the route logs it."""
+        self._component.note(self._deed, 0, 1, str(error))
+
+
+def _cause(health: Health, deed: _Deed, count: int, text: str) -> str:
+    if health is Health.OK:
+        return "it fails no more"
+    if health is Health.DEGRADED:
+        return f"{deed.once} {text}"
+    return f"{deed.often}, {count} times so far: {text}"

@@ -1,0 +1,331 @@
+"""What is open, as objects, by the ids of the state; how parts of a plan open and close.
+
+Here are the calls into bridges. They may take long and fail; the executor makes them in lanes, and
+turns what becomes of them into events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from typing import TypeVar
+
+from attrs import define
+
+from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.live.application_ports import ApplicationPorts
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.live.failure_watch import FailureWatch
+from uoarm._control.live.losses import Counting
+from uoarm._control.reconciler.actions import Open
+from uoarm._control.reconciler.draft import strictest
+from uoarm._control.reconciler.state import (
+    ComponentRecord,
+    EdgeRecord,
+    Kind,
+    Part,
+    Parts,
+    Placement,
+    State,
+)
+from uoarm._dataplane import Clock
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
+from uoarm.model import Health, ValidationMode
+
+__all__ = ["Ending", "LiveParts"]
+
+T = TypeVar("T")
+
+_HANGING = 4
+_DRAIN_SECONDS = 30.0
+_RUN_OUT_SECONDS = 2.0
+
+
+@define(eq=False)
+class Ending:
+    """Objects of which nobody else takes care any more, and what is accounted for with them.
+
+    Attributes:
+        ports, edges, components: to be closed, producers first.
+        placed_edges, placed_components: all of the plan that ends.
+        lost: components of it that died.
+        runtime: of the connection; None where nothing is accounted for.
+    """
+
+    ports: list[ApplicationPorts]
+    edges: list[LiveEdge]
+    components: list[LiveComponent]
+    placed_edges: list[LiveEdge]
+    placed_components: list[LiveComponent]
+    lost: list[LiveComponent]
+    runtime: ConnectionRuntime | None
+
+    def ended(self) -> Iterator[Counting]:
+        """Yield the routes that end with the plan, once each."""
+        for ports in self.ports:
+            yield from ports.routes()
+        if self.runtime is not None:
+            yield from self.runtime.losses.ended_edges(self.placed_edges)
+
+    def gone(self) -> list[LiveComponent]:
+        """Return the components that died or were closed."""
+        return [*self.lost, *(one for one in self.placed_components if one.is_closed)]
+
+
+class LiveParts:
+    """The objects of open parts.
+
+    Args:
+        bridges: gives the bridge of a component, starting it where it must.
+        state: gives the state of this moment.
+        clock: seconds.
+        judged: told, with a component's id, when the verdict on what it raises changes.
+        emergency_stop: holds all inputs that move something.
+    """
+
+    def __init__(
+        self,
+        bridges: BridgeSet,
+        state: Callable[[], State],
+        clock: Clock,
+        judged: Callable[[int, Health, str], None],
+        emergency_stop: EmergencyStop,
+    ) -> None:
+        self._bridges = bridges
+        self._judged = judged
+        self._state = state
+        self._clock = clock
+        self.emergency_stop = emergency_stop
+        self.runtimes: dict[str, ConnectionRuntime] = {}
+        self.components: dict[int, LiveComponent] = {}
+        self.edges: dict[int, LiveEdge] = {}
+        self.ports: dict[int, ApplicationPorts] = {}
+        self._ending: set[LiveComponent] = set()
+        self._hanging: dict[str, list[LiveComponent]] = {}
+
+    def edges_of(self, placement: Placement | None) -> list[LiveEdge]:
+        """Return the edges of a plan that are open, those of the first producers first."""
+        return [] if placement is None else _there(self.edges, placement.edges)
+
+    def take(
+        self, connection: str, parts: Parts, placement: Placement | None, lost: Iterable[int]
+    ) -> Ending:
+        """Return the objects of parts that nobody uses any more, and what went with their plan.
+
+        Args:
+            connection: which accounts for it.
+            parts: to be closed.
+            placement: the plan that ends; None: nothing is accounted for.
+            lost: its components that died.
+        """
+        placed = () if placement is None else placement.components.values()
+        placed_components = _there(self.components, placed)
+        placed_edges = self.edges_of(placement)
+        dead = _there(self.components, lost)
+        runtime = None if placement is None else self.runtimes.get(connection)
+        components = _there(self.components, parts.components)
+        self._ending.update(components)  # before it is gone from the others: somebody may look
+        _taken(self.components, parts.components)
+        return Ending(
+            _taken(self.ports, parts.ports),
+            _taken(self.edges, parts.edges),
+            components,
+            placed_edges,
+            placed_components,
+            dead,
+            runtime,
+        )
+
+    def open(self, action: Open, state: State, done: list[Part], cancelled: set[int]) -> None:
+        """Open parts in their order.
+
+        Args:
+            action: says which.
+            state: when they were asked for.
+            done: gets each that is open.
+            cancelled: the batches of which nothing more is opened.
+
+        Raises:
+            UoarmError: the next one could not be opened.
+            ConnectionClosedError: the batch was cancelled.
+        """
+        for part in action.parts:
+            if action.batch in cancelled:
+                raise ConnectionClosedError(f"{action.connection} was given up")
+            try:
+                if part.kind is Kind.COMPONENT:
+                    self._enter(state.components[part.id])
+                elif part.kind is Kind.OUTPUT:
+                    self._open_output(part)
+                elif part.kind is Kind.EDGE:
+                    self._connect(state.edges[part.id])
+                elif part.kind is Kind.RECEIVE:
+                    self._receive(action)
+                else:
+                    self._send(action)
+            except KeyError as error:
+                raise ConnectionClosedError(f"{action.connection} was given up") from error
+            done.append(part)
+
+    def close(self, ending: Ending, *, ends: bool) -> None:
+        """Close what nobody uses, and account for it.
+
+        Args:
+            ending: what to close.
+            ends: whether the connection ends: then only what died loses what was under way.
+        """
+        self._close(ending)
+        if ending.runtime is None:
+            return
+        losses = ending.runtime.losses
+        if ends:
+            ended = losses.ended_edges(ending.placed_edges)
+            losses.settle(losses.lost_with(ending.lost), ended)
+        else:
+            losses.settle(losses.lost_with(ending.gone()), ending.ended())
+
+    def finish(self, ending: Ending, placement: Placement) -> None:
+        """Let a plan run out: what is under way passes, new messages stay out. Then close it."""
+        for joined in ending.placed_edges:
+            if joined in ending.edges:
+                joined.finish()
+            if joined.consumer in ending.components:
+                joined.consumer.drain(_RUN_OUT_SECONDS)
+        self._close(ending)
+        if ending.runtime is not None:
+            losses = ending.runtime.losses
+            gap = ending.runtime.take_gap(placement)
+            losses.count(gap, losses.lost_with(ending.gone()), ending.ended())
+
+    def release(self, components: Iterable[int]) -> None:
+        """Close components whose plans have not ended yet."""
+        for live in _there(self.components, components):
+            live.close()
+
+    def uses(self, bridge: Bridge) -> bool:
+        """Say whether a component of a bridge is open, or on its way to be closed."""
+        lives = (*self.components.copy().values(), *tuple(self._ending))
+        return any(live.bridge is bridge for live in lives)
+
+    def drain(self, edges: Iterable[LiveEdge]) -> None:
+        """Wait until what is under way has passed every edge, half a minute for each at most."""
+        for joined in edges:
+            if joined.route is not None:
+                joined.route.drain(_DRAIN_SECONDS)
+                joined.consumer.drain(_DRAIN_SECONDS)
+
+    def switch_inputs(self, edges: Iterable[tuple[int, int | None]]) -> None:
+        """Let edges that were held feed their inputs in place of others.
+
+        What waits in a queue passes first, five seconds for each edge at most.
+
+        Raises:
+            BridgeError: a bridge could not link both ends of an edge.
+        """
+        for edge, other in edges:
+            for before in _there(self.edges, () if other is None else (other,)):
+                before.finish()
+            for joined in _there(self.edges, (edge,)):
+                joined.release(self._clock)
+
+    def _enter(self, record: ComponentRecord) -> None:
+        """Make an instance of a component; nothing of it is opened yet.
+
+        Raises:
+            BridgeError: its bridge does not start, or threads of earlier connections hang in it,
+                too many to risk another one.
+        """
+        component = record.step.component
+        self._refuse_hanging(component.name)
+        bridge = self._bridges.get(component.bridge)
+        limits, tell = self._state().policy.failing, partial(self._judged, record.id)
+        failures = FailureWatch(component.name, limits, self._clock, tell)
+        self.components[record.id] = LiveComponent(
+            record.step, bridge, failures, self.emergency_stop
+        )
+
+    def _open_output(self, part: Part) -> None:
+        """Open an output that has a route; one that only feeds native links stays closed."""
+        live = self.components[part.id]
+        if live.outlets[part.port].routes:
+            live.open_output(part.port)
+
+    def _connect(self, record: EdgeRecord) -> None:
+        joined = LiveEdge(
+            record.edge,
+            self.components[record.producer],
+            self.components[record.consumer],
+            lambda: self._strictness(record.id),
+            held=record.is_held,
+        )
+        joined.open(self._clock)
+        self.edges[record.id] = joined
+
+    def _strictness(self, edge: int) -> ValidationMode:
+        record = self._state().edges.get(edge)
+        return ValidationMode.OFF if record is None else strictest(record.users)
+
+    def _receive(self, action: Open) -> None:
+        runtime, ports = self._ports_of(action)
+        if action.is_heard:
+            runtime.receiver.hear(ports.route)
+        ports.attach()  # an output that retains a message gives it at once
+
+    def _send(self, action: Open) -> None:
+        runtime, ports = self._ports_of(action)
+        assert runtime.record is not None, "published when its plan was known"
+        ports.feed(runtime.id, runtime.record.validate, self._clock)
+
+    def _ports_of(self, action: Open) -> tuple[ConnectionRuntime, ApplicationPorts]:
+        runtime = self.runtimes[action.connection]
+        number = action.placement.ports
+        ports = self.ports.get(number)
+        if ports is None:
+            record = runtime.record
+            assert record is not None, "published when its plan was known"
+            provider = self.components[action.placement.provider]
+            route = None
+            if record.output is not None:
+                route = runtime.receiver.route(
+                    provider, record.output, record.id, record.validate, self._clock
+                )
+            ports = self.ports[number] = ApplicationPorts(provider, route, record.output)
+        return runtime, ports
+
+    def _close(self, ending: Ending) -> None:
+        """Close ports, edges, then components, producers first. Failures are logged."""
+        for ports in ending.ports:
+            ports.close()
+        for joined in ending.edges:
+            joined.close()
+        for live in ending.components:
+            live.close()
+            self._ending.discard(live)
+            if live.is_hanging:
+                self._hanging.setdefault(live.component.name, []).append(live)
+        self._bridges.retire_replaced(self.uses)
+
+    def _refuse_hanging(self, name: str) -> None:
+        if not self._hanging:
+            return
+        hanging = [live for live in self._hanging.pop(name, ()) if live.is_hanging]
+        if hanging:
+            self._hanging[name] = hanging
+        if len(hanging) >= _HANGING:
+            raise BridgeError(
+                f"component {name!r} hangs: it has not let go of {len(hanging)} earlier "
+                "connections; it can be opened again when it does",
+                FailureReason.UNAVAILABLE,
+            )
+
+
+def _there(objects: Mapping[int, T], ids: Iterable[int]) -> list[T]:
+    return [objects[one] for one in ids if one in objects]
+
+
+def _taken(objects: dict[int, T], ids: Iterable[int]) -> list[T]:
+    return [objects.pop(one) for one in ids if one in objects]

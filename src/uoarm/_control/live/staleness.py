@@ -1,0 +1,143 @@
+"""Stale outputs: those that emit fewer messages than the configuration expects of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import TypeAlias
+
+from attrs import define, field
+
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.edge import LiveEdge
+from uoarm._dataplane import Clock, Route
+from uoarm.bridge import HealthEvent
+from uoarm.model import Expectation, Health
+
+__all__ = ["StalenessWatch"]
+
+_LOOK_SECONDS = 0.1
+_ENOUGH = 0.5
+
+_Output: TypeAlias = tuple[LiveComponent, str]
+
+
+@define(eq=False)
+class _Window:
+    """What one output has done since a moment, and what reached its component meanwhile.
+
+    Attributes:
+        route: one of the output's.
+        feeds: those into the component's inputs; of a native link nobody knows what passes.
+        counts: of each of these routes at the beginning.
+    """
+
+    route: Route
+    feeds: frozenset[Route]
+    began: float
+    counts: dict[Route, int] = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        self.counts = {one: one.received for one in (self.route, *self.feeds)}
+
+    def since(self, route: Route) -> int:
+        return route.received - self.counts[route]
+
+
+class StalenessWatch:
+    """Looks at the outputs that are open and reports those that are stale as lost.
+
+    An output is stale when, over its whole patience, it emitted less than half of what it is
+    expected to, or of what reached each of its component's inputs where that is less: one that
+    gets too little to work on is not to blame. What feeds one of which something is expected is
+    itself expected to emit at all. It counts from when the first consumer is attached to an
+    output, and anew from when something else feeds its component.
+
+    Args:
+        components: gives what is open now.
+        edges: gives what feeds these.
+        report: takes the health event of a component that is stale.
+        clock: a monotonic clock, in seconds.
+    """
+
+    def __init__(
+        self,
+        components: Callable[[], Iterable[LiveComponent]],
+        edges: Callable[[], Iterable[LiveEdge]],
+        report: Callable[[HealthEvent], None],
+        clock: Clock,
+    ) -> None:
+        self._components = components
+        self._edges = edges
+        self._report = report
+        self._clock = clock
+        self._windows: dict[_Output, _Window] = {}
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="uoarm-stale", daemon=True)
+
+    def start(self) -> None:
+        """Look ten times a second from now on. Idempotent; by one thread at a time."""
+        if self._thread.ident is None:
+            self._thread.start()
+
+    def close(self) -> None:
+        """Look no more."""
+        self._stopped.set()
+
+    def look(self) -> None:
+        """Look once."""
+        now = self._clock()
+        before, self._windows = self._windows, {}
+        fed: dict[LiveComponent, set[Route]] = {}
+        edges = tuple(self._edges())
+        for joined in edges:
+            if joined.route is not None:
+                fed.setdefault(joined.consumer, set()).add(joined.route)
+        for (live, output), expect in self._expectations(edges).items():
+            routes = live.outlets[output].routes
+            if not routes:
+                continue
+            feeds = frozenset(fed.get(live, ()))
+            window = before.get((live, output))
+            if window is None or window.route not in routes or window.feeds != feeds:
+                window = _Window(routes[0], feeds, now)
+            self._windows[live, output] = self._judge(live, output, expect, window, now)
+
+    def _expectations(self, edges: tuple[LiveEdge, ...]) -> Mapping[_Output, Expectation]:
+        """Return what is expected of each output, declared or by what it feeds."""
+        found = {
+            (live, output.name): output.expect
+            for live in self._components()
+            for output in live.component.outputs
+            if output.expect is not None
+        }
+        waiting = list(found)
+        for live, output in waiting:
+            patience = found[live, output].patience
+            for joined in edges:
+                key = joined.producer, joined.edge.output
+                if joined.consumer is live and key not in found:
+                    found[key] = Expectation(1 / patience, patience)
+                    waiting.append(key)
+        return found
+
+    def _judge(
+        self, live: LiveComponent, port: str, expect: Expectation, window: _Window, now: float
+    ) -> _Window:
+        """Report an output whose window is over and too empty; return the window to go on with."""
+        lasted = now - window.began
+        if lasted < expect.patience:
+            return window
+        count = window.since(window.route)
+        if count < _ENOUGH * min([expect.rate * lasted, *map(window.since, window.feeds)]):
+            cause = (
+                f"output {port!r} is stale: {count / lasted:.2g} messages a second over "
+                f"{lasted:.2g} s, {expect.rate:.3g} are expected"
+            )
+            name = live.component.name
+            self._report(HealthEvent(live.component.bridge, Health.LOST, cause, component=name))
+        return _Window(window.route, window.feeds, now)
+
+    def _run(self) -> None:
+        while not self._stopped.wait(_LOOK_SECONDS):
+            self.look()

@@ -1,0 +1,1 @@
+"""Functions that the configuration puts on offer in a framework."""

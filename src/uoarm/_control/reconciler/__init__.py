@@ -1,0 +1,1 @@
+"""What the manager decides, without I/O: `step(state, event, now) -> (state, actions)`."""

@@ -1,0 +1,402 @@
+"""The next state while a step is being worked out: what is shared, used, and to be closed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from attrs import evolve
+
+from uoarm._control.reconciler.actions import Action, CancelBatch, Open, Resolve, SetCheck
+from uoarm._control.reconciler.state import (
+    OPEN,
+    PORTS,
+    Batch,
+    ComponentRecord,
+    ConnectionRecord,
+    EdgeRecord,
+    Kind,
+    Part,
+    Parts,
+    Placement,
+    State,
+    recently,
+)
+from uoarm.errors import ResolutionError
+from uoarm.model import ConnectionState, Edge, Plan, Step, ValidationMode
+
+__all__ = ["Draft", "InputInUseError", "connection_of", "strictest"]
+
+_STRICTNESS = (ValidationMode.OFF, ValidationMode.SAMPLED, ValidationMode.ALWAYS)
+_OF_COMPONENTS = frozenset({Kind.COMPONENT, Kind.OUTPUT})
+
+
+class InputInUseError(ResolutionError):
+    """An input is in use, fed by something else than a plan would feed it from.
+
+    Attributes:
+        producer: from which it would.
+    """
+
+    def __init__(self, text: str, producer: str) -> None:
+        super().__init__(text)
+        self.producer = producer
+
+
+class Draft:
+    """A state that may be changed, and the actions that follow from the changes.
+
+    Every method keeps the records consistent: a part that nobody uses is in no record, and what
+    new users share is neither lost nor closing.
+
+    Args:
+        state: before the step; it is not touched.
+        now: the time of the event.
+    """
+
+    def __init__(self, state: State, now: float) -> None:
+        self.now = now
+        self.actions: list[Action] = []
+        self.policy = state.policy
+        self.bridges = state.bridges
+        self.connections = dict(state.connections)
+        self.components = dict(state.components)
+        self.edges = dict(state.edges)
+        self.parts = dict(state.parts)
+        self.serving = dict(state.serving)
+        self.feeding = dict(state.feeding)
+        self.beside = dict(state.beside)
+        self.batches = dict(state.batches)
+        self.switchovers = dict(state.switchovers)
+        self.failed = dict(state.failed)
+        self.avoided = dict(state.avoided)
+        self.number = state.number
+        self.is_closing = state.is_closing
+        self.closers = state.closers
+        self.revision = state.revision
+        self.outdated = state.outdated
+        self.postponed = state.postponed
+        self.configurers = state.configurers
+
+    def state(self) -> State:
+        """Return the state as it is now."""
+        return State(
+            policy=self.policy,
+            bridges=self.bridges,
+            connections=self.connections,
+            components=self.components,
+            edges=self.edges,
+            parts=self.parts,
+            serving=self.serving,
+            feeding=self.feeding,
+            beside=self.beside,
+            batches=self.batches,
+            switchovers=self.switchovers,
+            failed=self.failed,
+            avoided=self.avoided,
+            number=self.number,
+            is_closing=self.is_closing,
+            closers=self.closers,
+            revision=self.revision,
+            outdated=self.outdated,
+            postponed=self.postponed,
+            configurers=self.configurers,
+        )
+
+    def new_id(self) -> int:
+        """Return an id that nothing has had before."""
+        self.number += 1
+        return self.number
+
+    def put(self, record: ConnectionRecord, **changes: Any) -> ConnectionRecord:
+        """Keep a connection with some changes, and return it."""
+        changed = self.connections[record.id] = record._replace(**changes)
+        return changed
+
+    def resolve(self, record: ConnectionRecord) -> None:
+        """Have the first plan of a request sought, without what is avoided now."""
+        avoided = recently(self.avoided, self.now)
+        self.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
+
+    def place(
+        self, record: ConnectionRecord, plan: Plan, user: str, *, beside: bool = False
+    ) -> Placement:
+        """Use the parts of a plan, those that are there already and new ones; nothing is opened.
+
+        Args:
+            record: the connection; its application ports stay where the provider does.
+            plan: the plan.
+            user: the name under which its parts are used.
+            beside: whether its inputs may be fed by another edge until a switchover.
+
+        Raises:
+            InputInUseError: an input is in use, fed by another component. Nothing has changed.
+        """
+        for edge in plan.edges:
+            self._require_free(edge, beside=beside)
+        ids = {step.component.name: self._use(step, user) for step in reversed(plan.steps)}
+        provider = ids[plan.provider.component.name]
+        so_far = record.current
+        stays = so_far is not None and so_far.provider == provider
+        ports = so_far.ports if so_far is not None and stays else self.new_id()
+        parts = [Part(Kind.COMPONENT, one) for one in ids.values()]
+        wanted: dict[str, set[str]] = {name: set() for name in ids}
+        if record.output is not None:
+            parts.append(Part(Kind.RECEIVE, ports))
+            wanted[plan.provider.component.name].add(record.output)
+        edges: dict[str, list[int]] = {name: [] for name in ids}
+        for step in reversed(plan.steps):
+            name = step.component.name
+            parts += [Part(Kind.OUTPUT, ids[name], port) for port in sorted(wanted[name])]
+            for edge in plan.edges:
+                if edge.consumer == name:
+                    wanted[edge.producer].add(edge.output)
+                    joined = self._join(edge, ids, user, record.validate)
+                    parts.append(Part(Kind.EDGE, joined))
+                    edges[edge.producer].append(joined)
+        parts.append(Part(Kind.SEND, ports))
+        downstream = tuple(one for step in plan.steps for one in edges[step.component.name])
+        return Placement(user, plan, ids, downstream, ports, tuple(parts))
+
+    def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
+        """Use the parts of a plan no more; return those that nobody uses now.
+
+        Args:
+            placement: the plan.
+            ports: whether the application ports end with it.
+        """
+        if placement.batch:
+            self.actions.append(CancelBatch(placement.batch))
+        edges = [one for one in placement.edges if self._part_edge(one, placement.user)]
+        components = [
+            one
+            for one in reversed(tuple(placement.components.values()))
+            if self._leave(one, placement.user)
+        ]
+        closed = [one for one in edges if self._close_part(Part(Kind.EDGE, one))]
+        for kind in PORTS if ports else ():
+            self._close_part(Part(kind, placement.ports))
+        return Parts(tuple(components), tuple(closed), (placement.ports,) if ports else ())
+
+    def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
+        """Share components that died no more; return the edges that end with them."""
+        dead = frozenset(lost)
+        for one in dead:
+            record = self.components[one]
+            self.components[one] = evolve(record, is_lost=True)
+            if self.serving.get(record.name) == one:
+                del self.serving[record.name]
+        ended = [one for one in self.edges.values() if dead & {one.producer, one.consumer}]
+        for joined in ended:
+            self._unlist(joined)
+        return tuple(joined.id for joined in ended)
+
+    def failed_lately(self) -> tuple[str, ...]:
+        """Return the components that died within the last minutes, longest ago first."""
+        recent = recently(self.failed, self.now)
+        return tuple(name for name in self.failed if name in recent)
+
+    def supersede(self, names: Iterable[str]) -> None:
+        """Share components no more that are others in the configuration from now on.
+
+        They go on for those who use them; other edges may feed their consumers after a switchover.
+        """
+        for name in names:
+            one = self.serving.pop(name, None)
+            if one is None:
+                continue
+            self.components[one] = evolve(self.components[one], is_superseded=True)
+            for joined in self.edges.values():
+                if joined.consumer == one:
+                    self._unlist(joined)
+
+    def missing(self, placement: Placement) -> list[Part]:
+        """Return the parts of a plan that are not open, in the order in which they open."""
+        return [part for part in placement.parts if self.parts.get(part) != OPEN]
+
+    def open(
+        self, record: ConnectionRecord, placement: Placement, lane: str, *, is_heard: bool
+    ) -> Placement:
+        """Have what is missing of a plan opened, unless somebody else is opening some of it.
+
+        Who waits for the batch of somebody else looks again when that is over.
+        """
+        missing = self.missing(placement)
+        if placement.batch or not missing or not self.parts.keys().isdisjoint(missing):
+            return placement
+        batch = self.new_id()
+        for part in missing:
+            self.parts[part] = batch
+        self.batches[batch] = Batch(record.id, tuple(missing))
+        placement = evolve(placement, batch=batch)
+        self.actions.append(
+            Open(lane, batch, record.id, placement, tuple(missing), is_heard=is_heard)
+        )
+        return placement
+
+    def settle(self, number: int, done: Iterable[Part]) -> Parts:
+        """Note what became of a batch; return what was opened for nobody."""
+        opened = frozenset(done)
+        components: list[int] = []
+        edges: list[int] = []
+        ports: set[int] = set()
+        batch = self.batches.pop(number)
+        for part in batch.parts:
+            del self.parts[part]
+            if part not in opened:
+                continue
+            if self._is_used(part, batch.connection):
+                self.parts[part] = OPEN
+            elif part.kind is Kind.COMPONENT:
+                components.append(part.id)
+            elif part.kind is Kind.EDGE:
+                edges.append(part.id)
+            elif part.kind in PORTS:
+                ports.add(part.id)
+        return Parts(tuple(components), tuple(edges), tuple(ports))
+
+    def rivals(self, plan: Plan) -> set[str]:
+        """Return the connections with edges that feed what a plan would feed from elsewhere."""
+        found: set[str] = set()
+        for edge in plan.edges:
+            standing = self.feeding.get((edge.consumer, edge.input))
+            if standing is not None and not self._is_origin(standing, edge):
+                found.update(map(connection_of, self.edges[standing].users))
+        return found
+
+    def switch_inputs(self, edges: Iterable[int]) -> tuple[tuple[int, int | None], ...]:
+        """Let edges that are held take the places of others; return each with the other one.
+
+        Raises:
+            ResolutionError: somebody else uses an edge that would end. Nothing has changed.
+        """
+        held = [self.edges[one] for one in dict.fromkeys(edges) if self.edges[one].is_held]
+        pairs = [(joined, self.feeding.get(joined.key)) for joined in held]
+        for joined, other in pairs:
+            theirs = {} if other is None else self.edges[other].users
+            left = set(map(connection_of, theirs)) - set(map(connection_of, joined.users))
+            if left:
+                raise ResolutionError(
+                    f"input {'.'.join(joined.key)} is fed for {', '.join(sorted(left))} by "
+                    "another component still"
+                )
+        for joined, _ in pairs:
+            del self.beside[joined.key]
+            self.feeding[joined.key] = joined.id
+            self.edges[joined.id] = evolve(joined, is_held=False)
+        return tuple((joined.id, other) for joined, other in pairs)
+
+    def _require_free(self, edge: Edge, *, beside: bool) -> None:
+        key = edge.consumer, edge.input
+        standing = self.feeding.get(key)
+        if standing is None or self._is_origin(standing, edge):
+            return
+        waiting = self.beside.get(key)
+        if beside and (waiting is None or self._is_origin(waiting, edge)):
+            return
+        record = self.edges[standing]
+        was = self.components[record.producer].is_superseded
+        raise InputInUseError(
+            f"component {edge.consumer!r} is in use with its input {edge.input!r} fed by "
+            f"{'.'.join(record.origin)}{' as it was configured before' if was else ''}; this plan "
+            f"feeds it from {edge.producer}.{edge.output}",
+            edge.producer,
+        )
+
+    def _is_origin(self, number: int, edge: Edge) -> bool:
+        """Say whether an edge comes from where another one would come from."""
+        record = self.edges[number]
+        is_another = self.components[record.producer].is_superseded
+        return record.origin == (edge.producer, edge.output) and not is_another
+
+    def _use(self, step: Step, user: str) -> int:
+        """Use the instance of a component that is there already, or a new one."""
+        name = step.component.name
+        found = self.serving.get(name)
+        if found is None:
+            found = self.serving[name] = self.new_id()
+            self.components[found] = ComponentRecord(found, step, (user,))
+        else:
+            record = self.components[found]
+            self.components[found] = record.used_by((*record.users, user))
+        return found
+
+    def _join(self, edge: Edge, ids: Mapping[str, int], user: str, validate: ValidationMode) -> int:
+        """Use the edge that is there already, or a new one in its place or beside it."""
+        key = edge.consumer, edge.input
+        standing = self.feeding.get(key)
+        is_held = standing is not None and not self._is_origin(standing, edge)
+        places = self.beside if is_held else self.feeding
+        found = places.get(key)
+        if found is None:
+            found = places[key] = self.new_id()
+            ends = ids[edge.producer], ids[edge.consumer]
+            self.edges[found] = EdgeRecord(found, edge, *ends, {user: validate}, is_held=is_held)
+        else:
+            self._check_for(found, {**self.edges[found].users, user: validate})
+        return found
+
+    def _check_for(self, edge: int, users: Mapping[str, ValidationMode]) -> None:
+        record = self.edges[edge]
+        self.edges[edge] = record.used_by(users)
+        if strictest(users) is not strictest(record.users):
+            self.actions.append(SetCheck(edge))
+
+    def _part_edge(self, edge: int, user: str) -> bool:
+        """Take a user of an edge back; True when it was the last."""
+        record = self.edges[edge]
+        left = {other: mode for other, mode in record.users.items() if other != user}
+        if left:
+            self._check_for(edge, left)
+            return False
+        self._unlist(record)
+        del self.edges[edge]
+        return True
+
+    def _unlist(self, record: EdgeRecord) -> None:
+        for places in (self.feeding, self.beside):
+            if places.get(record.key) == record.id:
+                del places[record.key]
+
+    def _leave(self, component: int, user: str) -> bool:
+        """Take a user of a component back; True when it was the last."""
+        record = self.components[component]
+        users = tuple(other for other in record.users if other != user)
+        if users:
+            self.components[component] = record.used_by(users)
+            return False
+        del self.components[component]
+        if self.serving.get(record.name) == component:
+            del self.serving[record.name]
+        mine = [p for p in self.parts if p.id == component and p.kind in _OF_COMPONENTS]
+        for part in mine:
+            self._close_part(part)
+        return True
+
+    def _close_part(self, part: Part) -> bool:
+        """Forget a part that is open; one that is being opened is looked at when that is over."""
+        if self.parts.get(part) != OPEN:
+            return False
+        del self.parts[part]
+        return True
+
+    def _is_used(self, part: Part, connection: str) -> bool:
+        if part.kind is Kind.EDGE:
+            return part.id in self.edges
+        if part.kind in _OF_COMPONENTS:
+            return part.id in self.components
+        record = self.connections.get(connection)
+        if record is None or record.state is ConnectionState.CLOSING:
+            return False
+        plans = (record.current, record.next)
+        return any(plan is not None and plan.ports == part.id for plan in plans)
+
+
+def connection_of(user: str) -> str:
+    """Return the id of the connection that a user of parts is."""
+    return user.partition("#")[0]
+
+
+def strictest(users: Mapping[str, ValidationMode]) -> ValidationMode:
+    """Return the mode that satisfies every user of an edge."""
+    return max(users.values(), key=_STRICTNESS.index)

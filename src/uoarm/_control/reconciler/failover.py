@@ -1,0 +1,327 @@
+"""When components die: which connections go on with another plan, which wait, and which end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from attrs import evolve
+
+from uoarm._control.reconciler.actions import (
+    Announce,
+    FindReplacement,
+    Finish,
+    Forget,
+    HandOver,
+    Publish,
+    RetireBridge,
+    Stop,
+    WakeAt,
+    Warn,
+)
+from uoarm._control.reconciler.draft import Draft, InputInUseError
+from uoarm._control.reconciler.endings import (
+    cancel_switchover,
+    drop_next,
+    end,
+    finish_if_asked,
+    look_later,
+)
+from uoarm._control.reconciler.events import HealthReported, ReplacementSought
+from uoarm._control.reconciler.state import (
+    ComponentFailure,
+    ComponentRecord,
+    ConnectionRecord,
+    Placement,
+    names,
+    recently,
+)
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.model import ConnectionState, Health, Plan
+
+__all__ = [
+    "advance",
+    "found",
+    "hand_over",
+    "health_reported",
+    "look_again",
+    "replace",
+    "seek",
+    "try_another",
+]
+
+_MINUTE = 60.0
+_AGAIN_SECONDS = 0.1
+
+
+def health_reported(draft: Draft, event: HealthReported) -> None:
+    """Note the health of components; end what finished, replace what was lost."""
+    concerned = [
+        name
+        for name, bridge in draft.bridges.items()
+        if bridge == event.bridge and event.component in {None, name}
+    ]
+    is_lost = event.health is Health.LOST
+    draft.actions.append(Forget(tuple(concerned)))
+    if event.component is None:
+        subject = f"bridge {event.bridge}"
+        draft.actions.append(Announce(subject, event.health.value, event.cause))
+    lost: list[int] = []
+    for name in concerned:
+        one = draft.serving.get(name)
+        if one is None and event.part == "messages":
+            _judge_service(draft, name, event)
+        if one is None or (is_lost and one in event.spared):
+            continue
+        record = _note(draft, draft.components[one], event)
+        if event.health is Health.FINISHED:
+            _finish(draft, record)
+        elif is_lost:
+            lost.append(one)
+    if lost:
+        _lose(draft, lost, frozenset(concerned), event)
+    if is_lost and event.component is None:
+        draft.actions.append(RetireBridge(event.bridge))
+
+
+def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
+    """Note that a service, of which nothing is open, raises or answers again."""
+    draft.actions.append(Announce(f"component {name}", event.health.value, event.cause))
+    if event.health is Health.LOST:
+        draft.avoided[name] = draft.now
+    elif event.health is Health.OK:
+        draft.avoided.pop(name, None)
+
+
+def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
+    health = record.health.noted(event.part, event.health, event.cause)
+    if health.is_news(record.health, event.health, event.cause):
+        subject = f"component {record.name}"
+        draft.actions.append(Announce(subject, health.health.value, health.cause))
+    record = draft.components[record.id] = evolve(record, health=health)
+    return record
+
+
+def _finish(draft: Draft, component: ComponentRecord) -> None:
+    """Have connections end when what is under way has arrived."""
+    for record in tuple(draft.connections.values()):
+        if not _uses(record.current, [component.id]) or record.finished:
+            continue
+        if record.state is ConnectionState.CLOSING:
+            continue
+        record = draft.put(record, finished=f"component {component.name!r} finished")  # noqa: PLW2901
+        if record.goes_on:
+            finish_if_asked(draft, record)
+
+
+def _lose(draft: Draft, lost: list[int], concerned: frozenset[str], event: HealthReported) -> None:
+    dead = [draft.components[one].name for one in lost]
+    for name in dead:
+        draft.failed.pop(name, None)
+        draft.failed[name] = draft.now
+        if event.is_avoided:
+            draft.avoided[name] = draft.now
+    were = f"component {dead[0]!r} was"
+    if len(dead) > 1:
+        were = f"components {', '.join(map(repr, dead))} were"
+    cause = f"{were} lost: {event.cause}"
+    replace(draft, ComponentFailure(draft.now, cause, tuple(lost), concerned, concerned))
+
+
+def replace(draft: Draft, failure: ComponentFailure) -> None:
+    """Let no message through what was lost, and have the connections that use it go on without."""
+    lost = failure.lost
+    draft.actions.append(Stop(draft.lose(lost)))
+    for identity in tuple(draft.connections):
+        record = draft.connections[identity]
+        if record.state is ConnectionState.CLOSING:
+            continue
+        if _uses(record.current, lost):
+            _lose_current(draft, record, failure)
+        elif _uses(record.next, lost):
+            _lose_next(draft, record, failure)
+
+
+def _lose_current(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
+    """Replace the plan that runs, or end; an end while it is opened is the request's failure."""
+    before = record.failure
+    if before is not None:
+        failure = evolve(
+            before,
+            lost=tuple(dict.fromkeys((*before.lost, *failure.lost))),
+            dead=before.dead | failure.dead,
+            excluded=before.excluded | failure.excluded,
+        )
+    record = draft.put(record, failure=failure)
+    if record.state is ConnectionState.OPENING:
+        text = f"connection {record.id} ended while it was being opened: {failure.cause}"
+        record = draft.put(record, error=BridgeError(text, FailureReason.UNAVAILABLE))
+    if not draft.policy.enabled or not record.goes_on:
+        end(draft, record, ConnectionState.FAILED, failure.cause)
+    elif record.switchover and draft.switchovers[record.switchover].is_switching:
+        return  # looked at when the inputs have changed hands
+    elif record.switchover:
+        cancel_switchover(draft, record.switchover)
+        seek(draft, draft.connections[record.id])
+    elif _uses(record.next, failure.lost):
+        seek(draft, drop_next(draft, record))
+    elif record.next is None:
+        seek(draft, record)
+
+
+def _lose_next(draft: Draft, record: ConnectionRecord, failure: ComponentFailure) -> None:
+    """Do without the plan that was to take over."""
+    if record.switchover:
+        if not draft.switchovers[record.switchover].is_switching:
+            cancel_switchover(draft, record.switchover)
+        return
+    _seek_without(draft, drop_next(draft, record), failure.excluded)
+
+
+def seek(draft: Draft, record: ConnectionRecord) -> None:
+    """Look for a plan that can take over, unless it changed too often already."""
+    failure = record.failure
+    assert failure is not None, "only what failed is replaced"
+    recent = [one for one in record.moves if draft.now - one < _MINUTE]
+    if len(recent) >= draft.policy.limit:
+        text = f"its providers changed {draft.policy.limit} times within a minute"
+        end(draft, record, ConnectionState.FAILED, f"{failure.cause}; nothing takes over: {text}")
+        return
+    record = draft.put(record, attempt=record.attempt + 1, failure=evolve(failure, retry_at=None))
+    ids = record.placement.components
+    runs = {name for name, one in ids.items() if one not in failure.lost}  # again, and well
+    draft.actions.append(
+        FindReplacement(
+            lane=f"{record.id}#{record.attempt}",
+            connection=record.id,
+            attempt=record.attempt,
+            plan=record.placement.plan,
+            output=record.output,
+            excluded=failure.excluded,
+            failed=tuple(name for name in draft.failed_lately() if name not in runs),
+            avoided=recently(draft.avoided, draft.now),
+        )
+    )
+
+
+def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> None:
+    """Open what was found; without anything, wait for what died to come back, or end."""
+    failure = record.failure
+    if failure is None:
+        return
+    if event.plan is not None:
+        try:
+            placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
+        except InputInUseError as error:
+            if draft.configurers:  # others move from what is in the way
+                retry_at = draft.now + _AGAIN_SECONDS
+                draft.put(record, failure=evolve(failure, retry_at=retry_at))
+                draft.actions.append(WakeAt(retry_at))
+                return
+            draft.actions.append(Warn(record.id, str(error)))
+            # What feeds the input now may well do: that one producer is all that cannot be used.
+            _seek_without(draft, record, frozenset({error.producer}))
+            return
+        advance(draft, draft.put(record, next=placement))
+        return
+    if draft.now >= failure.time + draft.policy.wait:
+        text = f"{failure.cause}; nothing takes over: {event.error}"
+        end(draft, record, ConnectionState.FAILED, text)
+        return
+    retry_at = draft.now + _AGAIN_SECONDS
+    failure = evolve(failure, excluded=frozenset(), retry_at=retry_at)
+    runs = record.state is ConnectionState.RUNNING
+    record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
+    if runs:
+        subject = f"connection {record.id}"
+        draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
+    draft.actions += [Forget(tuple(sorted(failure.dead))), WakeAt(retry_at)]
+
+
+def look_again(draft: Draft, record: ConnectionRecord) -> None:
+    """Look again for what takes over, when it is time."""
+    failure = record.failure
+    if failure is None or failure.retry_at is None or not record.goes_on:
+        return
+    if failure.retry_at <= draft.now:
+        seek(draft, record)
+    else:
+        draft.actions.append(WakeAt(failure.retry_at))
+
+
+def advance(draft: Draft, record: ConnectionRecord) -> None:
+    """Have what is missing of the next plan opened; hand over when all of it is open."""
+    assert record.next is not None, "there is a plan to open"
+    placement = draft.open(record, record.next, record.next.user, is_heard=True)
+    record = draft.put(record, next=placement)
+    failure = record.failure
+    if failure is not None and not draft.missing(placement):
+        hand_over(draft, record, failure.time, failure.cause)
+
+
+def try_another(draft: Draft, record: ConnectionRecord, error: str) -> None:
+    """Do without a plan that could not be opened."""
+    assert record.next is not None, "something could not be opened"
+    unfit = _added(record, record.next.plan)
+    draft.actions.append(Warn(record.id, error))
+    _seek_without(draft, drop_next(draft, record), unfit)
+
+
+def hand_over(
+    draft: Draft, record: ConnectionRecord, since: float, cause: str, *, is_planned: bool = False
+) -> None:
+    """Let the next plan be the one that runs, and the one so far run out."""
+    before, after = record.placement, record.next
+    assert after is not None, "there is a plan to go on with"
+    lost = record.failure.lost if record.failure is not None else ()
+    waited = record.state is ConnectionState.WAITING
+    preferred = None
+    if draft.policy.return_after is not None and not is_planned:
+        preferred = record.preferred or before.plan
+        if names(after.plan) == names(preferred):
+            preferred = None
+    record = draft.put(
+        record,
+        state=ConnectionState.RUNNING,
+        cause="",
+        current=after,
+        next=None,
+        failure=None,
+        preferred=preferred,
+        available_since=None,
+        look_at=None,
+        switchover=0,
+        moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
+    )
+    subject = f"connection {record.id}"
+    lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
+    draft.actions += [
+        HandOver(lane, record.id, before, after, is_heard, since, draft.now, cause),
+        Publish(record),
+    ]
+    if waited:
+        draft.actions.append(Announce(subject, record.state.value))
+    new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
+    goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
+    draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on}"))
+    parts = draft.unplace(before, ports=before.ports != after.ports)
+    draft.actions.append(Finish(lane, record.id, parts, before, lost))
+    if preferred is not None:
+        look_later(draft, record)
+
+
+def _added(record: ConnectionRecord, plan: Plan) -> frozenset[str]:
+    """Return what a plan would have added, or at least its provider."""
+    unfit = names(plan)
+    return frozenset(unfit).difference(names(record.placement.plan)) or frozenset(unfit[-1:])
+
+
+def _seek_without(draft: Draft, record: ConnectionRecord, more: frozenset[str]) -> None:
+    """Look for what takes over, and exclude more from now on."""
+    failure = record.failure
+    assert failure is not None, "outside a return, what comes next replaces what failed"
+    failure = evolve(failure, excluded=failure.excluded | more)
+    seek(draft, draft.put(record, failure=failure))
+
+
+def _uses(placement: Placement | None, components: Iterable[int]) -> bool:
+    return placement is not None and not set(placement.components.values()).isdisjoint(components)

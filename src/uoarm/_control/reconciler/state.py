@@ -1,0 +1,362 @@
+"""What the control plane knows: frozen values, of which `step` makes the next.
+
+Whatever is open is a numbered part with its users. A component that is closed and opened again is
+another part, so that nothing late is taken for something new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import NamedTuple
+
+from attrs import field, frozen
+
+from uoarm._control.reconciler.component_health import ComponentHealth
+from uoarm.model import (
+    ConnectionState,
+    Edge,
+    FailoverPolicy,
+    Plan,
+    PortRef,
+    Step,
+    ValidationMode,
+)
+
+__all__ = [
+    "OPEN",
+    "PORTS",
+    "Batch",
+    "ComponentFailure",
+    "ComponentRecord",
+    "ConnectionRecord",
+    "EdgeRecord",
+    "Kind",
+    "Part",
+    "Parts",
+    "Placement",
+    "State",
+    "Switchover",
+    "names",
+    "recently",
+]
+
+_REMEMBERED_SECONDS = 300.0
+_WELL = ComponentHealth()
+OPEN = 0
+"""In `State.parts`: the part is open. Any other number is the batch that is opening it."""
+
+
+class Kind(Enum):
+    """What a part is. Of a component, its application ports and its edges, in opening order."""
+
+    COMPONENT = "component"
+    RECEIVE = "receive"
+    OUTPUT = "output"
+    EDGE = "edge"
+    SEND = "send"
+
+    __hash__ = object.__hash__  # members are singletons; by name it costs ten times as much
+
+
+PORTS = frozenset({Kind.RECEIVE, Kind.SEND})
+"""Where the application touches a plan; these call a bridge for inputs that it feeds, only."""
+
+
+class Part(NamedTuple):
+    """Something that is opened by one call into a bridge, or attached.
+
+    Attributes:
+        kind: what it is.
+        id: of its component, its edge, or its application ports.
+        port: the name of an output, else empty.
+    """
+
+    kind: Kind
+    id: int
+    port: str = ""
+
+
+@frozen
+class Parts:
+    """Parts that nobody uses any more: what is to be closed.
+
+    Attributes:
+        components: ids, producers first.
+        edges: ids, those of the first producers first.
+        ports: ids of application ports.
+    """
+
+    components: tuple[int, ...] = ()
+    edges: tuple[int, ...] = ()
+    ports: tuple[int, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.components or self.edges or self.ports)
+
+
+@frozen
+class ComponentRecord:
+    """One instance of a component, open or on the way there.
+
+    Attributes:
+        step: of the first plan that needed it.
+        users: the placements that depend on it.
+        health: how it is doing.
+        is_lost: whether it died; then it is shared no more.
+        is_superseded: whether the configuration has another in its place, or none; the same.
+    """
+
+    id: int
+    step: Step
+    users: tuple[str, ...]
+    health: ComponentHealth = _WELL
+    is_lost: bool = False
+    is_superseded: bool = False
+
+    @property
+    def name(self) -> str:
+        """The component's name in the configuration."""
+        return self.step.component.name
+
+    def used_by(self, users: tuple[str, ...]) -> ComponentRecord:
+        """Return it with other users; built directly, as sharing does little else."""
+        return ComponentRecord(
+            self.id, self.step, users, self.health, self.is_lost, self.is_superseded
+        )
+
+
+@frozen
+class EdgeRecord:
+    """One edge between two instances, with what each of its users wishes to be checked.
+
+    Attributes:
+        is_held: whether messages wait for a switchover, since another edge feeds the input.
+    """
+
+    id: int
+    edge: Edge
+    producer: int
+    consumer: int
+    users: Mapping[str, ValidationMode]
+    is_held: bool = False
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """The input that it feeds."""
+        return self.edge.consumer, self.edge.input
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """The output that feeds it."""
+        return self.edge.producer, self.edge.output
+
+    def used_by(self, users: Mapping[str, ValidationMode]) -> EdgeRecord:
+        """Return it with other users."""
+        return EdgeRecord(self.id, self.edge, self.producer, self.consumer, users, self.is_held)
+
+
+@frozen
+class Placement:
+    """A plan, and the parts that serve it.
+
+    Attributes:
+        user: the name under which it uses parts: the connection's id, for later plans `c1#2`.
+        components: ids by name.
+        edges: ids, those of the first producers first.
+        ports: id of the application ports.
+        parts: everything it needs, in the order in which that opens.
+        batch: number of the batch that is opening parts for it; 0: none.
+    """
+
+    user: str
+    plan: Plan
+    components: Mapping[str, int]
+    edges: tuple[int, ...]
+    ports: int
+    parts: tuple[Part, ...]
+    batch: int = 0
+
+    @property
+    def provider(self) -> int:
+        """Id of the component that the application asked for."""
+        return self.components[self.plan.provider.component.name]
+
+
+@frozen
+class Batch:
+    """Parts that are being opened for a connection."""
+
+    connection: str
+    parts: tuple[Part, ...]
+
+
+@frozen
+class ComponentFailure:
+    """What a connection lost and has no replacement for yet.
+
+    Attributes:
+        time: when it was noticed.
+        cause: as the status and the gap show it.
+        lost: ids of components that died.
+        dead: names of what may come back: all of a dead bridge.
+        excluded: names that cannot take over: the dead, and what was tried in vain.
+        retry_at: when to look again for what takes over; None: somebody is looking.
+    """
+
+    time: float
+    cause: str
+    lost: tuple[int, ...]
+    dead: frozenset[str]
+    excluded: frozenset[str]
+    retry_at: float | None = None
+
+
+class ConnectionRecord(NamedTuple):
+    """One request, from asking to end.
+
+    Attributes:
+        id: `c1`, `c2`, ...
+        wanted: the function, and the output where one is named.
+        validate: how many messages are checked.
+        waiter: who waits for the reply to the request; empty: nobody any more.
+        killer: who waits for its end; empty: nobody.
+        outcome: how it ends, while it is closing.
+        error: what the request fails with, where that is more than the cause.
+        is_heard: whether a callback waits for the messages, so that there must be an output.
+        output: of the provider, whose messages the application receives.
+        current: the plan that runs; while the first is being opened, that one. None before there
+            is a plan.
+        next: the plan that is being opened in its place.
+        failure: why it is looking for a replacement; None: it is not.
+        attempt: counts plans and searches, so that a late result is known as such.
+        preferred: the plan to return to, the first one that was lost.
+        available_since: when that was seen first without a break; None: it is not there.
+        look_at: when to look for it.
+        is_looking: whether somebody is looking.
+        switchover: id of the switchover that it takes part in; 0: none.
+        moves: when its plan changed within the last minute.
+        finished: why it ends when all that is under way has arrived; empty: it does not.
+    """
+
+    id: str
+    wanted: PortRef
+    validate: ValidationMode
+    waiter: str
+    state: ConnectionState = ConnectionState.OPENING
+    cause: str = ""
+    killer: str = ""
+    outcome: ConnectionState = ConnectionState.CLOSED
+    error: BaseException | None = None
+    is_heard: bool = False
+    output: str | None = None
+    current: Placement | None = None
+    next: Placement | None = None
+    failure: ComponentFailure | None = None
+    attempt: int = 1
+    preferred: Plan | None = None
+    available_since: float | None = None
+    look_at: float | None = None
+    is_looking: bool = False
+    switchover: int = 0
+    moves: tuple[float, ...] = ()
+    finished: str = ""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it has ended, for whatever reason."""
+        return self.state in {ConnectionState.CLOSED, ConnectionState.FAILED}
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it runs, or waits for what can take over."""
+        return self.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
+
+    @property
+    def placement(self) -> Placement:
+        """The plan that runs, with its parts."""
+        assert self.current is not None, "only a request that is being resolved has no plan"
+        return self.current
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of its components; while it waits, those that are left."""
+        lost = self.failure.lost if self.failure is not None else ()
+        waits = self.state is ConnectionState.WAITING
+        ids = self.placement.components
+        return tuple(
+            name for name in names(self.placement.plan) if not (waits and ids[name] in lost)
+        )
+
+
+@frozen
+class Switchover:
+    """Connections that change to better plans at once, since an input has one producer.
+
+    Attributes:
+        members: connections by id, with the plan found for each, None while it is sought.
+        began: when the messages of the plans so far are counted to.
+        is_switching: whether the inputs are changing hands, which nothing interrupts.
+        is_reconfiguration: whether the plans are better since the configuration is another.
+    """
+
+    id: int
+    members: Mapping[str, Plan | None]
+    began: float
+    is_switching: bool = False
+    is_reconfiguration: bool = False
+
+
+@frozen
+class State:
+    """Everything. Mappings are never changed in place.
+
+    Attributes:
+        policy: whether, how often, and whether to return.
+        bridges: the bridge of each component of the configuration.
+        parts: open (`OPEN`), or the number of the batch that is opening it.
+        serving: the instance of each component that new users share.
+        feeding: the edge that feeds each input.
+        beside: the edge that will, after a switchover.
+        batches: what is being opened, by number.
+        failed: when a component died last, longest ago first.
+        avoided: the same for those that emitted too little or raised too often.
+        number: the last id given.
+        is_closing: whether no request is taken any more.
+        closers: who waits until every connection has ended.
+        revision: of the configuration.
+        outdated: connections whose plan may be another in this revision.
+        postponed: connections whose first plan, placed now, would be in the way of those.
+        configurers: who waits until all those have moved.
+    """
+
+    policy: FailoverPolicy
+    bridges: Mapping[str, str]
+    connections: Mapping[str, ConnectionRecord] = field(factory=dict)
+    components: Mapping[int, ComponentRecord] = field(factory=dict)
+    edges: Mapping[int, EdgeRecord] = field(factory=dict)
+    parts: Mapping[Part, int] = field(factory=dict)
+    serving: Mapping[str, int] = field(factory=dict)
+    feeding: Mapping[tuple[str, str], int] = field(factory=dict)
+    beside: Mapping[tuple[str, str], int] = field(factory=dict)
+    batches: Mapping[int, Batch] = field(factory=dict)
+    switchovers: Mapping[int, Switchover] = field(factory=dict)
+    failed: Mapping[str, float] = field(factory=dict)
+    avoided: Mapping[str, float] = field(factory=dict)
+    number: int = 0
+    is_closing: bool = False
+    closers: tuple[str, ...] = ()
+    revision: int = 0
+    outdated: frozenset[str] = frozenset()
+    postponed: tuple[str, ...] = ()
+    configurers: tuple[str, ...] = ()
+
+
+def names(plan: Plan) -> tuple[str, ...]:
+    """Return the names of a plan's components, producers first."""
+    return tuple(step.component.name for step in plan.steps)
+
+
+def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
+    """Return what happened within the last five minutes."""
+    return frozenset(name for name, time in times.items() if time >= now - _REMEMBERED_SECONDS)

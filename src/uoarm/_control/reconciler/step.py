@@ -1,0 +1,278 @@
+"""The reconciler: one event and the state before it give the state after it, and what to do.
+
+`step` touches no thread, clock, lock, log or bridge. Requests, sharing, kills and ends are here;
+`_failover` and `_failback` have what happens when components die and come back, `_switchover` how
+connections change to better plans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from attrs import evolve
+
+from uoarm._control.reconciler import failback, failover, reconfiguration, switchover
+from uoarm._control.reconciler.actions import Action, Announce, Close, Forget, Publish, Reply
+from uoarm._control.reconciler.draft import Draft, InputInUseError
+from uoarm._control.reconciler.endings import end, finish_if_asked
+from uoarm._control.reconciler.events import (
+    CandidatesChanged,
+    Configured,
+    Drained,
+    Ended,
+    Event,
+    HealthReported,
+    InputsSwitched,
+    Killed,
+    Opened,
+    PreferredChecked,
+    ReplacementSought,
+    Requested,
+    Resolved,
+    Stopped,
+    TimeReached,
+)
+from uoarm._control.reconciler.state import ConnectionRecord, State, names
+from uoarm.errors import ConnectionClosedError, ResolutionError, UsageError
+from uoarm.model import ConnectionState, Plan, PortRef
+
+__all__ = ["step"]
+
+_CLOSED = "the robot manager is closed"
+
+
+def step(state: State, event: Event, now: float) -> tuple[State, tuple[Action, ...]]:
+    """Return the state after an event, and the actions that follow from it.
+
+    Args:
+        state: before the event.
+        event: what happened.
+        now: when, in seconds of the manager's monotonic clock.
+    """
+    draft = Draft(state, now)
+    _HANDLERS[type(event)](draft, event)
+    reconfiguration.go_on(draft)
+    return draft.state(), tuple(draft.actions)
+
+
+def _requested(draft: Draft, event: Requested) -> None:
+    if draft.is_closing:
+        draft.actions.append(Reply(event.waiter, ConnectionClosedError(_CLOSED)))
+        return
+    record = draft.put(
+        ConnectionRecord(
+            event.connection, event.wanted, event.validate, event.waiter, is_heard=event.is_heard
+        )
+    )
+    if event.plan is not None and event.revision == draft.revision:
+        _begin(draft, record, event.plan)
+    else:
+        draft.resolve(record)
+
+
+def _resolved(draft: Draft, event: Resolved) -> None:
+    record = draft.connections.get(event.connection)
+    if record is None or record.current is not None:
+        return
+    if event.revision != draft.revision:  # the configuration was changed meanwhile
+        draft.resolve(record)
+    elif event.plan is None:
+        _refuse(draft, record, event.error)
+    else:
+        _begin(draft, record, event.plan)
+
+
+def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
+    """Open a connection's first plan."""
+    try:
+        output = _output(plan, record.wanted)
+    except UsageError as error:
+        _refuse(draft, record, error)
+        return
+    if output is None and record.is_heard:
+        text = f"function {plan.function!r} has no output to read"
+        _refuse(draft, record, UsageError(text))
+        return
+    record = draft.put(record, output=output)
+    try:
+        placement = draft.place(record, plan, record.id)
+    except InputInUseError as error:
+        if draft.configurers:  # others move from what is in the way
+            draft.postponed = (*draft.postponed, record.id)
+        else:
+            _refuse(draft, record, ResolutionError(str(error)))
+        return
+    record = draft.put(record, current=placement)
+    draft.actions += [Publish(record), Announce(f"connection {record.id}", record.state.value)]
+    _advance(draft, record)
+
+
+def _refuse(draft: Draft, record: ConnectionRecord, error: BaseException | None) -> None:
+    """Answer a request of which nothing was opened."""
+    del draft.connections[record.id]
+    draft.actions.append(Reply(record.waiter, error))
+
+
+def _output(plan: Plan, wanted: PortRef) -> str | None:
+    """Return the name of the output that the application receives, None where it has none."""
+    component = plan.provider.component
+    if not component.outputs and wanted.port is None:
+        return None
+    output = component.output(wanted.port)
+    if output is None:
+        has = ", ".join(f"{wanted.function}.{one.name}" for one in component.outputs)
+        raise UsageError(f"say which output of {wanted.function!r} is meant: {has or 'none'}")
+    return output.name
+
+
+def _advance(draft: Draft, record: ConnectionRecord) -> None:
+    """Have what a connection still needs opened; go on where that is all there."""
+    if record.state is ConnectionState.OPENING and record.current is not None:
+        placement = draft.open(record, record.current, record.waiter, is_heard=True)
+        if placement is not record.current:
+            draft.put(record, current=placement)
+        elif not placement.batch and not draft.missing(placement):
+            _run(draft, record)
+    elif record.next is not None and record.switchover:
+        switchover.advance(draft, draft.switchovers[record.switchover])
+    elif record.next is not None:
+        failover.advance(draft, record)
+
+
+def _run(draft: Draft, record: ConnectionRecord) -> None:
+    waiter = record.waiter
+    record = draft.put(record, state=ConnectionState.RUNNING, waiter="")
+    draft.actions += [
+        Publish(record),
+        Announce(f"connection {record.id}", record.state.value),
+        Reply(waiter),
+    ]
+    finish_if_asked(draft, record)
+
+
+def _opened(draft: Draft, event: Opened) -> None:
+    record = draft.connections.get(draft.batches[event.batch].connection)
+    late = draft.settle(event.batch, event.done)
+    if late:
+        draft.actions.append(Close(f"late {event.batch}", "", late))
+    if record is not None:
+        _batch_over(draft, record, event)
+    for identity in tuple(draft.connections):  # also those that waited for this batch
+        record = draft.connections[identity]
+        if record.state is ConnectionState.OPENING or record.next is not None:
+            _advance(draft, record)
+
+
+def _batch_over(draft: Draft, record: ConnectionRecord, event: Opened) -> None:
+    """Note that nothing is opened any more for the plan that the batch was for."""
+    if record.current is not None and record.current.batch == event.batch:
+        record = draft.put(record, current=evolve(record.current, batch=0))
+    elif record.next is not None and record.next.batch == event.batch:
+        record = draft.put(record, next=evolve(record.next, batch=0))
+    else:
+        return
+    if event.error is not None:
+        _failed_to_open(draft, record, event.error)
+
+
+def _failed_to_open(draft: Draft, record: ConnectionRecord, error: BaseException) -> None:
+    if record.state is ConnectionState.OPENING:
+        draft.actions.append(Forget(names(record.placement.plan)))
+        record = draft.put(record, error=error)
+        end(draft, record, ConnectionState.FAILED, str(error), lane=record.waiter)
+    elif record.switchover:
+        switchover.abandon(draft, draft.switchovers[record.switchover], str(error))
+    elif record.next is not None:
+        failover.try_another(draft, record, str(error))
+
+
+def _killed(draft: Draft, event: Killed) -> None:
+    record = draft.connections.get(event.connection)
+    if record is None or record.current is None:
+        if record is not None:
+            _refuse(draft, record, ConnectionClosedError(event.cause or "the request was given up"))
+        draft.actions.append(Reply(event.waiter))
+        return
+    if record.state is ConnectionState.CLOSING:
+        draft.actions.append(Reply(event.waiter))
+        return
+    outcome = ConnectionState.FAILED if event.is_failure else ConnectionState.CLOSED
+    if event.is_failure:
+        draft.actions.append(Forget(names(record.placement.plan)))
+    record = draft.put(record, killer=event.waiter)
+    end(draft, record, outcome, event.cause, lane=event.waiter)
+
+
+def _drained(draft: Draft, event: Drained) -> None:
+    record = draft.connections.get(event.connection)
+    if record is not None and record.finished:
+        end(draft, record, ConnectionState.CLOSED, record.finished)
+
+
+def _ended(draft: Draft, event: Ended) -> None:
+    record = draft.connections.pop(event.connection)
+    error = record.error
+    if error is None and record.waiter:
+        text = f"connection {record.id} ended while it was being opened"
+        error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
+    record = draft.put(record, state=record.outcome)
+    del draft.connections[record.id]
+    subject = f"connection {record.id}"
+    draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
+    draft.actions += [Reply(record.waiter, error)] if record.waiter else []
+    draft.actions += [Reply(record.killer)] if record.killer else []
+    _reply_when_closed(draft)
+
+
+def _stopped(draft: Draft, event: Stopped) -> None:
+    draft.is_closing, draft.closers = True, (*draft.closers, event.waiter)
+    for identity in tuple(draft.connections):
+        record = draft.connections[identity]  # an end may change others, with which it returns
+        if record.current is None:
+            _refuse(draft, record, ConnectionClosedError(_CLOSED))
+        else:
+            cause = "the robot manager was closed"
+            end(draft, record, ConnectionState.CLOSED, cause, lane=event.waiter)
+    _reply_when_closed(draft)
+
+
+def _reply_when_closed(draft: Draft) -> None:
+    if not draft.connections:
+        draft.actions += map(Reply, draft.closers)
+        draft.closers = ()
+
+
+def _time_reached(draft: Draft, event: TimeReached) -> None:
+    del event
+    for identity in tuple(draft.connections):
+        failover.look_again(draft, draft.connections[identity])
+        failback.look(draft, draft.connections[identity])
+
+
+def _replacement_sought(draft: Draft, event: ReplacementSought) -> None:
+    record = draft.connections.get(event.connection)
+    if record is None or record.attempt != event.attempt or not record.goes_on:
+        return
+    if event.switchover:
+        switchover.found(draft, record, event)
+    else:
+        failover.found(draft, record, event)
+
+
+_HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
+    Requested: _requested,
+    Resolved: _resolved,
+    Killed: _killed,
+    Opened: _opened,
+    HealthReported: failover.health_reported,
+    Drained: _drained,
+    Ended: _ended,
+    ReplacementSought: _replacement_sought,
+    PreferredChecked: failback.checked,
+    InputsSwitched: switchover.inputs_switched,
+    TimeReached: _time_reached,
+    Stopped: _stopped,
+    Configured: reconfiguration.configured,
+    CandidatesChanged: reconfiguration.candidates_changed,
+}

@@ -1,0 +1,610 @@
+"""The robot manager: ask it for a function, get a running connection."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any, final, overload
+
+from uoarm import _bounded
+from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.connection import Connection
+from uoarm._control.discovery.availability import check_availability
+from uoarm._control.discovery.candidate_watch import CandidateWatch
+from uoarm._control.discovery.discovery import discover
+from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.live.staleness import StalenessWatch
+from uoarm._control.live.stop_file import StopFile
+from uoarm._control.offers.offers import Offers
+from uoarm._control.reconciler.events import Requested
+from uoarm._control.reconciler.state import State, recently
+from uoarm._control.runtime.event_dispatcher import EventDispatcher
+from uoarm._control.runtime.executor import Executor
+from uoarm._control.runtime.revisions import Revision, Revisions, StagedRevision
+from uoarm._control.services import Services
+from uoarm._dataplane import Clock
+from uoarm._hints.applications import MessageType, T
+from uoarm._mistakes import choose
+from uoarm._spans import span
+from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.config import assign, load
+from uoarm.errors import (
+    ConfigurationError,
+    ConnectionClosedError,
+    UsageError,
+)
+from uoarm.model import (
+    BridgeFindings,
+    ConfigurationChange,
+    Deliver,
+    Effect,
+    FunctionStatus,
+    Health,
+    Message,
+    MessageStructure,
+    OfferStatus,
+    Plan,
+    PortRef,
+    QueuePolicy,
+    Robot,
+    StatusEvent,
+    StatusMap,
+    StopReport,
+    ValidationMode,
+)
+
+__all__ = ["RobotManager"]
+
+_log = logging.getLogger("uoarm")
+_INBOX = QueuePolicy(length=64)
+_DISCOVERY_SECONDS = 60.0
+
+
+@final
+class RobotManager:
+    """Bridges, connections and status of one robot. A context manager; several may live at once.
+
+    All methods may be called from any thread, callbacks and listeners included.
+
+    Attributes:
+        registry: the bridge plugins.
+
+    Args:
+        robot: the configuration, as `uoarm.config.load` returns it.
+        registry: bridge plugins; None: those installed.
+        bridges: ready instances by name, instead of making them from the configuration.
+        clock: a monotonic clock, in seconds, for ages and rates.
+        stop_file: a file that is there from `stop_all` to `release`, readable by this user only:
+            a manager that is made while it is there begins stopped. One for each robot. None:
+            a stop lasts as long as the manager.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        registry: Registry | None = None,
+        bridges: Mapping[str, Bridge] | None = None,
+        clock: Clock = time.monotonic,
+        stop_file: str | PathLike[str] | None = None,
+    ) -> None:
+        self.registry = registry or Registry()
+        robot = assign(robot, self.registry.types)
+        self._clock = clock
+        self._numbers = itertools.count(1)
+        self._events = EventDispatcher(clock)
+        self._bridges = BridgeSet(
+            robot.bridges,
+            self.registry,
+            self._noticed,
+            bridges or {},
+            clock,
+            robot.hosts,
+            robot.origin,
+        )
+        self._revisions = Revisions(robot, self._bridges, clock)
+        self._executor = Executor(
+            State(robot.failover, {one.name: one.bridge for one in robot.components()}),
+            bridges=self._bridges,
+            events=self._events,
+            revisions=self._revisions,
+            clock=clock,
+            emergency_stop=EmergencyStop(
+                clock, None if stop_file is None else StopFile(Path(stop_file))
+            ),
+        )
+        self._candidates = CandidateWatch(
+            self._revisions, self._executor, self._bridges.get, self.registry.types
+        )
+        self._services = Services(
+            self._bridges.get,
+            lambda: self._executor.state.policy.failing,
+            clock,
+            self._executor.judge_service,
+            lambda name: name in recently(self._executor.state.avoided, clock()),
+        )
+        self._offers = Offers(lambda: self.config, self, self._bridges, self._events, clock)
+        self._staleness = StalenessWatch(
+            self._executor.components,
+            self._executor.edges,
+            lambda event: self._executor.report(event, is_avoided=True),
+            clock,
+        )
+        self._watch_rates(robot)
+        self._bridges.machines.begin()
+
+    @property
+    def config(self) -> Robot:
+        """The configuration in force, with the options that uoarm chose filled in.
+
+        Functions with needs have the candidates that were discovered, behind those named.
+        """
+        return self._revisions.current.robot
+
+    @property
+    def revision(self) -> int:
+        """How many changes of the configuration led to the one in force."""
+        return self._revisions.current.number
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | PathLike[str],
+        *,
+        registry: Registry | None = None,
+        clock: Clock = time.monotonic,
+        stop_file: str | PathLike[str] | None = None,
+    ) -> RobotManager:
+        """Read a configuration file and make its manager; bridges start when needed.
+
+        Raises:
+            ConfigurationError: the file has mistakes; the text lists all of them.
+        """
+        registry = registry or Registry()
+        robot = load(path, registry.types)
+        return cls(robot, registry=registry, clock=clock, stop_file=stop_file)
+
+    def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
+        """Return the plan that `request` would open, without opening anything.
+
+        Asks bridges for structures that are not known yet; one that does not answer within half
+        a minute is passed over.
+
+        Raises:
+            ResolutionError: nothing fits; the text says for every candidate why.
+            BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
+        """
+        self._require_open()
+        self._candidates.wait(timeout)
+        function = _reference(name).function
+        revision = self._revisions.current
+        known = self._known(function, revision)
+        if known is not None:
+            return known
+        avoided = recently(self._executor.state.avoided, self._clock())
+        with span("resolve", function=function):
+            return _bounded.run(
+                f"resolving {function!r}",
+                timeout,
+                lambda: revision.resolve(function, avoided=avoided),
+            )
+
+    @overload
+    def request(
+        self,
+        name: str,
+        *,
+        as_type: type[T],
+        validate: ValidationMode | str = ...,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[T], None] | None = None,
+        timeout: float = 60.0,
+    ) -> Connection[T]: ...
+
+    @overload
+    def request(
+        self,
+        name: str,
+        *,
+        as_type: object = None,
+        validate: ValidationMode | str = ...,
+        queue: QueuePolicy | None = None,
+        on_message: Deliver | None = None,
+        timeout: float = 60.0,
+    ) -> Connection: ...
+
+    def request(
+        self,
+        name: str,
+        *,
+        as_type: Any = None,
+        validate: ValidationMode | str = ValidationMode.SAMPLED,
+        queue: QueuePolicy | None = None,
+        on_message: Callable[[Any], None] | None = None,
+        timeout: float = 60.0,
+    ) -> Connection[Any]:
+        """Resolve a function, open its whole plan and return the connection.
+
+        Args:
+            name: a function; `function.output` where it has several outputs.
+            as_type: the type in which messages are wanted, such as a dataclass: whatever a Python
+                component may have as a hint. It is proven that every message is one. None: plain
+                values.
+            validate: how many messages of outputs are checked against their structures; what is
+                sent is checked always, unless this is off.
+            queue: what to do when the application reads slower than messages come; None:
+                the newest 64 are kept.
+            on_message: a callback that receives the messages, from the first one on.
+            timeout: seconds for everything: resolving, checking and opening.
+
+        Raises:
+            ResolutionError: nothing fits. Nothing was opened.
+            BridgeError: a bridge failed while opening. Everything was closed again.
+            BridgeTimeoutError: not open in time. Everything was closed again, or will be as
+                soon as the bridge lets go.
+            UsageError: the function has several outputs and the name does not say which, or
+                there is no such way to validate, or a message may be no `as_type`.
+        """
+        self._require_open()
+        mode = choose(ValidationMode, validate, "validate", UsageError)
+        wanted = _reference(name)
+        self._candidates.wait(timeout)
+        wanted_type = self._typed(as_type, name, timeout)
+        revision = self._revisions.current
+        identity = f"c{next(self._numbers)}"
+        tell = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
+        runtime = ConnectionRuntime(identity, queue or _INBOX, tell)
+        if on_message is not None:
+            take = on_message if wanted_type is None else wanted_type.callback(on_message)
+            runtime.receiver.inbox.subscribe(take)
+        event = Requested(
+            runtime.id,
+            wanted,
+            mode,
+            waiter=f"request {runtime.id}",
+            plan=self._known(wanted.function, revision),
+            is_heard=on_message is not None,
+            revision=revision.number,
+        )
+        connection = Connection(runtime, self._executor, wanted_type)
+        self._executor.request(runtime, event, f"request for {name!r}", timeout)
+        if wanted_type is not None:
+            try:  # of the plan that was opened, which may be another one than was found above
+                wanted_type.require(_given(connection.plan, connection.output, name).schema)
+            except UsageError:
+                connection.kill()
+                raise
+        return connection
+
+    @overload
+    def call(
+        self, name: str, message: Message, *, as_type: type[T], timeout: float = 10.0
+    ) -> T: ...
+
+    @overload
+    def call(
+        self, name: str, message: Message, *, as_type: object = None, timeout: float = 10.0
+    ) -> Message: ...
+
+    def call(
+        self, name: str, message: Message, *, as_type: Any = None, timeout: float = 10.0
+    ) -> Message:
+        """Call the service that provides a function and return its reply.
+
+        Args:
+            name: a function whose components are services.
+            message: the request: plain values or objects, as `Connection.send` takes them; checked
+                against the service's structure.
+            as_type: the type in which the reply is wanted, as with `request`; None: plain values.
+            timeout: seconds.
+
+        Raises:
+            ResolutionError: no service is available.
+            MessageError: the request does not match the structure.
+            BridgeError: the service failed or is gone, or its reply does not match the structure.
+            BridgeTimeoutError: no reply in time.
+            UsageError: the function is a stream, or a reply may be no `as_type`.
+        """
+        wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")
+        return _bounded.run(
+            f"call of {name!r}",
+            timeout,
+            lambda: self._services.call(
+                name, self.resolve(name, timeout=timeout).provider, message, wanted, timeout
+            ),
+        )
+
+    def connections(self) -> tuple[Connection, ...]:
+        """Return the connections that have not ended, oldest first, whoever requested them."""
+        runtimes = self._executor.connections()
+        return tuple(one.handle for one in runtimes if one.handle is not None)
+
+    def status(self) -> StatusMap:
+        """Return the whole system as it is at this moment."""
+        connections = self.connections()
+        shared = (edge.status() for edge in self._executor.edges())
+        own = (route for connection in connections for route in connection.routes())
+        return StatusMap(
+            bridges=self._bridges.statuses(),
+            components=(*self._executor.component_statuses(), *self._services.statuses()),
+            connections=tuple(connection.status() for connection in connections),
+            routes=(
+                *(route for route in shared if route is not None),
+                *own,
+                *self._offers.routes(),
+            ),
+            machines=self._bridges.machines.statuses(),
+            deaths=self._executor.deaths(),
+            takeovers=self._executor.takeovers(),
+            offers=self._offers.statuses(),
+            held=self._executor.live.emergency_stop.held(),
+        )
+
+    def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
+        """Open what the configuration offers in frameworks, and keep it open until `close`.
+
+        Each offer requests its function as an application does: a provider that dies is replaced
+        behind it. One that cannot be opened, or that broke, is tried again, after a second at
+        first and half a minute at last, and whenever a component or a bridge is well again.
+        `apply` opens and closes what it changes. Idempotent.
+
+        Args:
+            timeout: seconds to wait for the first attempts; what takes longer goes on.
+
+        Returns:
+            every offer as it is then, with the cause where it failed.
+        """
+        self._require_open()
+        return self._offers.begin(timeout)
+
+    def check_availability(self) -> tuple[FunctionStatus, ...]:
+        """Return which functions and components can be had now; opens nothing.
+
+        Blocks while bridges are asked, several components at once, each within its limit.
+        """
+        self._require_open()
+        self._candidates.wait(_DISCOVERY_SECONDS)
+        revision = self._revisions.current
+        for component in revision.robot.components():
+            revision.forget(component.name)
+        return check_availability(revision.robot, revision.structures, self.resolve)
+
+    def discover(self, *, timeout: float = 10.0) -> tuple[BridgeFindings, ...]:
+        """Return what every bridge sees now, configured or not; opens nothing.
+
+        Args:
+            timeout: seconds for each bridge, its start included; several are asked at once.
+        """
+        self._require_open()
+        return discover(self._revisions.current.base, self._bridges.get, timeout)
+
+    def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
+        """Tell a listener every change from now on, in order; returns what ends that.
+
+        Listeners run in one thread of the manager, never in a thread that moves messages.
+        """
+        return self._events.listen(listener)
+
+    def apply(
+        self,
+        robot: Robot,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Change the configuration while the manager runs; one change at a time.
+
+        Connections whose plan stays as it is notice nothing. The others go on with their new
+        plans as after a failover, with a gap noted: what is new opens beside what runs, and takes
+        its place. Where that cannot be (a device that can be open once only), what the new
+        configuration has no more is closed first. Takeovers of that kind are not counted for
+        `failover.limit`.
+
+        Args:
+            robot: the configuration, as `uoarm.config.load` returns it.
+            dry_run: whether to say only what would happen. Bridges that are new or others are
+                started for that, asked for structures and closed again.
+            force: whether connections may end for it that find no other plan.
+            revision: of the configuration that the change was made for; None: any.
+            timeout: seconds, for finding out what would happen, and once more for moving.
+
+        Raises:
+            ConfigurationError: connections would end, or it changes what cannot be changed while
+                the manager runs: other machines, and where they join. Nothing has changed.
+            UsageError: another revision is in force. Nothing has changed.
+            BridgeTimeoutError: a bridge hangs. Nothing has changed, unless the text says that
+                connections were changing already.
+        """
+        self._require_open()
+        what = "finding out what the change of configuration would do"
+        with self._revisions.alone(timeout):
+            self._revisions.require(revision)
+            staged = _bounded.run(
+                what, timeout, lambda: self._stage(robot), on_late=lambda late: late.bridges.close()
+            )
+            gone = self._offers.connections_without(robot)
+            ending = [
+                one
+                for one in staged.change.connections
+                if one.effect is Effect.ENDS and one.connection not in gone
+            ]
+            if dry_run or (ending and not force):
+                staged.bridges.close()
+            if dry_run:
+                return staged.change
+            if ending and not force:
+                told = "\n".join(f"  {one}" for one in ending)
+                raise ConfigurationError(
+                    f"the change would end connections; force it, or kill them first:\n{told}"
+                )
+            self._watch_rates(robot)
+            self._executor.configure(staged, timeout)
+            self._offers.follow()
+            return self._revisions.history()[-1]
+
+    def reload(
+        self,
+        path: str | PathLike[str] | None = None,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Read a configuration file and `apply` it; None: the file that is in force, again.
+
+        Raises:
+            UsageError: the configuration in force is of no file, and no other is named.
+            ConfigurationError: the file has mistakes, all of which the text lists, or as `apply`.
+        """
+        path = path or self.config.origin
+        if not path:
+            raise UsageError("the configuration was not read from a file: name one")
+        robot = load(path, self.registry.types)
+        return self.apply(robot, dry_run=dry_run, force=force, timeout=timeout)
+
+    def rollback(
+        self,
+        to: int,
+        *,
+        dry_run: bool = False,
+        force: bool = False,
+        revision: int | None = None,
+        timeout: float = 60.0,
+    ) -> ConfigurationChange:
+        """Apply the configuration of an earlier revision again, as a revision of its own.
+
+        Args:
+            to: the number of the revision.
+            dry_run: as `apply` has it, and so `force`, `revision` and `timeout`.
+            force: likewise.
+            revision: likewise.
+            timeout: likewise.
+
+        Raises:
+            UsageError: there is no such revision, or it was too long ago; or as `apply`.
+            ConfigurationError: as `apply`.
+        """
+        kept = {one.revision: one.robot for one in self.history()}
+        robot = kept.get(to)
+        if robot is None:
+            raise UsageError(f"revision {to} is not kept: {min(kept)} to {max(kept)} are")
+        return self.apply(robot, dry_run=dry_run, force=force, revision=revision, timeout=timeout)
+
+    def history(self) -> tuple[ConfigurationChange, ...]:
+        """Return the last hundred revisions of the configuration, the one in force last."""
+        return self._revisions.history()
+
+    def stop_all(self, *, timeout: float = 2.0) -> StopReport:
+        """Stop every input that moves something, and refuse commands until `release`.
+
+        The stop message goes to all open inputs that have one at once, also to those that stand
+        still; what opens meanwhile is stopped as it opens. Idempotent: a second call sends it
+        again, and says how things are now. It waits for no lock or queue of messages.
+
+        Args:
+            timeout: seconds in which the inputs are waited for. The stop goes on being sent to
+                those that have not taken it then.
+
+        Returns:
+            For every open input that moves something whether the framework took the stop message.
+        """
+        return self._executor.live.emergency_stop.stop(timeout)
+
+    def release(self, *, timeout: float = 2.0) -> None:
+        """Let commands through again; what has stopped stands still until the next one.
+
+        Raises:
+            BridgeError: some inputs could not be told; they go on refusing commands. Or nothing was
+                released: the stop file cannot be removed, or another stop came meanwhile.
+        """
+        self._executor.live.emergency_stop.release(timeout)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether commands are refused, from `stop_all` to `release`."""
+        return self._executor.live.emergency_stop.is_held
+
+    def close(self) -> None:
+        """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._candidates.close()
+        self._staleness.close()
+        self._offers.close()
+        self._executor.close()
+        for failure in self._bridges.close():
+            _log.warning("%s", failure)
+        self._events.close()
+
+    def _typed(self, hint: Any, name: str, timeout: float) -> MessageType[Any] | None:
+        """Return the type that an application wants, proven to be what the function gives."""
+        if hint is None:
+            return None
+        wanted: MessageType[Any] = MessageType(hint, f"function {name!r}")
+        reference = _reference(name)
+        plan = self.resolve(reference.function, timeout=timeout)
+        wanted.require(_given(plan, reference.port, name).schema)
+        return wanted
+
+    def _known(self, function: str, revision: Revision) -> Plan | None:
+        """Return the plan that was found before, unless it may use what is avoided now."""
+        avoided = recently(self._executor.state.avoided, self._clock())
+        return None if avoided else revision.resolver.known(function)
+
+    def _stage(self, robot: Robot) -> StagedRevision:
+        robot = assign(robot, self.registry.types)
+        return self._revisions.stage(robot, lambda: self._executor.state)
+
+    def _watch_rates(self, robot: Robot) -> None:
+        if any(one.expect for each in robot.components() for one in each.outputs):
+            self._staleness.start()
+
+    def _noticed(self, event: HealthEvent) -> None:
+        if not self._offers.reported(event):
+            self._executor.report(event)
+
+    def _require_open(self) -> None:
+        if self._executor.state.is_closing:
+            raise ConnectionClosedError("the robot manager is closed")
+
+    def __repr__(self) -> str:
+        name = self.config.origin or "in memory"
+        functions, connections = len(self.config.functions), len(self.connections())
+        return f"<RobotManager {name}: {functions} functions, {connections} connections>"
+
+    def __enter__(self) -> RobotManager:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:
+    """Return the structure of the messages that an application receives of a plan."""
+    component = plan.provider.component
+    given = component.output(output)
+    if given is None:
+        names = ", ".join(one.name for one in component.outputs)
+        has = (
+            f"has the outputs {names}" if names else "has no output, so that `as_type` says nothing"
+        )
+        raise UsageError(f"function {name!r} {has}")
+    return plan.provider.structures[f"output.{given.name}"]
+
+
+def _reference(name: str) -> PortRef:
+    """Read `function` or `function.output`."""
+    function, dot, port = name.partition(".")
+    return PortRef(function, port if dot else None)

@@ -1,0 +1,300 @@
+"""The executor: owns the state, gives `step` its events, and has the performer do what follows.
+
+One thread at a time owns the state: whoever posts an event while nobody does. It works until no
+event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is quick and no
+event needs a thread of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+from collections import deque
+
+from uoarm import _bounded
+from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.live.edge import LiveEdge
+from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.live.parts import LiveParts
+from uoarm._control.reconciler import events as ev
+from uoarm._control.reconciler.draft import connection_of
+from uoarm._control.reconciler.state import ComponentRecord, State
+from uoarm._control.reconciler.step import step
+from uoarm._control.reconciler.trace import write
+from uoarm._control.runtime.event_dispatcher import EventDispatcher
+from uoarm._control.runtime.lanes import Job, Lanes
+from uoarm._control.runtime.performer import Performer
+from uoarm._control.runtime.revisions import Revisions, StagedRevision
+from uoarm._control.runtime.timer import Timer
+from uoarm._dataplane import Clock
+from uoarm._spans import current, span
+from uoarm._workers import WorkerPool
+from uoarm.bridge import HealthEvent
+from uoarm.model import Component, ComponentStatus, Health, Robot
+
+__all__ = ["Executor"]
+
+_TOLD = 20
+_log = logging.getLogger("uoarm")
+_log_of_events = logging.getLogger("uoarm.control")
+
+
+class Executor:
+    """Runs the control plane of one manager. All methods may be called from any thread.
+
+    Args:
+        state: to begin with.
+        bridges: of the manager.
+        events: where changes are announced.
+        revisions: of the configuration, in which plans are found.
+        clock: seconds.
+        emergency_stop: holds all inputs that move something.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        *,
+        bridges: BridgeSet,
+        events: EventDispatcher,
+        revisions: Revisions,
+        clock: Clock,
+        emergency_stop: EmergencyStop,
+    ) -> None:
+        self.state = state
+        self.live = LiveParts(bridges, lambda: self.state, clock, self._judged, emergency_stop)
+        self._bridges = bridges
+        self._revisions = revisions
+        self._clock = clock
+        self._events: deque[ev.Event] = deque()
+        self._owning = threading.Lock()
+        self._numbers = itertools.count()  # of those who wait
+        self._workers = WorkerPool("uoarm-lane")
+        self._lanes = Lanes(self._start)
+        self._timer = Timer(clock, lambda: self.post(ev.TimeReached()))
+        self._performer = Performer(
+            lambda: self.state,
+            self.post,
+            live=self.live,
+            lanes=self._lanes,
+            timer=self._timer,
+            bridges=bridges,
+            announcements=events,
+            revisions=revisions,
+        )
+
+    def post(self, event: ev.Event) -> None:
+        """Take an event. Quick: what follows from it may be done later, in other threads."""
+        self._events.append(event)
+        # Whoever finds the state owned leaves its event to the owner, which looks once more after
+        # it let go: an event that came between is not left lying.
+        while self._events and self._owning.acquire(blocking=False):
+            try:
+                while self._events:
+                    self._handle(self._events.popleft())
+            finally:
+                self._owning.release()
+
+    def request(
+        self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
+    ) -> None:
+        """Post a request and wait until it is running.
+
+        Raises:
+            BridgeTimeoutError: it is not, in time; it is given up.
+            UoarmError: it failed.
+        """
+        with span("request", function=str(event.wanted), connection=runtime.id):
+            runtime.context = current()
+            self._request(runtime, event, step_name, timeout)
+
+    def _request(
+        self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
+    ) -> None:
+        self.live.runtimes[runtime.id] = runtime
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        try:
+            if self._lanes.is_quick(event.waiter):  # sharing what is open costs no hop
+                self._lanes.drive(event.waiter)
+            else:
+                _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+        except BaseException as error:
+            self._lanes.abandon(event.waiter)
+            self.kill(runtime.id, str(error), is_failure=True)
+            self.live.runtimes.pop(runtime.id, None)
+            raise
+
+    def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
+        """End a connection, and close in this thread what only it used. Idempotent."""
+        waiter = f"kill {next(self._numbers)}"
+        self._ask(ev.Killed(identity, waiter, cause, is_failure))
+
+    def configure(self, staged: StagedRevision, timeout: float) -> None:
+        """Put a configuration into force; wait until every connection has moved that can.
+
+        Raises:
+            BridgeTimeoutError: they have not in time; they go on with it.
+        """
+        robot = staged.revision.robot
+        event = ev.Configured(
+            staged.revision.number,
+            f"configuration {staged.revision.number}",
+            robot.failover,
+            {one.name: one.bridge for one in robot.components()},
+            staged.difference.superseded,
+            staged.difference.functions,
+        )
+        self._revisions.expect(staged)
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        step_name = f"changing to revision {event.revision} of the configuration"
+        try:
+            _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
+        except BaseException:
+            self._lanes.abandon(event.waiter)
+            raise
+
+    def change_candidates(self, robot: Robot) -> None:
+        """Have other discovered candidates from now on. Returns at once where they are the same.
+
+        Args:
+            robot: the configuration in force, with these candidates.
+        """
+        before = self._revisions.current
+        difference, revision = self._revisions.with_candidates(robot)
+        if before.robot.functions == robot.functions:
+            return
+        if difference.told:
+            both = (*before.robot.components(), *robot.components())
+            every = {one.name: one.bridge for one in both}
+            # A plan with a new candidate can be found only after the state knows its bridge.
+            self.post(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
+        self._revisions.current = revision
+
+    def _ask(self, event: ev.Killed | ev.Stopped) -> None:
+        """Post an event and do what follows from it in this thread, until it is done."""
+        self._lanes.reserve(event.waiter)
+        self.post(event)
+        self._lanes.drive(event.waiter)
+
+    def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:
+        """Take a change of health; one of a channel that was closed is no news."""
+        channel = event.channel
+        part: object = "bridge" if event.component is None else "component"
+        component = event.component
+        if channel is not None:
+            if channel.closed:
+                return
+            # Found by its endpoint: it may report before its opening has returned.
+            component = channel.endpoint.component
+            part = channel.endpoint.role, channel.endpoint.port
+        spared = frozenset[int]()
+        if event.health is Health.LOST and component is None:
+            live = self.live.components.copy()
+            spared = frozenset(n for n, one in live.items() if self._bridges.is_in_use(one.bridge))
+        self.post(
+            ev.HealthReported(
+                event.bridge, event.health, event.cause, component, part, spared, is_avoided
+            )
+        )
+
+    def judge_service(self, component: Component, health: Health, cause: str) -> None:
+        """Take a new verdict on what a service raises."""
+        is_lost = health is Health.LOST
+        self.post(
+            ev.HealthReported(
+                component.bridge, health, cause, component.name, "messages", is_avoided=is_lost
+            )
+        )
+
+    def connections(self) -> tuple[ConnectionRuntime, ...]:
+        """Return the connections that have a plan and have not ended, oldest first."""
+        runtimes = self.live.runtimes.copy()
+        found = (runtimes.get(one) for one in self.state.connections)
+        return tuple(one for one in found if one is not None and one.record is not None)
+
+    def components(self) -> tuple[LiveComponent, ...]:
+        """Return the components that are open and well enough to be shared."""
+        objects = self.live.components.copy()
+        return tuple(objects[one] for one in self.state.serving.values() if one in objects)
+
+    def edges(self) -> tuple[LiveEdge, ...]:
+        """Return the edges that feed something."""
+        objects = self.live.edges.copy()
+        return tuple(objects[one] for one in self.state.feeding.values() if one in objects)
+
+    def component_statuses(self) -> tuple[ComponentStatus, ...]:
+        """Return what the status map shows of components."""
+        state, objects = self.state, self.live.components.copy()
+        return tuple(
+            _status(state.components[one], objects.get(one)) for one in state.serving.values()
+        )
+
+    def deaths(self) -> tuple[tuple[str, int], ...]:
+        """Return how often each component was lost."""
+        return tuple(sorted(self._performer.deaths.copy().items()))
+
+    def takeovers(self) -> tuple[tuple[str, int], ...]:
+        """Return how often a plan took over, by function."""
+        return tuple(sorted(self._performer.takeovers.copy().items()))
+
+    def close(self) -> None:
+        """End every connection, take no more requests, and tell no more when times are reached."""
+        self._ask(ev.Stopped(f"close {next(self._numbers)}"))
+        self._timer.close()
+        self._workers.close()
+
+    def _judged(self, number: int, health: Health, cause: str) -> None:
+        """Take a new verdict on what an instance of a component raises, and no other of it."""
+        state = self.state
+        record = state.components.get(number)
+        if record is None or state.serving.get(record.name) != number:
+            return
+        others = frozenset(self.live.components.copy()) - {number}
+        bridge, is_lost = record.step.component.bridge, health is Health.LOST
+        self.post(
+            ev.HealthReported(bridge, health, cause, record.name, "messages", others, is_lost)
+        )
+
+    def _handle(self, event: ev.Event) -> None:
+        now = self._clock()
+        if _log_of_events.isEnabledFor(logging.DEBUG):
+            _log_of_events.debug("%s", write(event, now))
+        try:
+            self.state, actions = step(self.state, event, now)
+        except Exception:  # noqa: BLE001 - whoever posted it must not pay for a fault of ours
+            _log.exception("the control plane failed at %r", event)
+            return
+        if isinstance(event, ev.Opened):
+            self._performer.opened(event)
+        for action in actions:
+            try:
+                self._performer.perform(action)
+            except Exception:  # noqa: BLE001 - nor do the actions that come after it
+                _log.exception("the control plane failed to do %r", action)
+
+    def _start(self, job: Job) -> None:
+        """Have a lane served by a worker; what comes late is closed after the manager, too."""
+        if not self._workers.submit(job):
+            threading.Thread(target=job, name="uoarm-late", daemon=True).start()
+
+
+def _status(record: ComponentRecord, live: LiveComponent | None) -> ComponentStatus:
+    """Return what the status map shows of a component; its object is None while it opens."""
+    channels = () if live is None else live.channel_statuses()
+    return ComponentStatus(
+        name=record.name,
+        function=record.step.component.function,
+        bridge=record.step.component.bridge,
+        health=record.health.health,
+        users=tuple(dict.fromkeys(map(connection_of, record.users))),
+        cause=record.health.cause,
+        channels=channels,
+        failed=0 if live is None else live.failures.failed,
+        last_error="" if live is None else live.failures.last_error,
+        lost=sum(channel.lost for channel in channels),
+    )

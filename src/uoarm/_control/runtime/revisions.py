@@ -1,0 +1,259 @@
+"""The configuration of a manager, its revisions, and what another one would mean."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from attrs import evolve, field, frozen
+
+from uoarm._adapt import check_edge
+from uoarm._control.bridges.bridge_set import BridgeSet, StagedBridges
+from uoarm._control.reconciler.state import ConnectionRecord, State, names, recently
+from uoarm._control.runtime.searches import find_replacement
+from uoarm._dataplane import Clock
+from uoarm._resolve import Resolver, StructureCache, without_candidates
+from uoarm.config import Difference, compare
+from uoarm.errors import BridgeTimeoutError, ConfigurationError, ResolutionError, UsageError
+from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Robot
+
+__all__ = ["Revision", "Revisions", "StagedRevision"]
+
+_KEPT = 100
+
+
+@frozen(eq=False)
+class Revision:
+    """One configuration, and what resolves in it.
+
+    Attributes:
+        number: how many changes led to it. Candidates that come and go are none.
+        robot: the configuration with the candidates that were discovered.
+        base: the configuration alone.
+        needs_candidates: whether it has functions with needs.
+    """
+
+    number: int
+    robot: Robot
+    structures: StructureCache
+    resolver: Resolver
+    base: Robot
+    needs_candidates: bool = field(init=False)
+
+    def __attrs_post_init__(self) -> None:
+        needs = any(one.needs is not None for one in self.base.functions.values())
+        object.__setattr__(self, "needs_candidates", needs)
+
+    def resolve(
+        self,
+        name: str,
+        excluded: frozenset[str] = frozenset(),
+        avoided: frozenset[str] = frozenset(),
+    ) -> Plan:
+        """Resolve without what is avoided; where there is nothing else, with it."""
+        avoided -= excluded
+        if avoided:
+            try:
+                return self.resolver.resolve(name, excluded=excluded | avoided)
+            except ResolutionError:
+                pass
+        return self.resolver.resolve(name, excluded=excluded)
+
+    def forget(self, component: str) -> None:
+        """Ask for the structures of a component again the next time."""
+        self.structures.forget(component)
+        self.resolver.invalidate(component)
+
+
+@frozen(eq=False)
+class StagedRevision:
+    """A configuration that may be adopted; its new bridges run, for nobody but itself."""
+
+    revision: Revision
+    difference: Difference
+    bridges: StagedBridges
+    change: ConfigurationChange
+
+
+class Revisions:
+    """Holds the revision in force and tells what another would do. Thread safe.
+
+    Args:
+        robot: the configuration to begin with.
+        bridges: of the manager.
+        clock: a monotonic clock, in seconds.
+    """
+
+    def __init__(self, robot: Robot, bridges: BridgeSet, clock: Clock) -> None:
+        self._bridges = bridges
+        self._clock = clock
+        self._changing = threading.Lock()
+        structures = StructureCache(bridges.get)
+        resolver = Resolver(robot, structures, check_edge, clock=clock)
+        self.current = Revision(0, robot, structures, resolver, robot)
+        self._staged: dict[int, StagedRevision] = {}
+        first = ConfigurationChange(0, is_applied=True, time=time.time(), robot=robot)
+        self._history = deque([first], maxlen=_KEPT)
+
+    @contextmanager
+    def alone(self, timeout: float) -> Iterator[None]:
+        """Have changes made one after another.
+
+        Raises:
+            BridgeTimeoutError: another one is not through in time.
+        """
+        if not self._changing.acquire(timeout=timeout):
+            raise BridgeTimeoutError("another change of configuration is not through yet")
+        try:
+            yield
+        finally:
+            self._changing.release()
+
+    def require(self, revision: int | None) -> None:
+        """Refuse a change that was made for another revision than the one in force.
+
+        Raises:
+            UsageError: it was.
+        """
+        number = self.current.number
+        if revision is not None and revision != number:
+            raise UsageError(
+                f"the change was made for revision {revision}, and revision {number} is in force: "
+                "look at what has changed since, and make it anew"
+            )
+
+    def history(self) -> tuple[ConfigurationChange, ...]:
+        """Return the last hundred revisions, the one in force last."""
+        return tuple(self._history)
+
+    def with_candidates(self, robot: Robot) -> tuple[Difference, Revision]:
+        """Return the revision in force with other candidates, and what is different."""
+        before = self.current
+        difference = compare(before.robot, robot)
+        structures = before.structures.carried_over(self._bridges.get, difference.superseded)
+        resolver = Resolver(robot, structures, check_edge, clock=self._clock)
+        return difference, Revision(before.number, robot, structures, resolver, before.base)
+
+    def stage(self, base: Robot, state: Callable[[], State]) -> StagedRevision:
+        """Find what a configuration would change; start the bridges that it needs for that.
+
+        Candidates of the configuration in force stay, where their functions still have needs and
+        their bridges are the same: a later round of discovery looks at them.
+
+        Args:
+            base: the configuration.
+            state: gives the state of this moment.
+
+        Raises:
+            ConfigurationError: it changes what cannot be changed while the manager runs.
+        """
+        before = self.current
+        base = without_candidates(base)
+        robot = _with_candidates_of(before.robot, base)
+        difference = compare(before.robot, robot)
+        _require_same_machines(before.robot, robot, difference)
+        bridges = self._bridges.stage(robot.bridges)
+        structures = before.structures.carried_over(bridges.get, difference.superseded)
+        resolver = Resolver(robot, structures, check_edge, clock=self._clock)
+        revision = Revision(before.number + 1, robot, structures, resolver, base)
+        try:
+            effects = tuple(self._effects(revision, difference, state()))
+        except BaseException:
+            bridges.close()
+            raise
+        change = ConfigurationChange(revision.number, difference.told, effects, robot=base)
+        return StagedRevision(revision, difference, bridges, change)
+
+    def expect(self, staged: StagedRevision) -> None:
+        """Have a revision ready, which `adopt` is called for by its number."""
+        self._staged[staged.revision.number] = staged
+
+    def adopt(self, number: int) -> None:
+        """Let a revision be the one in force. Quick, and calls nothing foreign."""
+        staged = self._staged.pop(number)
+        staged.revision.structures.use(self._bridges.get)
+        self._bridges.adopt(staged.bridges)
+        self.current = staged.revision
+        applied = evolve(staged.change, is_applied=True, time=time.time())
+        self._history.append(applied)
+
+    def _effects(
+        self, revision: Revision, difference: Difference, state: State
+    ) -> list[ConnectionEffect]:
+        avoided = recently(state.avoided, self._clock()) - difference.superseded
+        failed = recently(state.failed, self._clock()) - difference.superseded
+        last = tuple(name for name in state.failed if name in failed)
+        effects = (
+            self._effect(revision, difference, record, last, avoided)
+            for record in state.connections.values()
+            if record.goes_on and record.current is not None
+        )
+        return [effect for effect in effects if effect is not None]
+
+    def _effect(
+        self,
+        revision: Revision,
+        difference: Difference,
+        record: ConnectionRecord,
+        failed: tuple[str, ...],
+        avoided: frozenset[str],
+    ) -> ConnectionEffect | None:
+        before = names(record.placement.plan)
+        is_superseded = not difference.superseded.isdisjoint(before)
+        if record.wanted.function not in difference.functions and not is_superseded:
+            return None
+        try:
+            plan = find_replacement(
+                record.placement.plan,
+                record.output,
+                frozenset(),
+                failed,
+                lambda name, excluded: revision.resolve(name, excluded, avoided),
+            )
+        except ResolutionError as error:
+            if not is_superseded:
+                return None
+            function, cause = record.wanted.function, str(error)
+            return ConnectionEffect(record.id, function, Effect.ENDS, before, cause=cause)
+        after = names(plan)
+        if after == before and not is_superseded:
+            return None
+        return ConnectionEffect(record.id, record.wanted.function, Effect.MOVES, before, after)
+
+
+def _with_candidates_of(before: Robot, base: Robot) -> Robot:
+    """Return a configuration with the candidates of another that may be its own, too."""
+    functions = dict(base.functions)
+    for name, function in base.functions.items():
+        old = before.functions.get(name)
+        if function.needs is None or old is None or old.needs != function.needs:
+            continue
+        still = tuple(
+            one
+            for one in old.components
+            if one.match is not None
+            and before.bridges.get(one.bridge) == base.bridges.get(one.bridge)
+            and all(each.source is None or each.source.function in functions for each in one.inputs)
+        )
+        functions[name] = evolve(
+            function, components=(*function.components, *still), passed_over=old.passed_over
+        )
+    return evolve(base, functions=functions)
+
+
+def _require_same_machines(before: Robot, after: Robot, difference: Difference) -> None:
+    """Refuse what the link to other machines was made with."""
+    told = "restart the manager for that"
+    if before.hosts != after.hosts:
+        raise ConfigurationError(f"`hosts` cannot be changed while the manager runs: {told}")
+    for name in sorted(difference.bridges):
+        for robot in (before, after):
+            spec = robot.bridges.get(name)
+            if spec is not None and "machine" in (spec.host or {}):
+                raise ConfigurationError(
+                    f"bridge {name!r} runs on another machine and cannot be added, changed or "
+                    f"taken away while the manager runs: {told}"
+                )
