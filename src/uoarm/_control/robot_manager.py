@@ -32,12 +32,14 @@ from uoarm._control.services import Services
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._mistakes import choose
+from uoarm._resolve import Unavailable
 from uoarm._spans import span
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.config import assign, load
 from uoarm.errors import (
     ConfigurationError,
     ConnectionClosedError,
+    ResolutionError,
     UsageError,
 )
 from uoarm.model import (
@@ -109,7 +111,12 @@ class RobotManager:
             robot.hosts,
             robot.origin,
         )
-        self._revisions = Revisions(robot, self._bridges, clock)
+        self._revisions = Revisions(
+            robot,
+            self._bridges,
+            clock,
+            lambda place, told: self._events.post(f"lock {place}", "differs", told),
+        )
         self._executor = Executor(
             State(robot.failover, {one.name: one.bridge for one in robot.components()}),
             bridges=self._bridges,
@@ -165,7 +172,8 @@ class RobotManager:
         """Read a configuration file and make its manager; bridges start when needed.
 
         Raises:
-            ConfigurationError: the file has mistakes; the text lists all of them.
+            ConfigurationError: the file has mistakes; the text lists all of them. Or it asks for a
+                lock that cannot be read.
         """
         registry = registry or Registry()
         robot = load(path, registry.types)
@@ -329,6 +337,7 @@ class RobotManager:
     def status(self) -> StatusMap:
         """Return the whole system as it is at this moment."""
         connections = self.connections()
+        guard = self._revisions.current.guard
         shared = (edge.status() for edge in self._executor.edges())
         own = (route for connection in connections for route in connection.routes())
         return StatusMap(
@@ -345,7 +354,31 @@ class RobotManager:
             takeovers=self._executor.takeovers(),
             offers=self._offers.statuses(),
             held=self._executor.live.emergency_stop.held(),
+            lock=() if guard is None else guard.status(),
         )
+
+    def structures(
+        self, component: str, *, timeout: float = 60.0
+    ) -> Mapping[str, MessageStructure]:
+        """Return the structures of a component's ports, as its bridge or the configuration has it.
+
+        They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`. Asks the
+        bridge where that is not known yet, and opens nothing.
+
+        Raises:
+            ResolutionError: the configuration has no such component, or it is not there now.
+            BridgeTimeoutError: the bridge did not answer within `timeout` seconds.
+        """
+        self._require_open()
+        revision = self._revisions.current
+        found = next((one for one in revision.robot.components() if one.name == component), None)
+        if found is None:
+            raise ResolutionError(f"there is no component {component!r} in the configuration")
+        what = f"asking for the structures of {component!r}"
+        answer = _bounded.run(what, timeout, lambda: revision.structures.structures(found))
+        if isinstance(answer, Unavailable):
+            raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
+        return answer.by_port
 
     def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
         """Open what the configuration offers in frameworks, and keep it open until `close`.

@@ -1,6 +1,7 @@
 """The lock: what a robot's plans rest on, as a file, and what a difference of it breaks."""
 
 from uoarm._lock._compare import Finding, Outcome, compare
+from uoarm._lock._guard import LockGuard, guard_of
 from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
 from uoarm._lock._schemas import read_schemas
 
@@ -8,8 +9,10 @@ __all__ = [
     "Finding",
     "Lock",
     "LockError",
+    "LockGuard",
     "Outcome",
     "compare",
+    "guard_of",
     "read_lock",
     "read_schemas",
     "record",

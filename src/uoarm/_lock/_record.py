@@ -11,6 +11,7 @@ from attrs import field, frozen
 
 from uoarm.errors import ConfigurationError
 from uoarm.model import (
+    Component,
     Edge,
     Input,
     Meaning,
@@ -60,12 +61,13 @@ class LockedEdge:
 
 @frozen
 class LockedFunction:
-    """The plan of a function, or why it has none."""
+    """The plan of a function, or why it has none; `others` are candidates that may take over."""
 
     parts: tuple[LockedPart, ...] = ()
     edges: tuple[LockedEdge, ...] = ()
     passed_over: dict[str, str] = field(factory=dict)
     refused: str = ""
+    others: tuple[LockedPart, ...] = ()
 
 
 @frozen
@@ -95,39 +97,49 @@ class Lock:
         return MessageStructure(found.structure, native_type=found.native_type)
 
 
-def record(robot: Robot, plans: Mapping[str, Plan | str]) -> Lock:
+def record(
+    robot: Robot,
+    plans: Mapping[str, Plan | str],
+    described: Mapping[str, Mapping[str, MessageStructure]],
+) -> Lock:
     """Return the lock of a robot.
 
     Args:
         robot: the configuration.
         plans: for each function its plan, or why it has none.
+        described: the structures of all components that are there, by their ports.
     """
     structures: dict[str, LockedStructure] = {}
     functions: dict[str, LockedFunction] = {}
+
+    def part(one: Component, ports: Mapping[str, MessageStructure]) -> LockedPart:
+        for told in ports.values():
+            structures[told.fingerprint] = LockedStructure(told.native_type, told.schema)
+        by_port = {port: told.fingerprint for port, told in sorted(ports.items())}
+        plugin = robot.bridges[one.bridge].plugin
+        return LockedPart(one.name, one.function, one.bridge, plugin, by_port)
+
     for name, plan in sorted(plans.items()):
+        used = () if isinstance(plan, str) else [step.component.name for step in plan.steps]
+        others = tuple(
+            part(one, described[one.name])
+            for one in robot.functions[name].components
+            if one.name in described and one.name not in used
+        )
         if isinstance(plan, str):
-            functions[name] = LockedFunction(refused=plan)
+            functions[name] = LockedFunction(others=others, refused=plan)
             continue
         inputs = {
             (step.component.name, port.name): port
             for step in plan.steps
             for port in step.component.inputs
         }
-        parts = []
-        for step in plan.steps:
-            one = step.component
-            for structure in step.structures.values():
-                structures[structure.fingerprint] = LockedStructure(
-                    structure.native_type, structure.schema
-                )
-            ports = {port: told.fingerprint for port, told in sorted(step.structures.items())}
-            plugin = robot.bridges[one.bridge].plugin
-            parts.append(LockedPart(one.name, one.function, one.bridge, plugin, ports))
+        parts = tuple(part(step.component, step.structures) for step in plan.steps)
         edges = tuple(_edge(one, inputs[one.consumer, one.input]) for one in plan.edges)
         passed_over = {
             one.component: one.reasons[0].sentence if one.reasons else "" for one in plan.rejected
         }
-        functions[name] = LockedFunction(tuple(parts), edges, passed_over)
+        functions[name] = LockedFunction(parts, edges, passed_over, others=others)
     return Lock(functions, dict(sorted(structures.items())))
 
 
@@ -163,7 +175,7 @@ def read_lock(path: Path) -> Lock:
     try:
         lock = from_json(data, Lock)
         for function in lock.functions.values():
-            for part in function.parts:
+            for part in (*function.parts, *function.others):
                 for fingerprint in part.ports.values():
                     lock.structure(fingerprint)
             for edge in function.edges:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Container
+from typing import TypeAlias
 
 from attrs import define, field
 
@@ -12,9 +13,12 @@ from uoarm.bridge import Bridge, Description
 from uoarm.errors import UoarmError
 from uoarm.model import Component, Endpoint, MessageStructure
 
-__all__ = ["StructureCache"]
+__all__ = ["Hold", "StructureCache"]
 
 _DESCRIBE_SECONDS = 30.0
+
+Hold: TypeAlias = Callable[[Component, Structures], "Structures | Unavailable"]
+"""Says whether structures may be used: what it returns takes their place."""
 
 
 @define(eq=False)
@@ -32,15 +36,23 @@ class StructureCache:
 
     Args:
         bridge: gives the bridge instance of a name; may raise what starting one raises.
+        hold: asked about what bridges said, each time anew; None: all of it may be used.
     """
 
-    def __init__(self, bridge: Callable[[str], Bridge]) -> None:
+    def __init__(self, bridge: Callable[[str], Bridge], hold: Hold | None = None) -> None:
         self._bridge = bridge
+        self._hold = hold
         self._entries: dict[str, _Entry] = {}
         self._lock = threading.Lock()
 
     def structures(self, component: Component) -> Structures | Unavailable:
         """Return the structures of a component's ports, or why they cannot be had."""
+        found = self._known(component)
+        if self._hold is None or isinstance(found, Unavailable):
+            return found
+        return self._hold(component, found)
+
+    def _known(self, component: Component) -> Structures | Unavailable:
         with self._lock:
             entry = self._entries.setdefault(component.name, _Entry())
         if entry.found is not None:
@@ -63,10 +75,10 @@ class StructureCache:
             self._entries.pop(component, None)
 
     def carried_over(
-        self, bridge: Callable[[str], Bridge], without: Container[str]
+        self, bridge: Callable[[str], Bridge], without: Container[str], hold: Hold | None = None
     ) -> StructureCache:
         """Return a cache that knows what this one does, but for some components."""
-        made = StructureCache(bridge)
+        made = StructureCache(bridge, hold)
         with self._lock:
             known = {name: one.found for name, one in self._entries.items() if name not in without}
         made._entries = {name: _Entry(found=found) for name, found in known.items()}

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import click
+from attrs import evolve
 
 from uoarm import RobotManager
 from uoarm._lock import (
@@ -20,16 +23,18 @@ from uoarm._lock import (
     write_lock,
 )
 from uoarm._whole_file import write_whole
-from uoarm.cli._shared import REFUSED, configuration_option, open_robot, print_json, reporting
+from uoarm.bridge import Registry
+from uoarm.cli._shared import REFUSED, configuration_option, print_json, reporting
+from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
 
-__all__ = ["lock", "lock_of"]
+__all__ = ["lock", "lock_of", "open_unlocked"]
 
 
 @click.command()
 @configuration_option
-@click.option("--lock", "path", default="robot.lock", show_default=True, help="The lock's file.")
+@click.option("--lock", "path", help="The lock's file.  [robot.lock beside the configuration]")
 @click.option("--check", is_flag=True, help="Write nothing; say what is different and breaks.")
 @click.option(
     "--against",
@@ -41,7 +46,7 @@ __all__ = ["lock", "lock_of"]
     "--format", "form", type=click.Choice(["text", "json", "github"]), default="text",
     show_default=True, help="Of what --check says.",
 )  # fmt: skip
-def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -> None:
+def lock(file: str, path: str | None, form: str, *, check: bool, against: str | None) -> None:
     """Write down what the plans of all functions rest on, or check it.
 
     Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
@@ -49,23 +54,33 @@ def lock(file: str, path: str, form: str, *, check: bool, against: str | None) -
     """
     if against is not None and not check:
         raise click.UsageError("--against belongs to --check")
+    place = Path(file).with_name("robot.lock") if path is None else Path(path)
     with reporting():
         if not check:
-            sys.exit(_write(file, Path(path)))
-        before = read_lock(Path(path))
+            sys.exit(_write(file, place))
+        before = read_lock(place)
         if against is None:
-            with open_robot(file) as robot:
+            with open_unlocked(file) as robot:
                 findings = list(compare(before, lock_of(robot)))
         else:
             other = Path(against)
             after = read_schemas(other, before) if other.is_dir() else read_lock(other)
             findings = list(compare(before, after))
-    _tell(findings, form, path)
+    _tell(findings, form, str(place))
     sys.exit(0 if all(one.outcome is Outcome.FITS for one in findings) else REFUSED)
 
 
+@contextmanager
+def open_unlocked(file: str) -> Iterator[RobotManager]:
+    """Make a manager that is not held to the lock which its configuration may ask for."""
+    registry = Registry()
+    robot = evolve(load(file, registry.types), lock=None)
+    with RobotManager(robot, registry=registry) as manager:
+        yield manager
+
+
 def _write(file: str, path: Path) -> int:
-    with open_robot(file) as robot:
+    with open_unlocked(file) as robot:
         made = lock_of(robot)
     write_whole(path, write_lock(made).encode())
     refused = {name: one.refused for name, one in made.functions.items() if one.refused}
@@ -84,7 +99,11 @@ def lock_of(robot: RobotManager) -> Lock:
             plans[name] = robot.resolve(name)
         except ResolutionError as error:
             plans[name] = str(error)
-    return record(robot.config, plans)
+    described = {}
+    for component in robot.config.components():
+        with suppress(ResolutionError):  # what is not there is no candidate now
+            described[component.name] = robot.structures(component.name)
+    return record(robot.config, plans, described)
 
 
 def _tell(findings: list[Finding], form: str, path: str) -> None:

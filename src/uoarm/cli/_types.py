@@ -10,8 +10,8 @@ import click
 from uoarm._lock import Lock, LockError, read_lock
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm._whole_file import write_whole
-from uoarm.cli._lock import lock_of
-from uoarm.cli._shared import REFUSED, configuration_option, open_robot, reporting
+from uoarm.cli._lock import lock_of, open_unlocked
+from uoarm.cli._shared import REFUSED, configuration_option, reporting
 
 __all__ = ["types"]
 
@@ -59,7 +59,7 @@ def _source(file: str, path: str | None) -> Lock:
         lock = read_lock(place)
         click.echo(f"types of {place}", err=True)
         return lock
-    with open_robot(file) as robot:
+    with open_unlocked(file) as robot:
         lock = lock_of(robot)
     click.echo(f"types of what the bridges of {file} describe now: no {beside}", err=True)
     return lock

@@ -20,6 +20,7 @@ from uoarm.model import (
     Function,
     Input,
     Listening,
+    LockMode,
     Meaning,
     MeaningLevel,
     MessageStructure,
@@ -54,7 +55,8 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
         for bridge, offered in value.get("offer", {}).items()
         for function, one in offered.items()
     )
-    return Robot(bridges, functions, warnings, origin, applications, failover, hosts, offers)
+    lock = LockMode(value["lock"]) if "lock" in value else None
+    return Robot(bridges, functions, warnings, origin, applications, failover, hosts, offers, lock)
 
 
 def _failover(value: Mapping[str, Any]) -> FailoverPolicy:

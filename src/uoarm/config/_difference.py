@@ -48,6 +48,7 @@ def compare(before: Robot, after: Robot) -> Difference:
         *_told("component", old, new),
         *_told("function", _named(before), _named(after)),
         *(() if before.failover == after.failover else ("~ failover",)),
+        *(() if before.lock == after.lock else ("~ lock",)),
         *_told("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
     )

@@ -37,7 +37,7 @@ from uoarm.model._octets import message_octets
 from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
 from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
-from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, Robot
+from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, LockMode, Robot
 from uoarm.model._show import show_value
 from uoarm.model._status import (
     BridgeStatus,
@@ -47,6 +47,7 @@ from uoarm.model._status import (
     ConnectionStatus,
     Gap,
     Health,
+    LockDifference,
     MachineStatus,
     RouteStatus,
     StatusEvent,
@@ -89,6 +90,8 @@ __all__ = [
     "Health",
     "Input",
     "Listening",
+    "LockDifference",
+    "LockMode",
     "MachineStatus",
     "Match",
     "Meaning",

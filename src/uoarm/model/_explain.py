@@ -24,8 +24,9 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
     "offers": ("name", "state", "calls", "failed", "cause"),
+    "lock": ("component", "port", "refused", "times", "cause"),
 }
-_OFTEN_NONE = frozenset({"machines", "channels", "commands", "offers"})
+_OFTEN_NONE = frozenset({"machines", "channels", "commands", "offers", "lock"})
 
 
 def tell_plan(plan: Plan) -> str:

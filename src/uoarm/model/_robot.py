@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from enum import Enum
 
 from attrs import field, frozen
 
@@ -11,7 +12,7 @@ from uoarm.model._listening import Listening
 from uoarm.model._offer import Offer
 from uoarm.model._values import Options
 
-__all__ = ["BridgeSpec", "FailoverPolicy", "FailureLimits", "Robot"]
+__all__ = ["BridgeSpec", "FailoverPolicy", "FailureLimits", "LockMode", "Robot"]
 
 
 @frozen
@@ -71,6 +72,16 @@ class FailoverPolicy:
     failing: FailureLimits = FailureLimits()
 
 
+class LockMode(Enum):
+    """What becomes of a component whose structures are not those of the lock.
+
+    WARN: it is used, and told. ENFORCE: it is passed over.
+    """
+
+    WARN = "warn"
+    ENFORCE = "enforce"
+
+
 @frozen
 class Robot:
     """Bridges and functions by name, in the order of the file.
@@ -83,6 +94,7 @@ class Robot:
         failover: what happens to connections when a component dies.
         hosts: where hosts on other machines join; None where there are none.
         offers: the functions that are offered in frameworks.
+        lock: how requests are held to the `robot.lock` beside the file; None: they are not.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -93,6 +105,7 @@ class Robot:
     failover: FailoverPolicy = FailoverPolicy()
     hosts: Listening | None = None
     offers: tuple[Offer, ...] = ()
+    lock: LockMode | None = None
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

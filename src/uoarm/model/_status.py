@@ -231,6 +231,25 @@ class ConnectionStatus:
 
 
 @frozen
+class LockDifference:
+    """A port whose structure is not the one of the lock, as a search for a plan found it.
+
+    Attributes:
+        component: by name; of an offer its name, `BRIDGE:FUNCTION`.
+        port: `output.default`, `request`.
+        refused: whether it was passed over for it.
+        times: how often a search came upon it.
+        cause: what is different, and what to do.
+    """
+
+    component: str
+    port: str
+    refused: bool
+    times: int
+    cause: str
+
+
+@frozen
 class StatusMap:
     """The whole system at one moment.
 
@@ -238,6 +257,7 @@ class StatusMap:
         deaths: how often each component was lost, since the manager began.
         takeovers: how often another plan took over for each function, returns included.
         held: seconds since commands are refused by an emergency stop; None where they are not.
+        lock: what searches found to be others than in the lock, where requests are held to it.
 
     As text (`str`, `print`) it is what `uoarm status --url` shows.
     """
@@ -251,6 +271,7 @@ class StatusMap:
     takeovers: tuple[tuple[str, int], ...] = ()
     offers: tuple[OfferStatus, ...] = ()
     held: float | None = None
+    lock: tuple[LockDifference, ...] = ()
 
     def __str__(self) -> str:
         return tell_status(asdict(self))

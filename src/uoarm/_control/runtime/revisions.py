@@ -15,7 +15,8 @@ from uoarm._control.bridges.bridge_set import BridgeSet, StagedBridges
 from uoarm._control.reconciler.state import ConnectionRecord, State, names, recently
 from uoarm._control.runtime.searches import find_replacement
 from uoarm._dataplane import Clock
-from uoarm._resolve import Resolver, StructureCache, without_candidates
+from uoarm._lock import LockGuard, guard_of
+from uoarm._resolve import Hold, Resolver, StructureCache, without_candidates
 from uoarm.config import Difference, compare
 from uoarm.errors import BridgeTimeoutError, ConfigurationError, ResolutionError, UsageError
 from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Robot
@@ -33,6 +34,7 @@ class Revision:
         number: how many changes led to it. Candidates that come and go are none.
         robot: the configuration with the candidates that were discovered.
         base: the configuration alone.
+        guard: holds structures to the lock; None where the configuration asks for none.
         needs_candidates: whether it has functions with needs.
     """
 
@@ -41,6 +43,7 @@ class Revision:
     structures: StructureCache
     resolver: Resolver
     base: Robot
+    guard: LockGuard | None = None
     needs_candidates: bool = field(init=False)
 
     def __attrs_post_init__(self) -> None:
@@ -85,15 +88,27 @@ class Revisions:
         robot: the configuration to begin with.
         bridges: of the manager.
         clock: a monotonic clock, in seconds.
+        tell: called for what is not as in the lock, with the place and a sentence.
+
+    Raises:
+        LockError: the configuration asks for a lock that is not there or cannot be read.
     """
 
-    def __init__(self, robot: Robot, bridges: BridgeSet, clock: Clock) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        bridges: BridgeSet,
+        clock: Clock,
+        tell: Callable[[str, str], None],
+    ) -> None:
         self._bridges = bridges
         self._clock = clock
+        self._tell = tell
         self._changing = threading.Lock()
-        structures = StructureCache(bridges.get)
+        guard = guard_of(robot, tell)
+        structures = StructureCache(bridges.get, _hold(guard))
         resolver = Resolver(robot, structures, check_edge, clock=clock)
-        self.current = Revision(0, robot, structures, resolver, robot)
+        self.current = Revision(0, robot, structures, resolver, robot, guard)
         self._staged: dict[int, StagedRevision] = {}
         first = ConfigurationChange(0, is_applied=True, time=time.time(), robot=robot)
         self._history = deque([first], maxlen=_KEPT)
@@ -133,9 +148,12 @@ class Revisions:
         """Return the revision in force with other candidates, and what is different."""
         before = self.current
         difference = compare(before.robot, robot)
-        structures = before.structures.carried_over(self._bridges.get, difference.superseded)
+        structures = before.structures.carried_over(
+            self._bridges.get, difference.superseded, _hold(before.guard)
+        )
         resolver = Resolver(robot, structures, check_edge, clock=self._clock)
-        return difference, Revision(before.number, robot, structures, resolver, before.base)
+        revision = Revision(before.number, robot, structures, resolver, before.base, before.guard)
+        return difference, revision
 
     def stage(self, base: Robot, state: Callable[[], State]) -> StagedRevision:
         """Find what a configuration would change; start the bridges that it needs for that.
@@ -148,17 +166,21 @@ class Revisions:
             state: gives the state of this moment.
 
         Raises:
-            ConfigurationError: it changes what cannot be changed while the manager runs.
+            ConfigurationError: it changes what cannot be changed while the manager runs, or the
+                lock that it asks for cannot be read.
         """
         before = self.current
         base = without_candidates(base)
+        guard = guard_of(base, self._tell, before.guard)
         robot = _with_candidates_of(before.robot, base)
         difference = compare(before.robot, robot)
         _require_same_machines(before.robot, robot, difference)
         bridges = self._bridges.stage(robot.bridges)
-        structures = before.structures.carried_over(bridges.get, difference.superseded)
+        structures = before.structures.carried_over(
+            bridges.get, difference.superseded, _hold(guard)
+        )
         resolver = Resolver(robot, structures, check_edge, clock=self._clock)
-        revision = Revision(before.number + 1, robot, structures, resolver, base)
+        revision = Revision(before.number + 1, robot, structures, resolver, base, guard)
         try:
             effects = tuple(self._effects(revision, difference, state()))
         except BaseException:
@@ -222,6 +244,10 @@ class Revisions:
         if after == before and not is_superseded:
             return None
         return ConnectionEffect(record.id, record.wanted.function, Effect.MOVES, before, after)
+
+
+def _hold(guard: LockGuard | None) -> Hold | None:
+    return None if guard is None else guard.hold
 
 
 def _with_candidates_of(before: Robot, base: Robot) -> Robot:

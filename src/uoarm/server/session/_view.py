@@ -74,6 +74,7 @@ def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any
         for one in status.routes
         if one.producer.rpartition(".")[0] in names or one.producer in names
     ]
+    seen = {one.name for one in robot.components() if role.allows(Operation.SEE, one.function)}
     possible = {
         one.bridge for one in robot.components() if role.allows(Operation.SEE, one.function)
     }
@@ -84,6 +85,7 @@ def visible_status(robot: Robot, status: StatusMap, role: Role) -> dict[str, Any
         routes=tuple(routes),
         machines=tuple(one for one in status.machines if possible.intersection(one.bridges)),
         held=status.held,
+        lock=tuple(one for one in status.lock if one.component in seen),
     )
     data: dict[str, Any] = to_json(shown)
     return data
