@@ -93,8 +93,9 @@ class CommandRefusedError(UoarmError):
     """A command to an input that moves something was not sent.
 
     Attributes:
-        reason: `late`, `beyond-limits`, `stopping`, `held` (the emergency stop is not released)
-            or `closed`: by it the command counts as dropped.
+        reason: `late`, `beyond-limits`, `stopping`, `held` (the emergency stop is not released),
+            `leased` (somebody else commands the input), `stopped` (its sender stopped while it
+            waited) or `closed`: by it the command counts as dropped.
     """
 
     def __init__(self, text: str, reason: str) -> None:

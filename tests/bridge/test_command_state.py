@@ -82,6 +82,13 @@ class AnyOrder(RuleBasedStateMachine):
         self.state.hold(self.now)
 
     @rule()
+    def halt(self) -> None:
+        if self.state.phase is CommandPhase.MOVING:
+            self.renewed = -math.inf
+        self.state.halt(self.now)
+        assert self.state.phase is not CommandPhase.MOVING
+
+    @rule()
     def release(self) -> None:
         # A stop that was asked for and not taken yet goes on, whatever its command's time was.
         self.held_since_release = False

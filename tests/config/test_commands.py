@@ -6,7 +6,15 @@ import pytest
 
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError
-from uoarm.model import CommandPolicy, FieldLimit, Robot, StopMessage, from_json, to_json
+from uoarm.model import (
+    CommandPolicy,
+    FieldLimit,
+    LeasePolicy,
+    Robot,
+    StopMessage,
+    from_json,
+    to_json,
+)
 from uoarm.model import Endpoint as Port
 
 ROBOT = """
@@ -39,6 +47,13 @@ def test_an_input_that_moves_something_is_read_and_travels_whole() -> None:
     assert from_json(to_json(port), Port) == port
 
 
+def test_a_lease_is_read_and_travels() -> None:
+    port = endpoint(read("lease: {duration: 2, priorities: {safety: 10, guest: -1}}"))
+    lease = LeasePolicy(2, (("safety", 10), ("guest", -1)))
+    assert port.command == CommandPolicy(lease=lease)
+    assert from_json(to_json(port), Port) == port
+
+
 def test_a_stop_message_may_be_null_and_any_other_input_has_none() -> None:
     assert endpoint(read("stop: {message: null}")).command == CommandPolicy(stop=StopMessage(None))
     assert endpoint(read("options: {}")).command is None
@@ -55,6 +70,10 @@ def test_a_stop_message_may_be_null_and_any_other_input_has_none() -> None:
         ("limits: {v: {rate: 0}}", "rate"),
         ("limits: {v: {}}", "limits.v"),
         ("limits: 3", "limits"),
+        ("lease: 2", "lease"),
+        ("lease: {}", "duration"),
+        ("lease: {duration: 0}", "duration"),
+        ("lease: {duration: 1, priorities: {safety: most}}", "priorities"),
     ],
 )
 def test_mistakes_are_told_with_their_place(settings: str, told: str) -> None:

@@ -110,3 +110,16 @@ def test_the_status_has_what_the_host_says_and_an_emergency_stop_reaches_it(fold
         manager.release(timeout=patience())
         drive.send({"v": 0.5})
         wait(lambda: taken(folder)[3:4] == ["0.5"])
+
+
+def test_a_stop_that_a_sender_asks_for_comes_behind_what_it_sent_before(folder: Path) -> None:
+    text = (folder / "robot.yaml").read_text().replace("lifetime: 0.2", "lifetime: 3600")
+    (folder / "robot.yaml").write_text(text)
+    with RobotManager.from_file(folder / "robot.yaml") as manager:
+        drive = manager.request("drive")
+        drive.send({"v": 0.5})
+        assert drive.flush(patience()), "it is on its way to the host, which may have it or not"
+        drive.stop(timeout=patience())
+        assert taken(folder) == ["0.5", "0.0"]
+        drive.send({"v": 0.5})
+        wait(lambda: len(taken(folder)) == 3)

@@ -30,6 +30,7 @@ from uoarm.model import (
     Deliver,
     FunctionStatus,
     Gap,
+    LeaseHolder,
     Message,
     OfferStatus,
     Plan,
@@ -168,9 +169,27 @@ class AsyncConnection(_Closing, Generic[T]):
 
         return end
 
-    async def send(self, message: Message, port: str | None = None) -> None:
+    async def send(
+        self,
+        message: Message,
+        port: str | None = None,
+        *,
+        sender: LeaseHolder | None = None,
+        take_over: bool = False,
+    ) -> None:
         """Hand one message to an input, as `Connection.send` does, outside the loop's thread."""
-        await self._outside(partial(self._connection.send, message, port))
+        send = partial(self._connection.send, sender=sender, take_over=take_over)
+        await self._outside(partial(send, message, port))
+
+    async def stop(
+        self,
+        port: str | None = None,
+        *,
+        sender: LeaseHolder | None = None,
+        timeout: float = 2.0,
+    ) -> None:
+        """Stop an input that moves something, as `Connection.stop` does."""
+        await self._outside(partial(self._connection.stop, port, sender=sender, timeout=timeout))
 
     async def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Generic, cast, final
 
 from typing_extensions import Self
 
+from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.reconciler.state import ConnectionRecord
 from uoarm._control.runtime.executor import Executor
@@ -19,6 +20,7 @@ from uoarm.model import (
     ConnectionStatus,
     Gap,
     Health,
+    LeaseHolder,
     Message,
     Plan,
     RouteStatus,
@@ -113,7 +115,14 @@ class Connection(Generic[T]):
                 return
             yield message
 
-    def send(self, message: Message, port: str | None = None) -> None:
+    def send(
+        self,
+        message: Message,
+        port: str | None = None,
+        *,
+        sender: LeaseHolder | None = None,
+        take_over: bool = False,
+    ) -> None:
         """Hand one message to an input that the application feeds.
 
         It is taken over at once; a component that is slower has a queue before it, whose losses
@@ -124,19 +133,57 @@ class Connection(Generic[T]):
                 the like, also within lists and dicts; checked against the input's structure
                 unless the connection was requested with validation off.
             port: name of the input; None where there is one only.
+            sender: who sends it, where the input has a lease; None: this connection.
+            take_over: whether to take the lease from a holder of the same priority.
 
         Raises:
-            CommandRefusedError: the emergency stop holds the input, until it is released. What else
-                the last hop refuses is counted in the status.
+            CommandRefusedError: the emergency stop holds the input, until it is released, or
+                somebody else its lease. What else the last hop refuses is counted in the status.
             MessageError: the message does not match the input's structure.
             UsageError: there is no such input for the application.
             ConnectionClosedError: the connection has ended.
         """
+        way = self._ports().sender(port)
+        way.send(as_message(message, way.place), self._as(sender), take_over=take_over)
+
+    def stop(
+        self,
+        port: str | None = None,
+        *,
+        sender: LeaseHolder | None = None,
+        timeout: float = 2.0,
+    ) -> None:
+        """Send the stop message of an input that moves something, and give its lease back.
+
+        Commands that were sent before and wait in a queue are discarded; those after it pass. Does
+        nothing where somebody else holds the lease, or nothing was sent. Blocks for `timeout`
+        seconds at most.
+
+        Args:
+            port: name of the input; None where there is one only.
+            sender: who stops; None: this connection.
+            timeout: seconds in which the framework is waited for.
+
+        Raises:
+            BridgeError: the framework has not taken the stop message, which goes on being sent.
+            UsageError: there is no such input, or it has no stop message.
+            ConnectionClosedError: the connection has ended, and was stopped with that.
+        """
+        way = self._ports().sender(port)
+        if not way.can_stop:
+            raise UsageError(f"{way.place} has no stop message in the configuration")
+        way.stop(self._as(sender), timeout)
+
+    def leave(self, sender: LeaseHolder) -> None:
+        """Give back what leases a sender holds, and stop what it moves with them. Never raises."""
         ports = self._runtime.ports
-        if not self._record.goes_on or ports is None:
-            raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
-        sender = ports.sender(port)
-        sender.send(as_message(message, sender.place))
+        if ports is not None:
+            ports.leave(sender)
+
+    def lifetimes(self) -> Mapping[str, float]:
+        """Return for how many seconds a command lives, by input; those without one are left out."""
+        ports = self._runtime.ports
+        return {} if ports is None else ports.lifetimes()
 
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out.
@@ -198,6 +245,15 @@ class Connection(Generic[T]):
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of the routes that belong to this connection alone."""
         return self._runtime.routes()
+
+    def _ports(self) -> ApplicationPorts:
+        ports = self._runtime.ports
+        if not self._record.goes_on or ports is None:
+            raise ConnectionClosedError(f"connection {self.id} has ended: {self.cause or 'kill'}")
+        return ports
+
+    def _as(self, sender: LeaseHolder | None) -> LeaseHolder:
+        return sender or LeaseHolder(f"connection {self.id}")
 
     @property
     def _record(self) -> ConnectionRecord:

@@ -136,6 +136,16 @@ class RemoteSink(RemoteChannel, Sink):
         held = self._ask("hold", flow=self.number, timeout=timeout)
         return None if held is None else from_json(held, CommandStatus)
 
+    def halt(self, timeout: float) -> CommandStatus | None:
+        """Have the host stop it, behind the commands that were sent by now, too.
+
+        Raises:
+            BridgeError: the host did not answer: it may move until its lifetime is over.
+        """
+        sent = self.outgoing.sent
+        halted = self._ask("halt", flow=self.number, sent=sent, timeout=timeout)
+        return None if halted is None else from_json(halted, CommandStatus)
+
     def release(self) -> None:
         """Have the host let commands through again."""
         self._ask("release", flow=self.number)

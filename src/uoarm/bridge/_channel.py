@@ -247,6 +247,14 @@ class Sink(Channel):
         """
         return None if self._watchdog is None else self._watchdog.hold(timeout)
 
+    def halt(self, timeout: float) -> CommandStatus | None:
+        """Send the stop message where a command lives still; for the core.
+
+        Waits `timeout` seconds at most for it to be taken. Commands that are sent afterwards pass.
+        Returns what came of it; None for an input that moves nothing.
+        """
+        return None if self._watchdog is None else self._watchdog.halt(timeout)
+
     def release(self) -> None:
         """Let commands through again; for the core."""
         if self._watchdog is not None:

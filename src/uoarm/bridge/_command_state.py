@@ -130,6 +130,11 @@ class CommandState:
         self._due = now + self._pause
         self._pause = min(2 * self._pause, _AGAIN_MOST_SECONDS)
 
+    def halt(self, now: float) -> None:
+        """Stop what moves, now and not when it expires; the next command moves it again."""
+        if self.phase is CommandPhase.MOVING:
+            self._stop(now)
+
     def hold(self, now: float) -> None:
         """Refuse every command from now on, and stop, also what stands still."""
         self.held = True

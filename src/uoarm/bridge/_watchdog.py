@@ -88,6 +88,14 @@ class Watchdog:
             with self._turn:
                 self._send_command(message, age)
 
+    def halt(self, timeout: float) -> CommandStatus:
+        """Stop what moves now; wait for the stop to be taken. Refuses nothing afterwards."""
+        with self._changed:
+            self._state.halt(self._clock())
+            self._wake()
+            self._changed.wait_for(self._is_at_rest, timeout)
+            return self._state.status(self._clock())
+
     def hold(self, timeout: float) -> CommandStatus:
         """Stop, and refuse every command until `release`; wait for the stop to be taken."""
         with self._changed:

@@ -19,6 +19,7 @@ from uoarm.model import (
     FieldLimit,
     Function,
     Input,
+    LeasePolicy,
     Listening,
     LockMode,
     Meaning,
@@ -194,13 +195,18 @@ def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint, meaning: Mea
 
 def _command(value: Mapping[str, Any]) -> CommandPolicy | None:
     """Return how an input that moves something is kept safe, None for any other."""
-    if not {"lifetime", "stop", "limits"} & set(value):
+    if not {"lifetime", "stop", "limits", "lease"} & set(value):
         return None
     return CommandPolicy(
         lifetime=value.get("lifetime"),
         stop=StopMessage(value["stop"]["message"]) if "stop" in value else None,
         limits=tuple(FieldLimit(path, **one) for path, one in value.get("limits", {}).items()),
+        lease=_lease(value["lease"]) if "lease" in value else None,
     )
+
+
+def _lease(value: Mapping[str, Any]) -> LeasePolicy:
+    return LeasePolicy(value["duration"], tuple(value.get("priorities", {}).items()))
 
 
 def _offer(bridge: str, function: str, value: Mapping[str, Any]) -> Offer:

@@ -11,6 +11,9 @@ __all__ = [
     "CommandPolicy",
     "CommandStatus",
     "FieldLimit",
+    "LeaseHolder",
+    "LeasePolicy",
+    "LeaseStatus",
     "StopMessage",
     "StopOutcome",
     "StopReport",
@@ -41,6 +44,52 @@ class FieldLimit:
 
 
 @frozen
+class LeasePolicy:
+    """That one sender at a time may command an input.
+
+    Attributes:
+        duration: seconds after its last command for which a sender holds the lease.
+        priorities: by role; of any other role it is 0. A higher one takes over by sending.
+    """
+
+    duration: float
+    priorities: tuple[tuple[str, float], ...] = ()
+
+
+@frozen
+class LeaseHolder:
+    """Who sends commands.
+
+    Attributes:
+        id: tells it from every other, for people too: `session 3`, `connection c1`.
+        role: by which it has its priority; of a client of the server the one it was let in with.
+    """
+
+    id: str
+    role: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.id} ({self.role})" if self.role else self.id
+
+
+@frozen
+class LeaseStatus:
+    """The lease of an input, at one moment.
+
+    Attributes:
+        holder: who holds it; None where it is free.
+        priority: of the holder.
+        left: seconds for which it holds it without another command.
+        refused: commands of others that were refused.
+    """
+
+    holder: LeaseHolder | None = None
+    priority: float = 0.0
+    left: float = 0.0
+    refused: int = 0
+
+
+@frozen
 class CommandPolicy:
     """How an input that moves something is kept safe, in the process that talks to the framework.
 
@@ -49,11 +98,13 @@ class CommandPolicy:
             message; None: it lives until the next one.
         stop: the stop message; None: there is none.
         limits: what commands may ask for; one beyond is refused and renews nothing.
+        lease: how one sender at a time may command it; None: all may.
     """
 
     lifetime: float | None = None
     stop: StopMessage | None = None
     limits: tuple[FieldLimit, ...] = ()
+    lease: LeasePolicy | None = None
 
 
 class CommandPhase(Enum):

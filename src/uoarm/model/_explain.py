@@ -20,7 +20,17 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
     "components": ("name", "function", "health", "failed", "lost", "cause"),
     "channels": ("component", "port", "facts"),
-    "commands": ("component", "phase", "for", "left", "lifetime", "limits", "refused", "cause"),
+    "commands": (
+        "component",
+        "phase",
+        "for",
+        "left",
+        "lifetime",
+        "lease",
+        "limits",
+        "refused",
+        "cause",
+    ),
     "connections": ("id", "function", "state", "lost", "cause"),
     "routes": ("producer", "consumer", "received", "delivered", "rate", "dropped"),
     "offers": ("name", "state", "calls", "failed", "cause"),
@@ -113,6 +123,7 @@ def _commands(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
             "for": _seconds(told["since"]),
             "left": _seconds(told["left"]),
             "lifetime": _seconds(channel.get("lifetime")),
+            "lease": _lease(channel.get("lease")),
             "limits": "; ".join(map(_limit, channel.get("limits", ()))),
             "refused": told["dropped"],
             "cause": told["cause"],
@@ -121,6 +132,17 @@ def _commands(status: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         for channel in component.get("channels", ())
         if (told := channel.get("command"))
     ]
+
+
+def _lease(lease: Mapping[str, Any] | None) -> str:
+    """Return who holds a lease and how long still, as `session 3 (driver), 0.400 s`."""
+    if lease is None:
+        return ""
+    holder = lease["holder"]
+    if holder is None:
+        return "free"
+    name = f"{holder['id']} ({holder['role']})" if holder["role"] else holder["id"]
+    return f"{name}, {_seconds(lease['left'])}"
 
 
 def _seconds(value: float | None) -> str:

@@ -6,7 +6,7 @@ from enum import Enum
 
 from attrs import asdict, frozen
 
-from uoarm.model._command import CommandStatus, FieldLimit
+from uoarm.model._command import CommandStatus, FieldLimit, LeaseStatus
 from uoarm.model._explain import tell_status
 from uoarm.model._offer import OfferStatus
 
@@ -112,6 +112,7 @@ class ChannelStatus:
         command: what an input that moves something was told last; None of any other channel.
         lifetime: of its commands, in seconds; None where they do not expire.
         limits: of its commands.
+        lease: who may send them; None where all may.
     """
 
     port: str
@@ -120,6 +121,7 @@ class ChannelStatus:
     command: CommandStatus | None = None
     lifetime: float | None = None
     limits: tuple[FieldLimit, ...] = ()
+    lease: LeaseStatus | None = None
 
 
 @frozen

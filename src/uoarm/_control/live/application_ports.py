@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 
-from attrs import define, field
+from attrs import define, field, frozen
 
 from uoarm._control.live.component import LiveComponent
 from uoarm._dataplane import Clock, Inbox, Route, make_check
-from uoarm.errors import UsageError
-from uoarm.model import Message, QueuePolicy, RouteStatus, ValidationMode
+from uoarm.bridge import boot_seconds
+from uoarm.errors import (
+    BridgeError,
+    CommandRefusedError,
+    FailureReason,
+    UoarmError,
+    UsageError,
+)
+from uoarm.model import (
+    CommandPhase,
+    LeaseHolder,
+    Message,
+    QueuePolicy,
+    RouteStatus,
+    ValidationMode,
+)
 
-__all__ = ["ApplicationPorts", "OutputReceiver"]
+__all__ = ["ApplicationPorts", "OutputReceiver", "Sender"]
+
+_log = logging.getLogger("uoarm.commands")
+_LAST_SECONDS = 0.5
 
 
 class OutputReceiver:
@@ -75,8 +94,26 @@ class OutputReceiver:
             self._heard.take_back(reason)
 
 
+@frozen
+class _Command:
+    """A message on its way to an input that moves something.
+
+    Attributes:
+        number: in the order in which the application sent them.
+        sent: when; seconds of the clock of commands.
+    """
+
+    message: Message
+    sender: LeaseHolder
+    number: int
+    sent: float
+
+
 class Sender:
     """One application's route into one input.
+
+    What goes to an input that moves something is looked at twice: as it is sent, so that the
+    sender is told who else commands it, and when its turn has come, after whatever queue there is.
 
     Args:
         live: the open component.
@@ -87,6 +124,7 @@ class Sender:
 
     Attributes:
         place: the input, for errors.
+        lifetime: seconds for which a command lives; None: until the next one.
 
     Raises:
         BridgeError: the bridge could not open the input.
@@ -96,7 +134,24 @@ class Sender:
         self, live: LiveComponent, name: str, user: str, validate: ValidationMode, clock: Clock
     ) -> None:
         port = next(one for one in live.component.inputs if one.name == name)
-        send, default_queue = live.open_input(name, lambda: self._route.closed)
+        self._policy = policy = port.endpoint.command
+        self.lifetime = None if policy is None else policy.lifetime
+        self._live = live
+        self._name = name
+        self._lease = live.leases.get(name)
+        self._last_sender: LeaseHolder | None = None
+        self._numbers = itertools.count(1)
+        self._stopped = 0
+
+        def is_over() -> bool:
+            return self._route.closed
+
+        self._route: Route
+        if policy is None:
+            send, default_queue = live.open_input(name, is_over)
+        else:
+            self._pass_on, default_queue = live.open_input(name, is_over, self._admit)
+            send = self._hand_command
         self._require_released = partial(live.require_released, name)
         self.place = place = f"{live.component.name}.{name}"
         mode = ValidationMode.OFF if validate is ValidationMode.OFF else ValidationMode.ALWAYS
@@ -105,17 +160,86 @@ class Sender:
         watch = live.watch(name)
         self._route = Route(user, place, send, clock=clock, queue=queue, watch=watch)
 
-    def send(self, message: Message) -> None:
+    def send(self, message: Message, sender: LeaseHolder, *, take_over: bool = False) -> None:
         """Hand one message over.
 
         Raises:
-            CommandRefusedError: the emergency stop holds the input.
+            CommandRefusedError: the emergency stop holds the input, or somebody else its lease.
             MessageError: it does not match the input's structure.
         """
         self._require_released()
         if self._check is not None:
             self._check(message)
-        self._route.deliver(message)
+        if self._policy is None:
+            self._route.deliver(message)
+            return
+        if self._lease is not None:
+            self._lease.ask(sender, take_over=take_over)
+            self._last_sender = sender
+        # Its number before its time: what is numbered after a stop was sent after it.
+        self._route.deliver(_Command(message, sender, next(self._numbers), boot_seconds()))
+
+    @property
+    def can_stop(self) -> bool:
+        """Whether the input has a stop message."""
+        return self._policy is not None and self._policy.stop is not None
+
+    def stop(self, sender: LeaseHolder, timeout: float) -> None:
+        """Stop the input, and give its lease back; nothing where somebody else holds that.
+
+        What was sent before and waits in a queue is not sent any more.
+
+        Raises:
+            BridgeError: the framework has not taken the stop message; it goes on being sent.
+        """
+        if self._lease is not None and not self._lease.is_open_to(sender):
+            return
+        try:
+            self._halt(timeout)
+        finally:
+            if self._lease is not None:
+                self._lease.give_back(sender)
+
+    def leave(self, sender: LeaseHolder) -> None:
+        """Give the lease back, if this sender holds it, and stop what it moves. Never raises."""
+        if self._lease is None or not self._lease.give_back(sender):
+            return
+        try:
+            self._halt(_LAST_SECONDS)
+        except UoarmError as error:
+            _log.warning("%s", error)
+
+    def _halt(self, timeout: float) -> None:
+        self._stopped = next(self._numbers)
+        status = self._live.halt(self._name, timeout)
+        if status is not None and status.phase is CommandPhase.STOPPING:
+            cause = status.cause or f"not within {timeout:g} s"
+            text = f"{self.place}: it has not taken its stop message: {cause}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def _admit(self, command: _Command) -> tuple[Message, float]:
+        """Let a command pass whose turn has come; return it and its age in seconds."""
+        if command.number <= self._stopped:
+            text = f"{self.place}: its sender stopped the input while the command waited"
+            raise CommandRefusedError(text, "stopped")
+        if self._lease is not None:
+            self._lease.require(command.sender)
+        return command.message, boot_seconds() - command.sent
+
+    def _hand_command(self, command: _Command) -> None:
+        try:
+            self._pass_on(command)
+        except CommandRefusedError:
+            raise
+        except Exception:
+            self._halt_again(command)  # it may have arrived all the same
+            raise
+        self._halt_again(command)
+
+    def _halt_again(self, command: _Command) -> None:
+        """Stop once more where the stop may have overtaken a command that was admitted before."""
+        if command.number <= self._stopped:
+            self._live.halt(self._name, _LAST_SECONDS)
 
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out."""
@@ -126,8 +250,10 @@ class Sender:
         return self._route.status()
 
     def close(self) -> None:
-        """Send nothing more."""
+        """Send nothing more; what the application holds a lease of is given back, and stopped."""
         self._route.close()
+        if self._last_sender is not None:
+            self.leave(self._last_sender)
 
 
 @define(eq=False)
@@ -192,6 +318,17 @@ class ApplicationPorts:
     def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out."""
         return all(sender.flush(timeout) for sender in tuple(self.senders.values()))
+
+    def leave(self, sender: LeaseHolder) -> None:
+        """Give back what leases a sender holds, and stop what it moves with them."""
+        for way in tuple(self.senders.values()):
+            way.leave(sender)
+
+    def lifetimes(self) -> dict[str, float]:
+        """Return for how many seconds a command lives, by input that has it."""
+        return {
+            name: way.lifetime for name, way in self.senders.items() if way.lifetime is not None
+        }
 
     def routes(self) -> tuple[Route | Sender, ...]:
         """Return the routes at these ports."""

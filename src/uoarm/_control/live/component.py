@@ -5,14 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWatch
+from uoarm._control.live.lease import InputLease
 from uoarm._dataplane import Outlet, make_check
 from uoarm.bridge import Bridge, Channel, Sink, Source
 from uoarm.errors import BridgeError, ConnectionClosedError
 from uoarm.model import (
     ChannelStatus,
+    CommandStatus,
     Component,
     Message,
     MessageStructure,
@@ -44,13 +47,20 @@ class LiveComponent:
         bridge: opens its channels.
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
+        announce: told, in a sentence, when an input has another holder of its lease.
 
     Attributes:
+        leases: of the inputs that one sender at a time may command, by name.
         lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
     def __init__(
-        self, step: Step, bridge: Bridge, failures: FailureWatch, emergency_stop: EmergencyStop
+        self,
+        step: Step,
+        bridge: Bridge,
+        failures: FailureWatch,
+        emergency_stop: EmergencyStop,
+        announce: Callable[[str], None],
     ) -> None:
         self._emergency_stop = emergency_stop
         self.component: Component = step.component
@@ -58,6 +68,11 @@ class LiveComponent:
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
         self.structures = step.structures
         self.failures = failures
+        self.leases = {
+            one.name: InputLease(policy.lease, f"{step.component.name}.{one.name}", announce)
+            for one in step.component.inputs
+            if (policy := one.endpoint.command) is not None and policy.lease is not None
+        }
         self._watches = {one.name: InputWatch(failures, one.name) for one in step.component.inputs}
         self._sources: dict[str, Source] = {}
         self._sinks: dict[str, Sink] = {}
@@ -111,11 +126,15 @@ class LiveComponent:
             self._end_turn()
 
     def open_input(
-        self, name: str, is_over: Callable[[], bool]
-    ) -> tuple[Callable[[Message], None], QueuePolicy | None]:
+        self,
+        name: str,
+        is_over: Callable[[], bool],
+        admit: Callable[[Any], tuple[Message, float]] = lambda message: (message, 0.0),
+    ) -> tuple[Callable[[Any], None], QueuePolicy | None]:
         """Return a send for an input that several connections share, and the queue it needs.
 
-        None is needed where sending does not block.
+        None is needed where sending does not block. `admit` is asked of each message when its turn
+        has come, and refuses it by raising, or gives what is to be sent and its age in seconds.
 
         One call at a time; one that waits for its turn ends with a ConnectionClosedError once
         `is_over`: where the component hangs, only one thread stays in it.
@@ -138,13 +157,14 @@ class LiveComponent:
         finally:
             self._end_turn()
 
-        def send(message: Message) -> None:
+        def send(given: Any) -> None:
             while not turn.acquire(timeout=_TURN_SECONDS):
                 if is_over():
                     raise ConnectionClosedError("the connection has ended")
             try:
                 self._emergency_stop.refuse(sink)
-                sink.send(message)
+                message, age = admit(given)
+                sink.send(message, age)
             finally:
                 turn.release()
 
@@ -160,6 +180,14 @@ class LiveComponent:
             CommandRefusedError: it does.
         """
         self._emergency_stop.refuse(self._sinks[name])
+
+    def halt(self, name: str, timeout: float) -> CommandStatus | None:
+        """Have an input stopped where a command lives still; see `Sink.halt`.
+
+        None where it moves nothing, or is closed and was stopped with that.
+        """
+        sink = self._sinks.get(name)
+        return None if sink is None else sink.halt(timeout)
 
     def watch(self, name: str) -> InputWatch:
         """Return what the routes into an input tell what became of messages."""
@@ -188,8 +216,8 @@ class LiveComponent:
     def channel_statuses(self) -> tuple[ChannelStatus, ...]:
         """Return what the status map shows of its channels."""
         return (
-            *_channel_statuses("output", self._sources),
-            *_channel_statuses("input", self._sinks),
+            *_channel_statuses("output", self._sources, {}),
+            *_channel_statuses("input", self._sinks, self.leases),
         )
 
     def _take_turn(self) -> None:
@@ -237,7 +265,9 @@ def _lost(channel: Channel) -> int:
     return sum(count for count in counts if isinstance(count, int))
 
 
-def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterator[ChannelStatus]:
+def _channel_statuses(
+    direction: str, channels: Mapping[str, Channel], leases: Mapping[str, InputLease]
+) -> Iterator[ChannelStatus]:
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
         facts = facts_of(channel)
@@ -246,4 +276,5 @@ def _channel_statuses(direction: str, channels: Mapping[str, Channel]) -> Iterat
         lost = lost if isinstance(lost, int) else 0
         policy = channel.endpoint.command
         lifetime, limits = (None, ()) if policy is None else (policy.lifetime, policy.limits)
-        yield ChannelStatus(f"{direction}.{name}", facts, lost, command, lifetime, limits)
+        lease = leases[name].status() if name in leases else None
+        yield ChannelStatus(f"{direction}.{name}", facts, lost, command, lifetime, limits, lease)

@@ -85,6 +85,7 @@ class LiveParts:
         clock: seconds.
         judged: told, with a component's id, when the verdict on what it raises changes.
         emergency_stop: holds all inputs that move something.
+        announce: takes a subject, a change and its cause, for listeners.
     """
 
     def __init__(
@@ -94,12 +95,14 @@ class LiveParts:
         clock: Clock,
         judged: Callable[[int, Health, str], None],
         emergency_stop: EmergencyStop,
+        announce: Callable[[str, str, str], None],
     ) -> None:
         self._bridges = bridges
         self._judged = judged
         self._state = state
         self._clock = clock
         self.emergency_stop = emergency_stop
+        self._announce = announce
         self.runtimes: dict[str, ConnectionRuntime] = {}
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
@@ -245,7 +248,11 @@ class LiveParts:
         limits, tell = self._state().policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, tell)
         self.components[record.id] = LiveComponent(
-            record.step, bridge, failures, self.emergency_stop
+            record.step,
+            bridge,
+            failures,
+            self.emergency_stop,
+            partial(self._announce, f"component {component.name}", "leased"),
         )
 
     def _open_output(self, part: Part) -> None:

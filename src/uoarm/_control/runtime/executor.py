@@ -65,7 +65,9 @@ class Executor:
         emergency_stop: EmergencyStop,
     ) -> None:
         self.state = state
-        self.live = LiveParts(bridges, lambda: self.state, clock, self._judged, emergency_stop)
+        self.live = LiveParts(
+            bridges, lambda: self.state, clock, self._judged, emergency_stop, events.post
+        )
         self._bridges = bridges
         self._revisions = revisions
         self._clock = clock

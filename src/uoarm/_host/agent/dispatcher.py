@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from threading import Event
 from typing import Any
@@ -69,6 +70,7 @@ class RequestDispatcher:
                 request["flow"], request["sent"], request["timeout"]
             ),
             "hold": self._hold,
+            "halt": self._halt,
             "release": self._release,
             "close_channel": self._close_channel,
             "close": self._close,
@@ -177,6 +179,17 @@ class RequestDispatcher:
     def _hold(self, request: Request) -> Any:
         sink = self._flows.sink(request["flow"])
         return None if sink is None else to_json(sink.hold(request["timeout"]))
+
+    def _halt(self, request: Request) -> Any:
+        """Stop at once, and again after the commands that the manager sent before it asked."""
+        flow, timeout = request["flow"], request["timeout"]
+        sink = self._flows.sink(flow)
+        if sink is None:
+            return None
+        deadline = time.monotonic() + timeout
+        sink.halt(timeout)
+        self._flows.drain(flow, request["sent"], max(0.0, deadline - time.monotonic()))
+        return to_json(sink.halt(max(0.0, deadline - time.monotonic())))
 
     def _release(self, request: Request) -> None:
         sink = self._flows.sink(request["flow"])

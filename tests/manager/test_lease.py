@@ -1,0 +1,147 @@
+"""An input that one sender at a time may command, and stops that a sender asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.errors import BridgeError, CommandRefusedError, UsageError
+from uoarm.model import LeaseHolder, LeaseStatus, StatusEvent
+from uoarm.testing import MemoryBridge, patience, wait
+
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  drive:
+    components:
+      - name: base
+        bridge: memory
+        input:
+          endpoint: [base]
+          lifetime: 3600
+          stop: {message: 0}
+          lease: {duration: 3600, priorities: {safety: 10}}
+  lamp: {components: [{name: lamp, bridge: memory, input: {endpoint: [base]}}]}
+"""
+SAFETY = LeaseHolder("fence", "safety")
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
+
+
+def open_robot(memory: MemoryBridge, text: str = ROBOT) -> RobotManager:
+    return RobotManager(loads(text), registry=Registry(()), bridges={"memory": memory})
+
+
+def lease(manager: RobotManager) -> LeaseStatus:
+    (component,) = manager.status().components
+    found = component.channels[0].lease
+    assert found is not None
+    return found
+
+
+def refused(act: Callable[[], object]) -> str:
+    with pytest.raises(CommandRefusedError) as caught:
+        act()
+    assert caught.value.reason == "leased"
+    return str(caught.value)
+
+
+def test_who_sends_first_commands_and_any_other_is_told_who_does(memory: MemoryBridge) -> None:
+    base = memory.taker("base", {"type": "number"})
+    events: list[StatusEvent] = []
+    with open_robot(memory) as manager:
+        manager.listen(events.append)
+        first, second = manager.request("drive"), manager.request("drive")
+        first.send(1)
+        told = refused(lambda: second.send(2))
+        assert f"base.default: connection {first.id} holds its lease" in told
+        assert lease(manager).holder == LeaseHolder(f"connection {first.id}")
+        assert f"connection {first.id}, 3" in str(manager.status())
+        second.send(3, take_over=True)
+        refused(lambda: first.send(4))
+        first.send(5, sender=SAFETY)
+        refused(lambda: second.send(6, take_over=True))
+        assert lease(manager).priority == 10
+        assert base.taken.messages == [1, 3, 5]
+        wait(lambda: [one.change for one in events].count("leased") == 3)
+        cause = f"base.default: {SAFETY} holds its lease, who took it over from connection"
+        assert events[-1].cause == f"{cause} {second.id}"
+
+
+def test_who_leaves_gives_it_back_and_what_it_moved_is_stopped(memory: MemoryBridge) -> None:
+    base = memory.taker("base", {"type": "number"})
+    with open_robot(memory) as manager:
+        first, second = manager.request("drive"), manager.request("drive")
+        first.send(1)
+        first.kill()
+        wait(lambda: base.taken.messages == [1, 0])
+        second.send(2)
+        second.stop(timeout=patience())
+        assert lease(manager).holder is None
+        second.send(3, sender=SAFETY)
+        second.leave(LeaseHolder("somebody else"))
+        assert lease(manager).holder == SAFETY
+        second.leave(SAFETY)
+        assert lease(manager).holder is None
+        wait(lambda: base.taken.messages == [1, 0, 2, 0, 3, 0])
+
+
+def test_a_stop_by_who_was_taken_over_from_stops_nobody_else(memory: MemoryBridge) -> None:
+    base = memory.taker("base", {"type": "number"})
+    with open_robot(memory) as manager:
+        first, second = manager.request("drive"), manager.request("drive")
+        first.send(1)
+        second.send(2, take_over=True)
+        first.stop()
+        assert base.taken.messages == [1, 2]
+        assert lease(manager).holder == LeaseHolder(f"connection {second.id}")
+
+
+def test_a_stop_that_cannot_be_is_told(memory: MemoryBridge) -> None:
+    memory.taker("base", {"type": "number"})
+    told = "no stop message in the configuration"
+    with open_robot(memory) as manager, pytest.raises(UsageError, match=told):
+        manager.request("lamp").stop()
+
+
+def test_what_waits_for_a_sink_that_hangs_is_not_sent_after_a_stop(memory: MemoryBridge) -> None:
+    base = memory.taker("base", {"type": "number"}, blocking=True)
+    with open_robot(memory) as manager:
+        drive = manager.request("drive")
+        with base.stalled() as hang:
+            drive.send(1)
+            assert hang.entered.wait(patience())
+            drive.send(2)
+            with pytest.raises(BridgeError, match="has not taken its stop message"):
+                drive.stop(timeout=0)
+        assert drive.flush(patience())
+        drive.stop(timeout=patience())
+        assert 2 not in base.taken.messages
+        assert base.taken.messages[0] == 1
+        assert set(base.taken.messages[1:]) == {0}
+        (route,) = drive.routes()
+        assert dict(route.dropped) == {"stopped": 1}
+
+
+def test_what_waits_while_another_takes_over_is_not_sent_behind_it(memory: MemoryBridge) -> None:
+    base = memory.taker("base", {"type": "number"}, blocking=True)
+    with open_robot(memory) as manager:
+        first, second = manager.request("drive"), manager.request("drive")
+        with base.stalled() as hang:
+            first.send(1)
+            assert hang.entered.wait(patience())
+            first.send(2)
+            second.send(3, take_over=True)
+        assert first.flush(patience())
+        assert second.flush(patience())
+        assert base.taken.messages == [1, 3]
+        (route,) = first.routes()
+        assert dict(route.dropped) == {"leased": 1}
