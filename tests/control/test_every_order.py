@@ -10,7 +10,7 @@ import pytest
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from tests.control.world import FACE, NAME, OTHERS, Plans, World
+from tests.control.world import FACE, NAME, OTHERS, Plans, World, discovered
 
 from uoarm.model import ConnectionState, FailoverPolicy
 
@@ -18,6 +18,12 @@ PLANS = {"face": Plans(FACE), "name": Plans(NAME)}
 CHANGED = {
     name: {text: Plans(change(text)) for text in (FACE, NAME)} for name, change in OTHERS.items()
 }
+BARE = {
+    plans.text: plans
+    for plans in (*PLANS.values(), *(one for each in CHANGED.values() for one in each.values()))
+}
+SEEN = {text: Plans(discovered(text)) for text in BARE}
+UNSEEN = {plans.text: BARE[text] for text, plans in SEEN.items()}
 POLICIES = {
     "failover": FailoverPolicy(),
     "none": FailoverPolicy(enabled=False),
@@ -28,8 +34,13 @@ FUNCTIONS = ("face", "camera", "name")
 Move = Callable[[World], None]
 
 
-def moves(world: World, requests: int = 2, changes: int = 0) -> Iterator[tuple[str, Move]]:
-    """Yield what may happen next, with so many requests and changes at most."""
+def moves(
+    world: World, requests: int = 2, changes: int = 0, *, candidates: bool = False
+) -> Iterator[tuple[str, Move]]:
+    """Yield what may happen next, with so many requests and changes at most.
+
+    With `candidates` a camera is discovered and is gone again, but not while it is in use.
+    """
     yield from world.moves()
     if world.state.revision < changes and "stop" not in world.asked:
         for change, plans in CHANGED.items():
@@ -37,6 +48,11 @@ def moves(world: World, requests: int = 2, changes: int = 0) -> Iterator[tuple[s
             yield f"configure {change}", partial(_configure, plans=new)
         if world.state.revision:
             yield "configure back", partial(_configure, plans=world.first)
+    if candidates and not world.state.configurers:
+        if world.plans.text in SEEN:
+            yield "see", lambda one: one.discover(SEEN[one.plans.text])
+        elif "eye" not in {one.name for one in world.state.components.values()}:
+            yield "unsee", lambda one: one.discover(UNSEEN[one.plans.text])
     made = sum(one.startswith("request") for one in world.asked)
     if made < requests:
         asked, function = f"c{made + 1}", FUNCTIONS[made % len(FUNCTIONS)]
@@ -56,17 +72,18 @@ def moves(world: World, requests: int = 2, changes: int = 0) -> Iterator[tuple[s
 
 
 def _configure(world: World, plans: Plans) -> None:
-    world.configure(plans)
+    """Change the configuration; what was discovered is there in the new one, too."""
+    world.configure(SEEN[plans.text] if world.plans.text in UNSEEN else plans)
 
 
-def explore(first: World, depth: int, most: int) -> int:
+def explore(first: World, depth: int, most: int, *, candidates: bool = False) -> int:
     """Play every order of moves to a depth, breadth first; return how many worlds were seen."""
     seen = {first.key()}
     layer: list[tuple[World, tuple[str, ...]]] = [(first, ())]
     for _ in range(depth):
         following = []
         for world, path in layer:
-            for name, move in moves(world):
+            for name, move in moves(world, candidates=candidates):
                 after, told = world.copy(), (*path, name)
                 with saying(told):
                     move(after)
@@ -118,6 +135,15 @@ def test_whatever_the_order_a_change_of_configuration_ends_well(
     assert explore(first, depth=12, most=250) == 250
 
 
+@pytest.mark.parametrize("robot", PLANS)
+@pytest.mark.parametrize("policy", POLICIES)
+def test_whatever_the_order_candidates_come_and_go(robot: str, policy: str) -> None:
+    first = World(SEEN[PLANS[robot].text], POLICIES[policy])
+    first.dead = frozenset({"best", "spare"})
+    first.request("c1", "face")  # with the camera that was discovered
+    assert explore(first, depth=12, most=300, candidates=True) == 300
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", POLICIES)
@@ -136,7 +162,7 @@ class Walk(RuleBasedStateMachine):
     @rule(trouble=st.integers(0, 9), choice=st.integers(0, 10_000))
     def move(self, trouble: int, choice: int) -> None:
         """Mostly, let what waits end well: else no walk gets far enough for a takeover."""
-        there = list(moves(self.world, requests=12, changes=6))
+        there = list(moves(self.world, requests=12, changes=6, candidates=True))
         well = [one for one in there if one[0].startswith("do ")]
         chosen = well if well and trouble < 7 else there
         if chosen:

@@ -12,9 +12,10 @@ import pytest
 from tests.control.world import FACE, Plans
 
 from uoarm import RobotManager
+from uoarm._control.discovery import candidate_watch
 from uoarm._control.reconciler import actions as act
 from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import State
+from uoarm._control.reconciler.state import State, names
 from uoarm._control.reconciler.step import step
 from uoarm._control.reconciler.trace import read
 from uoarm._control.runtime import executor
@@ -75,6 +76,54 @@ def test_a_log_of_events_replays_to_the_same_actions(
         event, now = read(line, find_plan)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
+
+
+NEEDS = """
+version: 1
+bridges: {one: {plugin: memory}}
+functions:
+  camera: {needs: {structure: {type: integer}}}
+"""
+
+
+def test_what_is_discovered_is_in_the_log_and_replays(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
+    done: list[tuple[act.Action, ...]] = []
+    begun: list[State] = []
+    plans: dict[tuple[str, ...], Plan] = {}
+
+    def watched(state: State, event: ev.Event, now: float) -> tuple[State, tuple[act.Action, ...]]:
+        begun.append(state)
+        plan = getattr(event, "plan", None)
+        if plan is not None:
+            plans[names(plan)] = plan
+        after, actions = step(state, event, now)
+        done.append(actions)
+        return after, actions
+
+    monkeypatch.setattr(executor, "step", watched)
+    caplog.set_level(logging.DEBUG, "uoarm.control")
+    one = MemoryBridge("one", {})
+    one.emitter("first", NUMBER)
+    with RobotManager(loads(NEEDS), bridges={"one": one}) as robot:
+        camera = robot.request("camera")
+        one.emitter("second", NUMBER)
+        wait(lambda: len(robot.config.functions["camera"].components) == 2)
+        one.die("first", "it was unplugged")
+        wait(lambda: camera.gaps)
+    lines = [each.getMessage() for each in caplog.records if each.name == "uoarm.control"]
+    state = begun[0]
+    events = []
+    for line, actions in zip(lines, done, strict=True):
+        event, now = read(line, lambda _, these: plans[these])
+        events.append(event)
+        state, again = step(state, event, now)
+        assert list(map(repr, again)) == list(map(repr, actions)), line
+    seen = [each for each in events if isinstance(each, ev.CandidatesChanged)]
+    assert "camera@one/second" in seen[1].bridges
+    assert "+ component camera@one/second" in seen[1].told
 
 
 SOAK = """

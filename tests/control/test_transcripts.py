@@ -15,7 +15,7 @@ from typing import Any
 
 import attrs
 import pytest
-from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World
+from tests.control.world import FACE, NAME, OTHERS, PORTS, Plans, World, discovered
 
 from uoarm._control.reconciler import actions as act
 from uoarm._control.reconciler import events as ev
@@ -29,6 +29,7 @@ CHANGED = {
     (name, change): Plans(OTHERS[change](PLANS[name].text))
     for name, change in itertools.product(("face", "name"), OTHERS)
 }
+SEEN = {name: Plans(discovered(PLANS[name].text)) for name in ("face", "name")}
 POLICIES: dict[str, Callable[[str], object]] = {
     "enabled": lambda told: told == "true",
     "wait": float,
@@ -41,6 +42,7 @@ WHOLE = {
     "open",
     "fail",
     "late",
+    "old",
     "configure",
 }  # moves of which the rest of the line is one word
 
@@ -139,6 +141,18 @@ class Player(World):
     def play_late(self, lane: str) -> None:
         """Let a search end that was made with the configuration before."""
         self.do(self._lane(lane), is_late=True)
+
+    def play_old(self, lane: str) -> None:
+        """Let a search end that was made with the candidates before."""
+        self.do(self._lane(lane), is_old=True)
+
+    def play_see(self) -> None:
+        """Discover another camera."""
+        self.discover(SEEN[self.robot])
+
+    def play_unsee(self) -> None:
+        """See that camera no more, whether it is in use or not."""
+        self.discover(PLANS[self.robot])
 
     def play_configure(self, change: str) -> None:
         """To one of the others of this robot, or back."""

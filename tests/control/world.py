@@ -22,6 +22,7 @@ from uoarm._resolve import Resolver, StructureCache
 from uoarm.config import compare, loads
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
+    Component,
     ConnectionState,
     FailoverPolicy,
     Health,
@@ -33,7 +34,7 @@ from uoarm.model import (
 )
 from uoarm.testing import MemoryBridge
 
-__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World"]
+__all__ = ["FACE", "NAME", "OTHERS", "PORTS", "Plans", "World", "discovered"]
 
 NUMBER: Any = {"type": "integer"}
 FACE = """
@@ -96,6 +97,12 @@ OTHERS: Mapping[str, Callable[[str], str]] = {
     "a new name": lambda text: text.replace("name: finder", "name: detector"),
 }
 """What a configuration is changed to."""
+_EYE = "      - {name: eye, bridge: one, priority: 0, output: {endpoint: [eye]}}\n"
+
+
+def discovered(text: str) -> str:
+    """Return a configuration with a camera that was discovered, behind those that are named."""
+    return text.replace("  face:\n", f"{_EYE}  face:\n", 1)
 
 
 class Plans:
@@ -147,6 +154,8 @@ class World:
         self.handed: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.wake_at: float | None = None
         self.first = self.before = self.next = plans
+        self.earlier: Plans | None = None  # with the candidates before, in the same revision
+        self.seen: frozenset[Component] = frozenset()
 
     def copy(self) -> World:
         """Return a world that goes its own way from here; all that it holds is immutable."""
@@ -213,6 +222,17 @@ class World:
             )
         )
 
+    def discover(self, plans: Plans) -> None:
+        """Have other candidates in the same configuration."""
+        every = {
+            one.name: one.bridge
+            for robot in (self.plans.robot, plans.robot)
+            for one in robot.components()
+        }
+        self.seen |= {evolve(one, priority=0) for one in self.plans.robot.components()}
+        self.post(ev.CandidatesChanged(every, "so it is"))
+        self.earlier, self.plans = self.plans, plans
+
     def pass_time(self, seconds: float) -> None:
         """Let time pass."""
         self.now += seconds
@@ -221,11 +241,19 @@ class World:
 
     # What becomes of actions.
 
-    def do(self, lane: str, *, fails_at: int | None = None, is_late: bool = False) -> None:
+    def do(
+        self,
+        lane: str,
+        *,
+        fails_at: int | None = None,
+        is_late: bool = False,
+        is_old: bool = False,
+    ) -> None:
         """Do the next action of a lane.
 
         Args:
             is_late: whether a search was made with the configuration before.
+            is_old: whether it was made with the candidates before.
             lane: its name.
             fails_at: of an opening: the number of the part that cannot be opened; of any other
                 action that can fail: not None lets it fail.
@@ -236,6 +264,10 @@ class World:
         if is_late:
             assert isinstance(action, act.Resolve)
             event: ev.Event | None = self._resolve(action, self.before, self.state.revision - 1)
+        elif is_old:
+            assert isinstance(action, act.Resolve)
+            assert self.earlier is not None
+            event = self._resolve(action, self.earlier, self.state.revision)
         else:
             event = self._do(action, fails_at)
         if event is not None:
@@ -252,8 +284,11 @@ class World:
                         f"fail {lane} at {at}",
                         lambda world, lane=lane, at=at: world.do(lane, fails_at=at),  # type: ignore[misc]
                     )
-            elif isinstance(first, act.Resolve) and self.state.revision:
-                yield f"late {lane}", lambda world, lane=lane: world.do(lane, is_late=True)  # type: ignore[misc]
+            elif isinstance(first, act.Resolve):
+                if self.state.revision:
+                    yield f"late {lane}", lambda world, lane=lane: world.do(lane, is_late=True)  # type: ignore[misc]
+                if self.earlier is not None:
+                    yield f"old {lane}", lambda world, lane=lane: world.do(lane, is_old=True)  # type: ignore[misc]
             elif isinstance(first, act.SwitchInputs):
                 yield f"fail {lane}", lambda world, lane=lane: world.do(lane, fails_at=0)  # type: ignore[misc]
 
@@ -270,7 +305,9 @@ class World:
 
     def key(self) -> Hashable:
         """Return what tells two worlds apart."""
-        return repr((self.state, self.lanes, sorted(self.dead), sorted(map(str, self.open))))
+        plans = self.plans.text, self.earlier and self.earlier.text
+        opened = sorted(map(str, self.open))
+        return repr((self.state, self.lanes, sorted(self.dead), opened, plans))
 
     # What always holds.
 
@@ -315,6 +352,7 @@ class World:
                 for number in placed.components.values():
                     assert not state.components[number].is_superseded
                 there = {evolve(one, priority=0) for one in self.plans.robot.components()}
+                there |= self.seen
                 assert all(evolve(one.component, priority=0) in there for one in placed.plan.steps)
             for part in placed.parts:
                 if part.kind in {Kind.COMPONENT, Kind.OUTPUT}:
@@ -365,7 +403,8 @@ class World:
             self.handed += ((action.connection, names(action.after.plan)),)
         elif isinstance(action, act.Adopt):
             assert action.revision == self.state.revision
-            self.before, self.plans = self.plans, self.next
+            self.before, self.plans, self.earlier = self.plans, self.next, None
+            self.seen = frozenset()
         elif isinstance(action, act.CancelBatch):
             self.cancelled |= {action.batch}
         elif isinstance(action, act.WakeAt):

@@ -223,6 +223,24 @@ def test_a_plan_is_kept_until_it_is_invalidated() -> None:
     assert resolver.resolve("f") is not plan
 
 
+def test_other_functions_let_only_those_plans_be_sought_anew_that_they_concern() -> None:
+    functions = {
+        "f": Function("f", (component("f", 0, ("g",)),)),
+        "g": Function("g", (component("g", 0, ("h",)),)),
+        "h": Function("h", (component("h", 0, ()),)),
+        "other": Function("other", (component("other", 0, ("shared",)),)),
+        "shared": Function("shared", (component("shared", 0, ()),)),
+    }
+    world = World(frozenset(), frozenset())
+    resolver = Resolver(Robot({}, functions), world, world.check)
+    before = {name: resolver.resolve(name) for name in functions}
+    changed = Function("h", (component("h", 0, ()), component("h", 1, ())))
+    resolver.use({**functions, "h": changed, "new": Function("new", (component("new", 0, ()),))})
+    assert [name for name in functions if resolver.known(name) is None] == ["f", "g", "h"]
+    assert resolver.resolve("other") is before["other"]
+    assert resolver.resolve("new").provider.component.name == "new0"
+
+
 def two_candidates() -> Robot:
     return Robot({}, {"f": Function("f", (component("f", 0, ()), component("f", 1, ())))})
 

@@ -35,6 +35,7 @@ class EdgeVerdict:
         warnings: what a careful reader should know.
         unstated: paths of numbers and octets of whose meaning one side says nothing.
         differences: what both sides state of the meaning and do not agree on.
+        is_undecided: whether it is refused only since nobody knows, for want of time mostly.
     """
 
     compatible: bool
@@ -43,6 +44,7 @@ class EdgeVerdict:
     warnings: tuple[str, ...] = ()
     unstated: tuple[str, ...] = ()
     differences: tuple[Difference, ...] = ()
+    is_undecided: bool = False
 
 
 def check_edge(
@@ -160,7 +162,7 @@ def _with_losses(
 def _verdict(verdict: Verdict, losses: tuple[str, ...], allow_loss: tuple[str, ...]) -> EdgeVerdict:
     if verdict.undecided is not None:
         sentence = f"it cannot be decided whether every message fits: {verdict.undecided}"
-        return EdgeVerdict(False, (Reason(sentence),))
+        return EdgeVerdict(False, (Reason(sentence),), is_undecided=True)
     if not verdict.compatible:
         reasons = tuple(
             Reason(one.sentence, one.path, one.producer, one.consumer, verdict.excerpt)

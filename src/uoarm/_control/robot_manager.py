@@ -128,7 +128,7 @@ class RobotManager:
             ),
         )
         self._candidates = CandidateWatch(
-            self._revisions, self._executor, self._bridges.get, self.registry.types
+            self._revisions, self._executor, self._bridges.get, self.registry.types, clock
         )
         self._services = Services(
             self._bridges.get,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import frozen
 
@@ -20,7 +21,10 @@ T = TypeVar("T")
 _PAIR_SECONDS = 0.5
 _SUGGEST_SECONDS = 2.0
 _ROUND_SECONDS = 10.0
+_MOST_FACTOR = 16
+_PATIENCE = 20.0
 _REMEMBERED = 50_000
+_NOT_COMPARED = "it was not compared yet, for want of time"
 
 
 @frozen
@@ -31,11 +35,30 @@ class Adapted:
     allow_loss: tuple[str, ...] = ()
 
 
+@frozen
+class _Answer(Generic[T]):
+    """What is known of a pair, and from when on it is judged again.
+
+    Attributes:
+        factor: of the time that it was given.
+        again: never, where it was decided.
+    """
+
+    told: T
+    factor: int = 1
+    again: float = math.inf
+
+
+_Answers: TypeAlias = "OrderedDict[tuple[str, str], _Answer[T]]"
+
+
 class Proofs:
     """Judges pairs and remembers them. For one thread at a time.
 
     In one round it takes some ten seconds at most; what it has not judged then does not fit yet,
-    and is judged in a later one.
+    and is judged in a later one. So is what could not be decided in the time that a pair has, with
+    twice the time each time, eight seconds for a proof at last, and a wait between that is some
+    twenty times as long.
 
     Args:
         clock: a monotonic clock, in seconds.
@@ -43,8 +66,8 @@ class Proofs:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._refusals: OrderedDict[tuple[str, str], str] = OrderedDict()
-        self._adapted: OrderedDict[tuple[str, str], Adapted | None] = OrderedDict()
+        self._refusals: _Answers[str] = OrderedDict()
+        self._adapted: _Answers[Adapted | None] = OrderedDict()
         self._end = 0.0
         self.unjudged = 0
 
@@ -60,33 +83,60 @@ class Proofs:
         key = producer.fingerprint, consumer.fingerprint
         if key[0] == key[1]:
             return ""
-        if key not in self._refusals:
-            if self._clock() > self._end:
-                self.unjudged += 1
-                return "it was not compared yet, for want of time"
-            verdict = check_edge(producer, consumer, seconds=_PAIR_SECONDS, suggest_seconds=0)
+
+        def judge(factor: int) -> tuple[str, bool]:
+            seconds = factor * _PAIR_SECONDS
+            verdict = check_edge(producer, consumer, seconds=seconds, suggest_seconds=0)
             told = [f"{one.path}: {one.sentence}".removeprefix(": ") for one in verdict.reasons]
-            self._refusals[key] = "" if verdict.compatible else "; ".join(told[:3]) or "refused"
-        return _used(self._refusals, key)
+            refused = "" if verdict.compatible else "; ".join(told[:3]) or "refused"
+            return refused, not verdict.is_undecided
+
+        return self._answer(self._refusals, key, judge, _NOT_COMPARED)
 
     def adapted(self, producer: MessageStructure, consumer: MessageStructure) -> Adapted | None:
         """Return how messages fit: as they are, or with the map that is suggested, proven to."""
         if not self.refusal(producer, consumer):
             return Adapted()
-        key = producer.fingerprint, consumer.fingerprint
-        if key not in self._adapted:
-            if self._clock() > self._end:
-                self.unjudged += 1
-                return None
-            verdict = check_edge(
-                producer, consumer, seconds=_PAIR_SECONDS, suggest_seconds=_SUGGEST_SECONDS
-            )
+
+        def judge(factor: int) -> tuple[Adapted | None, bool]:
+            seconds, to_suggest = factor * _PAIR_SECONDS, factor * _SUGGEST_SECONDS
+            begun = self._clock()
+            verdict = check_edge(producer, consumer, seconds=seconds, suggest_seconds=to_suggest)
+            is_over = self._clock() - begun < to_suggest  # the suggestion had the time it needed
             lines = verdict.reasons[0].suggestion if verdict.reasons else ""
-            self._adapted[key] = _read(lines, producer, consumer)
-        return _used(self._adapted, key)
+            found = _read(lines, producer, consumer, seconds)
+            return found, found is not None or (is_over and not verdict.is_undecided)
+
+        key = producer.fingerprint, consumer.fingerprint
+        return self._answer(self._adapted, key, judge, None)
+
+    def _answer(
+        self,
+        answers: _Answers[T],
+        key: tuple[str, str],
+        judge: Callable[[int], tuple[T, bool]],
+        unjudged: T,
+    ) -> T:
+        """Return what is known of a pair; judge it where there is time."""
+        known = answers.get(key)
+        now = self._clock()
+        if known is None or now >= known.again:
+            if now > self._end:
+                self.unjudged += 1
+                return unjudged if known is None else known.told
+            factor = 1 if known is None else min(_MOST_FACTOR, 2 * known.factor)
+            told, is_decided = judge(factor)
+            again = math.inf if is_decided else self._clock() + _PATIENCE * factor * _PAIR_SECONDS
+            known = answers[key] = _Answer(told, factor, again)
+            if len(answers) > _REMEMBERED:
+                answers.popitem(last=False)
+        answers.move_to_end(key)
+        return known.told
 
 
-def _read(lines: str, producer: MessageStructure, consumer: MessageStructure) -> Adapted | None:
+def _read(
+    lines: str, producer: MessageStructure, consumer: MessageStructure, seconds: float
+) -> Adapted | None:
     """Return what suggested lines say, where the edge is proven with them."""
     written = read(lines, "").value if lines else None
     if not isinstance(written, dict) or "map" not in written:
@@ -97,14 +147,7 @@ def _read(lines: str, producer: MessageStructure, consumer: MessageStructure) ->
         consumer,
         made.mapping,
         made.allow_loss,
-        seconds=_PAIR_SECONDS,
+        seconds=seconds,
         suggest_seconds=0,
     )
     return made if proven.compatible else None
-
-
-def _used(kept: OrderedDict[tuple[str, str], T], key: tuple[str, str]) -> T:
-    kept.move_to_end(key)
-    if len(kept) > _REMEMBERED:
-        kept.popitem(last=False)
-    return kept[key]

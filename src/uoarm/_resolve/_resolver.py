@@ -6,15 +6,16 @@ import difflib
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from attrs import frozen
 
 from uoarm._resolve._fit import Fit
 from uoarm._resolve._protocols import Catalogue, EdgeCheck
 from uoarm._resolve._search import Search
+from uoarm.config import fed_by
 from uoarm.errors import ResolutionError
-from uoarm.model import Plan, Rejection, Robot, tell_rejections
+from uoarm.model import Function, Plan, Rejection, Robot, tell_rejections
 
 __all__ = ["NoPlanError", "Resolver"]
 
@@ -140,6 +141,23 @@ class Resolver:
                 and not kept.plan.rejected
                 and all(step.component.name != component for step in kept.plan.steps)
             }
+
+    def use(self, functions: Mapping[str, Function]) -> None:
+        """Resolve other functions from now on.
+
+        Plans are kept whose functions, and all that may feed those, are the same.
+        """
+        with self._lock:
+            # In this order: a search that begins meanwhile must not take old functions for new.
+            before, self._functions = self._functions, functions
+            self._revision += 1
+            changed = {
+                one for one in {*before, *functions} if before.get(one) != functions.get(one)
+            }
+            # Whoever is fed by what is the same has the same feeds before and after.
+            components = (one for each in before.values() for one in each.components)
+            gone = fed_by(changed, components)
+            self._plans = {name: one for name, one in self._plans.items() if name not in gone}
 
     def _until(self, asked_in_vain: float | None) -> float:
         if asked_in_vain is None:

@@ -2,7 +2,7 @@
 
 from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
-from uoarm.config._difference import Difference, compare
+from uoarm.config._difference import Difference, compare, fed_by
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._merging import merge
 from uoarm.config._shape import published_schema, structure_schema
@@ -16,6 +16,7 @@ __all__ = [
     "Report",
     "assign",
     "compare",
+    "fed_by",
     "inspect",
     "installation",
     "load",

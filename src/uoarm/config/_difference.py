@@ -8,7 +8,7 @@ from attrs import evolve, frozen
 
 from uoarm.model import BridgeSpec, Component, Offer, Robot
 
-__all__ = ["Difference", "compare"]
+__all__ = ["Difference", "compare", "fed_by"]
 
 
 @frozen
@@ -52,7 +52,7 @@ def compare(before: Robot, after: Robot) -> Difference:
         *_told("offer", _offers(before), _offers(after)),
         *(() if before.applications == after.applications else ("~ applications",)),
     )
-    functions = _fed_by(own, (*before.components(), *after.components()))
+    functions = fed_by(own, (*before.components(), *after.components()))
     return Difference(bridges, superseded, functions, told)
 
 
@@ -94,7 +94,7 @@ def _told(kind: str, before: Mapping[str, object], after: Mapping[str, object]) 
             yield f"~ {kind} {name}"
 
 
-def _fed_by(functions: set[str], components: Iterable[Component]) -> frozenset[str]:
+def fed_by(functions: Iterable[str], components: Iterable[Component]) -> frozenset[str]:
     """Return the functions, and those whose plans may have one of them."""
     consumers: dict[str, set[str]] = {}
     for one in components:

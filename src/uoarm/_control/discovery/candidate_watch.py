@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
+
+from attrs import define, field
 
 from uoarm._control.discovery.discovery import discover
 from uoarm._control.runtime.executor import Executor
 from uoarm._control.runtime.revisions import Revisions
+from uoarm._dataplane import Clock
 from uoarm._resolve import Proofs, add_candidates
 from uoarm.bridge import Bridge, BridgeType
 from uoarm.errors import BridgeTimeoutError, UoarmError
 from uoarm.model import BridgeFindings, Endpoint, Robot
 
-__all__ = ["CandidateWatch"]
+__all__ = ["CandidateWatch", "Rounds"]
 
 _EVERY_SECONDS = 2.0
 _SETTLE_SECONDS = (
@@ -28,6 +30,35 @@ _ASK_SECONDS = 5.0
 _TURN_SECONDS = 1.0
 _KEPT_ROUNDS = 3
 _log = logging.getLogger("uoarm")
+
+
+@define(eq=False)
+class Rounds:
+    """When bridges are asked, and when all of that is known which can be expected.
+
+    Attributes:
+        matched: the configuration that has its candidates.
+    """
+
+    matched: Robot | None = None
+    _settling: Robot | None = field(default=None, init=False)
+    _settles_at: float = field(default=0.0, init=False)
+
+    def ended(self, base: Robot, begun: float, now: float, *, has_all: bool) -> float:
+        """Note a round; return the seconds until the next one.
+
+        Args:
+            base: the configuration that it was for.
+            begun: when it began.
+            now: when it ended.
+            has_all: whether every function with needs has a candidate.
+        """
+        if self._settling is not base:
+            self._settling, self._settles_at = base, now + _SETTLE_SECONDS
+        is_settled = now >= self._settles_at or has_all
+        if is_settled:
+            self.matched = base
+        return max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
 
 
 class CandidateWatch:
@@ -45,6 +76,7 @@ class CandidateWatch:
         executor: knows which components are in use, and takes the change.
         get: gives a bridge, starting it where it must.
         types: of bridges, by plugin; they know topics.
+        clock: a monotonic clock, in seconds.
     """
 
     def __init__(
@@ -53,15 +85,17 @@ class CandidateWatch:
         executor: Executor,
         get: Callable[[str], Bridge],
         types: Mapping[str, BridgeType],
+        clock: Clock,
     ) -> None:
         self._revisions = revisions
         self._executor = executor
         self._get = get
         self._types = types
-        self._proofs = Proofs()
+        self._clock = clock
+        self._proofs = Proofs(clock)
+        self._rounds = Rounds()
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
-        self._matched: Robot | None = None
         self._is_closed = False
         self._shown: dict[str, tuple[int, BridgeFindings]] = {}
 
@@ -73,19 +107,15 @@ class CandidateWatch:
         """
         if not self._revisions.current.needs_candidates:
             return
-        end = time.monotonic() + timeout
         with self._changed:
             if self._thread is None and not self._is_closed:
                 self._thread = threading.Thread(
                     target=self._run, name="uoarm-candidates", daemon=True
                 )
                 self._thread.start()
-            while self._matched is not self._revisions.current.base and not self._is_closed:
-                left = end - time.monotonic()
-                if left <= 0:
-                    raise BridgeTimeoutError("bridges have not yet told what components they see")
-                self._changed.notify_all()
-                self._changed.wait(left)
+            self._changed.notify_all()  # the thread may rest, and not know this configuration
+            if not self._changed.wait_for(self._is_known, timeout):
+                raise BridgeTimeoutError("bridges have not yet told what components they see")
 
     def close(self) -> None:
         """Ask bridges no more. Idempotent; waits for a round no longer than a second."""
@@ -97,10 +127,8 @@ class CandidateWatch:
             thread.join(_TURN_SECONDS)
 
     def _run(self) -> None:
-        settling: Robot | None = None
-        settles_at = 0.0
         while True:
-            begun = time.monotonic()
+            begun = self._clock()
             revision = self._revisions.current
             base = revision.base
             try:
@@ -110,18 +138,16 @@ class CandidateWatch:
                 _log.warning("looking for candidates failed: %s", error)
             except Exception:  # noqa: BLE001 - the next round may do better
                 _log.exception("looking for candidates failed")
-            now = time.monotonic()
-            if settling is not base:
-                settling, settles_at = base, now + _SETTLE_SECONDS
-            is_settled = now >= settles_at or self._has_all(base)
+            has_all = self._has_all(base)
             with self._changed:
-                if is_settled:
-                    self._matched = base
-                    self._changed.notify_all()
-                pause = max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
+                pause = self._rounds.ended(base, begun, self._clock(), has_all=has_all)
+                self._changed.notify_all()
                 self._changed.wait_for(partial(self._is_outdated, base), pause)
                 if self._is_closed:
                     return
+
+    def _is_known(self) -> bool:
+        return self._is_closed or self._rounds.matched is self._revisions.current.base
 
     def _is_outdated(self, base: Robot) -> bool:
         return self._is_closed or base is not self._revisions.current.base

@@ -55,9 +55,11 @@ _AGAIN_SECONDS = 0.1
 
 def health_reported(draft: Draft, event: HealthReported) -> None:
     """Note the health of components; end what finished, replace what was lost."""
+    # Candidates may be open that were discovered once and are seen no more.
+    there = {one: draft.components[n].step.component.bridge for one, n in draft.serving.items()}
     concerned = [
         name
-        for name, bridge in draft.bridges.items()
+        for name, bridge in {**draft.bridges, **there}.items()
         if bridge == event.bridge and event.component in {None, name}
     ]
     is_lost = event.health is Health.LOST

@@ -45,8 +45,7 @@ def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
     A connection that waits for a candidate looks again by itself, and one that runs goes back to a
     better candidate only where `failover.return_after` says so: what comes and goes moves nobody.
     """
-    in_use = {one.name for one in draft.components.values()} & set(draft.bridges)
-    draft.bridges = {**{name: draft.bridges[name] for name in in_use}, **event.bridges}
+    draft.bridges = event.bridges
     draft.actions.append(Announce("candidates", "changed", event.told))
 
 

@@ -33,6 +33,7 @@ from uoarm._dataplane import Clock
 from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
+from uoarm.config import compare
 from uoarm.model import Component, ComponentStatus, Health, Robot
 
 __all__ = ["Executor"]
@@ -166,16 +167,16 @@ class Executor:
         Args:
             robot: the configuration in force, with these candidates.
         """
-        before = self._revisions.current
-        difference, revision = self._revisions.with_candidates(robot)
-        if before.robot.functions == robot.functions:
+        before = self._revisions.current.robot
+        if before.functions == robot.functions:
             return
+        difference = compare(before, robot)
         if difference.told:
-            both = (*before.robot.components(), *robot.components())
+            both = (*before.components(), *robot.components())
             every = {one.name: one.bridge for one in both}
             # A plan with a new candidate can be found only after the state knows its bridge.
             self.post(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
-        self._revisions.current = revision
+        self._revisions.use_candidates(robot, difference.superseded)
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 
 from attrs import evolve, field, frozen
@@ -144,16 +144,18 @@ class Revisions:
         """Return the last hundred revisions, the one in force last."""
         return tuple(self._history)
 
-    def with_candidates(self, robot: Robot) -> tuple[Difference, Revision]:
-        """Return the revision in force with other candidates, and what is different."""
+    def use_candidates(self, robot: Robot, superseded: Collection[str]) -> None:
+        """Have other candidates in the revision in force; what they do not concern stays known.
+
+        Args:
+            robot: the configuration in force with other candidates.
+            superseded: candidates that are gone or are others.
+        """
         before = self.current
-        difference = compare(before.robot, robot)
-        structures = before.structures.carried_over(
-            self._bridges.get, difference.superseded, _hold(before.guard)
-        )
-        resolver = Resolver(robot, structures, check_edge, clock=self._clock)
-        revision = Revision(before.number, robot, structures, resolver, before.base, before.guard)
-        return difference, revision
+        for name in superseded:
+            before.structures.forget(name)
+        before.resolver.use(robot.functions)
+        self.current = evolve(before, robot=robot)
 
     def stage(self, base: Robot, state: Callable[[], State]) -> StagedRevision:
         """Find what a configuration would change; start the bridges that it needs for that.
