@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
-from queue import SimpleQueue
 from typing import Annotated, TypedDict
 
 from uoarm.local import Range
-from uoarm.testing import patience
+from uoarm.testing import Script, patience
 
 Small = Annotated[int, Range(0, 255)]
 Wide = Annotated[int, Range(-32768, 32767)]
@@ -26,20 +24,10 @@ class Renamed(TypedDict):
     amount: Small
 
 
-END = object()
-
-
-class Script:
-    """What sources emit; each test has a queue of its own, so that no old source steals from it."""
-
-    def __init__(self) -> None:
-        self.queue: SimpleQueue[object] = SimpleQueue()
-
-    def put(self, item: object) -> None:
-        self.queue.put(item)
-
-
+END = Script.END
 script = Script()
+narrow = script.source(Narrow)
+broad = script.source(Broad)
 gate = threading.Event()
 built: list[str] = []
 closed: list[str] = []
@@ -47,7 +35,7 @@ closed: list[str] = []
 
 def reset() -> None:
     """Begin a test with nothing played and the gate shut."""
-    script.queue = SimpleQueue()
+    script.reset()
     gate.clear()
     built.clear()
     closed.clear()
@@ -56,26 +44,7 @@ def reset() -> None:
 def release() -> None:
     """Let everything that waits go on."""
     gate.set()
-    script.put(END)
-
-
-def narrow() -> Iterator[Narrow]:
-    yield from _play()
-
-
-def broad() -> Iterator[Broad]:
-    yield from _play()
-
-
-def _play() -> Iterator[Narrow]:
-    queue = script.queue
-    while True:
-        item = queue.get()
-        if item is END:
-            return
-        if isinstance(item, Exception):
-            raise item
-        yield item  # type: ignore[misc] # a lie is part of some tests
+    script.reset()
 
 
 def take_narrow(message: Narrow) -> Narrow:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter, deque
-from collections.abc import Iterator
 from typing import Annotated, Any, TypedDict
 
 from uoarm.local import Range
-from uoarm.testing import patience
+from uoarm.testing import Script, patience
 
 CONFIGURATION = """
 version: 1
@@ -91,74 +89,39 @@ class Many(TypedDict):
     values: list[float]
 
 
-END = object()
+END = Script.END
 
 
-class Script:
-    """What sources emit. Only the newest source of a name plays: an old one that still waits in
-    its thread takes nothing away from it."""
+class Play:
+    """What the sources emit, and what holds up who waits for the test."""
 
     def __init__(self) -> None:
         self.gate = threading.Event()
-        self._changed = threading.Condition()
-        self._items: dict[str, deque[object]] = {"numbers": deque(), "picture": deque()}
-        self._newest: dict[str, object] = {}
-        self.started = Counter[str]()
+        self.numbers = Script()
+        self.pictures = Script()
         self.hanging: list[None] = []
 
     def reset(self) -> None:
-        with self._changed:
-            self.gate = threading.Event()
-            self._items = {name: deque() for name in self._items}
-            self._newest.clear()
-            self.started.clear()
-            self.hanging = []
-            self._changed.notify_all()
+        self.gate = threading.Event()
+        self.numbers.reset()
+        self.pictures.reset()
+        self.hanging = []
 
     def put(self, *items: object) -> None:
         """Play pictures and numbers, each where they belong."""
-        with self._changed:
-            for item in items:
-                name = "picture" if isinstance(item, dict) and "width" in item else "numbers"
-                self._items[name].append(item)
-            self._changed.notify_all()
+        for item in items:
+            is_picture = isinstance(item, dict) and "width" in item
+            (self.pictures if is_picture else self.numbers).put(item)
 
     def release(self) -> None:
         self.gate.set()
         self.reset()
         self.gate.set()
 
-    def play(self, name: str) -> Iterator[object]:
-        me = object()
-        with self._changed:
-            self._newest[name] = me
-            self.started[name] += 1
-            self._changed.notify_all()
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._items[name] or not self._plays(name, me))
-                if not self._plays(name, me):
-                    return
-                item = self._items[name].popleft()
-            if item is END:
-                return
-            if isinstance(item, Exception):
-                raise item
-            yield item
 
-    def _plays(self, name: str, me: object) -> bool:
-        return self._newest.get(name) is me
-
-
-script = Script()
-
-
-def numbers() -> Iterator[Number]:
-    yield from script.play("numbers")  # type: ignore[misc] # a lie is part of some tests
-
-
-def picture() -> Iterator[Picture]:
-    yield from script.play("picture")  # type: ignore[misc] # what a test puts there
+script = Play()
+numbers = script.numbers.source(Number)
+picture = script.pictures.source(Picture)
 
 
 def double(message: Number) -> Number:

@@ -21,21 +21,21 @@ CLIENTS = Path(__file__).parent / "clients"
 def run(command: list[str], robot: RobotManager, *, rounds: int) -> None:
     """Run a program, playing to it what it waits for, round by round.
 
-    A connection may share the source of one that is closing, so connections are waited for.
+    What is played is for a connection that is new, and the only one: a former one of the function,
+    which the program has given back, would take it, too.
     """
     met: set[str] = set()
 
     def opened(function: str) -> bool:
-        if process.poll():
+        if process.poll() is not None:
             pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
-        running = {
-            one.id
-            for one in robot.status().connections
-            if one.function == function and one.state is ConnectionState.RUNNING
+        states = {
+            one.id: one.state for one in robot.status().connections if one.function == function
         }
-        new = running - met
-        met.update(new)
-        return bool(new)
+        if met.isdisjoint(states) and list(states.values()) == [ConnectionState.RUNNING]:
+            met.update(states)
+            return True
+        return False
 
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -57,4 +57,5 @@ def run(command: list[str], robot: RobotManager, *, rounds: int) -> None:
 def test_the_javascript_client(server: Server, robot: RobotManager) -> None:
     flags = ["--experimental-websocket", "--no-warnings"]
     url = f"ws://127.0.0.1:{server.ports[0]}/"
-    run(["node", *flags, str(CLIENTS / "with_uoarm.mjs"), url], robot, rounds=2)
+    command = ["node", *flags, str(CLIENTS / "with_uoarm.mjs"), url, str(patience())]
+    run(command, robot, rounds=2)

@@ -68,7 +68,7 @@ def test_a_stream_goes_on_where_it_was(server: Server, between: Between, binary:
                 {"value": start + 2},
             ]
         assert stream.lost == 0
-        assert script.started["numbers"] == 1
+        assert script.numbers.started == 1
 
     run(proxy, work, binary=binary)
 
@@ -397,7 +397,7 @@ def test_the_javascript_client_goes_on(server: Server, between: Between, form: s
     proxy = between(server)
     url = f"ws://127.0.0.1:{proxy.port}/"
     flags = ["--experimental-websocket", "--no-warnings"]
-    command = ["node", *flags, str(CLIENTS / "with_drops.mjs"), url, form]
+    command = ["node", *flags, str(CLIENTS / "with_drops.mjs"), url, form, str(SECONDS)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.PIPE, text=True
     ) as process:

@@ -45,7 +45,7 @@ def test_a_provider_that_failed_is_waited_for(enter: Enter, robot: RobotManager)
         assert client.messages(1) == [{"value": count}]
 
     def opened_again(count: int) -> None:
-        eventually(lambda: components.script.started["numbers"] > count, "it is open again")
+        eventually(lambda: components.script.numbers.started > count, "it is open again")
 
     client = enter()
     client.send(op="subscribe", topic="/uoarm/numbers")

@@ -28,21 +28,21 @@ ROSLIB = os.environ.get("UOARM_ROSLIB", "")
 def run(command: list[str], robot: RobotManager, *, pictures: int = 1) -> None:
     """Run a program, playing to it what it waits for, one picture after another.
 
-    A connection may share the source of one that is closing, so connections are waited for.
+    What is played is for a connection that is new, and the only one: a former one of the function,
+    which the program has given back, would take it, too.
     """
     met: set[str] = set()
 
     def opened(function: str) -> bool:
-        if process.poll():
+        if process.poll() is not None:
             pytest.fail(f"it ended with {process.returncode}:\n{process.communicate()[0]}")
-        running = {
-            one.id
-            for one in robot.status().connections
-            if one.function == function and one.state is ConnectionState.RUNNING
+        states = {
+            one.id: one.state for one in robot.status().connections if one.function == function
         }
-        new = running - met
-        met.update(new)
-        return bool(new)
+        if met.isdisjoint(states) and list(states.values()) == [ConnectionState.RUNNING]:
+            met.update(states)
+            return True
+        return False
 
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -82,4 +82,5 @@ def roslib(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node.js 20.10 or later")
 def test_roslib(server: Server, robot: RobotManager, roslib: str) -> None:
     url = f"ws://127.0.0.1:{server.ports[0]}/rosbridge"
-    run(["node", str(CLIENTS / "with_roslib.mjs"), url, roslib], robot, pictures=3)
+    command = ["node", str(CLIENTS / "with_roslib.mjs"), url, roslib, str(patience())]
+    run(command, robot, pictures=3)

@@ -14,6 +14,7 @@ from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
 from uoarm.testing._patience import patience, slowness, wait
 from uoarm.testing._same import plain, same
+from uoarm.testing._script import Script
 
 __all__ = [
     "Background",
@@ -24,6 +25,7 @@ __all__ = [
     "Loop",
     "ManualClock",
     "MemoryBridge",
+    "Script",
     "Service",
     "Taker",
     "find_instance",

@@ -2,10 +2,11 @@
 import assert from "node:assert";
 import { connect } from "../../../src/uoarm/server/static/uoarm.js";
 
-const [url, form] = process.argv.slice(2);
+const [url, form, seconds] = process.argv.slice(2);
+const timeout = Number(seconds);
 const say = (line) => process.stdout.write(`${line}\n`);
 
-const robot = await connect(url, { binary: form === "cbor" });
+const robot = await connect(url, { binary: form === "cbor", timeout });
 const numbers = await robot.request("numbers");
 say("ready");
 assert.deepEqual(await numbers.get(), { value: 1 });
@@ -19,7 +20,7 @@ assert.equal(numbers.lost, 0);
 assert.deepEqual(await robot.call("add", { a: 1, b: 2 }), { value: 3 });
 robot.close();
 
-const other = await connect(url, { binary: form === "cbor", resume: false });
+const other = await connect(url, { binary: form === "cbor", timeout, resume: false });
 const stream = await other.request("numbers");
 say("end");
 await assert.rejects(stream.get(), { code: "closed" });

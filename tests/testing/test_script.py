@@ -1,0 +1,89 @@
+"""What a test puts is emitted by the source that is open, whenever the threads get their turn."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import TypedDict
+
+import pytest
+
+from uoarm import ConnectionClosedError, RobotManager
+from uoarm.config import loads
+from uoarm.local import _source
+from uoarm.testing import Background, Script, patience
+
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  numbers:
+    components:
+      - name: numbers
+        bridge: python
+        output: {endpoint: ["tests.testing.test_script:numbers"]}
+"""
+
+
+class Number(TypedDict):
+    value: int
+
+
+script = Script()
+numbers = script.source(Number)
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    script.reset()
+    with RobotManager(loads(ROBOT)) as robot:
+        yield robot
+        script.reset()
+
+
+def test_a_source_whose_thread_has_not_begun_takes_what_is_put(
+    robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = robot.request("numbers", validate="always")
+    script.put({"value": 1})
+    assert first.get(patience()) == {"value": 1}
+    first.kill()
+    work, gate = _source._Run.work, threading.Event()
+
+    def late(run: _source._Run) -> None:
+        gate.wait(patience())
+        work(run)
+
+    monkeypatch.setattr(_source._Run, "work", late)
+    second = robot.request("numbers", validate="always")
+    script.put({"value": 2})
+    gate.set()
+    assert second.get(patience()) == {"value": 2}
+
+
+def test_a_closed_source_takes_nothing_and_leaves_it_to_the_next() -> None:
+    script.reset()
+    source = numbers()
+    messages = iter(source)
+    waiting = Background(lambda: next(messages, "nothing"))
+    source.close()
+    script.put({"value": 3}, Script.END)
+    assert waiting.result() == "nothing"
+    assert list(numbers()) == [{"value": 3}]
+
+
+def test_after_another_has_opened_a_source_takes_nothing() -> None:
+    script.reset()
+    former = iter(numbers())
+    waiting = Background(lambda: list(former))
+    latter = iter(numbers())
+    script.put({"value": 4}, Script.END)
+    assert list(latter) == [{"value": 4}]
+    assert waiting.result() == []
+
+
+def test_an_exception_is_raised_by_the_source(robot: RobotManager) -> None:
+    with robot.request("numbers") as connection:
+        script.put(RuntimeError("the cable is out"))
+        with pytest.raises(ConnectionClosedError, match="the cable is out"):
+            connection.get(patience())
