@@ -14,8 +14,8 @@ def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_
         (rounds.ended(base, begun, begun + 0.01, has_all=has_all), rounds.matched is base)
         for base, begun, has_all in (
             (ONE, 0.0, False),
-            (ONE, 3.0, False),
-            (ONE, 3.01, False),
+            (ONE, 2.5, False),
+            (ONE, 3.5, False),
             (OTHER, 4.0, True),
             (ONE, 5.0, False),  # it is new again
         )
