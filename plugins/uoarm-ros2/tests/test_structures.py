@@ -80,7 +80,7 @@ def test_objects_are_closed_and_whole() -> None:
     pose = found["properties"]["pose"]
     assert found["additionalProperties"] is pose["additionalProperties"] is False
     assert pose["required"] == ["position", "orientation"]
-    assert pose["x-native-type"] == "geometry_msgs/msg/Pose"
+    assert pose["x-native-type"] == pose["x-type"] == "geometry_msgs/msg/Pose"
 
 
 def test_arrays_have_their_bounds_and_octets_their_mark() -> None:

@@ -14,10 +14,13 @@ from hypothesis import given
 from jsonschema import Draft202012Validator
 from messages import messages
 from plain import plain
+from uoarm_rtm._derived import derive
+from uoarm_rtm._schema import schema_of
 from uoarm_rtm._types import Types
 from uoarm_rtm._user_idl import load_idl
 
 from uoarm.errors import BridgeError
+from uoarm.model import MessageStructure
 from uoarm.schema import check
 from uoarm.testing import instances
 
@@ -89,6 +92,31 @@ def test_facts_are_exact() -> None:
     assert isinstance(grid, dict)
     assert grid["properties"]["cells"]["minItems"] == 2
     assert grid["properties"]["cells"]["items"]["maxItems"] == 3
+
+
+def test_types_are_named_and_documented_units_are_told() -> None:
+    velocity = types().structure("TimedVelocity2D").schema
+    assert isinstance(velocity, dict)
+    assert velocity["x-type"] == {"name": "RTC::TimedVelocity2D", "version": "1.0"}
+    data = velocity["properties"]["data"]
+    units = {name: one.get("x-unit") for name, one in data["properties"].items()}
+    assert units == {"vx": "m/s", "vy": "m/s", "va": "rad/s"}
+    stamp = velocity["properties"]["tm"]["properties"]
+    assert stamp["nsec"]["x-unit"] == "ns"
+    limb = types().structure("LimbState").schema
+    assert isinstance(limb, dict)
+    parts = limb["properties"]["oapMatrix"]["properties"]
+    assert parts["approach"]["properties"]["x"]["x-unit"] == "1"
+    assert parts["position"]["properties"]["x"]["x-unit"] == "m"
+    plain = types().structure("TimedDouble").schema
+    assert isinstance(plain, dict)
+    assert "x-unit" not in plain["properties"]["data"]
+
+
+def test_a_derived_type_has_no_name_of_its_own() -> None:
+    structure = MessageStructure({"type": "object", "properties": {"a": {"type": "number"}},
+                                  "required": ["a"], "additionalProperties": False})  # fmt: skip
+    assert "x-type" not in schema_of(derive("port", structure, is_read=False))
 
 
 def test_unions_are_told_apart_by_their_switch() -> None:

@@ -49,6 +49,7 @@ def _object(record: Record, unit: str | None) -> dict[str, Any]:
         "required": [each.name for each in record.fields],
         "additionalProperties": False,
         "x-native-type": record.name,
+        "x-type": record.name,
     }
     if record.constants:
         schema["x-constants"] = dict(record.constants)

@@ -14,12 +14,11 @@ from typing import Any
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.schema import check
-from uoarm_rtm._schema import schema_of
+from uoarm_rtm._schema import DERIVED, schema_of
 from uoarm_rtm._shape import INTEGERS, Field, Listing, Record, Scalar, Shape, Text
 
 __all__ = ["derive", "idl_of", "is_derived"]
 
-_PREFIX = "IDL:uoarm/"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _DEEPEST = 32
 _PLAIN: Mapping[str, Shape] = {
@@ -46,7 +45,7 @@ def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
         raise _none("", "a data type is a struct, and this is no object")
     digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:8]
     stem = re.sub(r"\W", "_", port, flags=re.ASCII)
-    record = Record(f"{_PREFIX}{stem}_{digest}:1.0", shape.fields)
+    record = Record(f"{DERIVED}{stem}_{digest}:1.0", shape.fields)
     ours = schema_of(record)
     verdict = check(ours, structure.schema) if is_read else check(structure.schema, ours)
     if not verdict.compatible:
@@ -57,12 +56,12 @@ def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
 
 def is_derived(type_id: str) -> bool:
     """Say whether a type is one that we derived."""
-    return type_id.startswith(_PREFIX)
+    return type_id.startswith(DERIVED)
 
 
 def idl_of(record: Record) -> str:
     """Return the IDL of a derived type, for components that are to be compiled with it."""
-    name = record.name.removeprefix(_PREFIX).partition(":")[0]
+    name = record.name.removeprefix(DERIVED).partition(":")[0]
     lines: list[str] = []
     _define(record, name, lines)
     return "\n".join(["module uoarm {", *(f"  {line}" for line in lines), "};", ""])

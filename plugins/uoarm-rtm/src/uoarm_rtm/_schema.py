@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from uoarm.model import MessageStructure
@@ -16,14 +17,20 @@ from uoarm_rtm._shape import (
     Text,
     Variant,
 )
+from uoarm_rtm._units import unit_of
 
-__all__ = ["FLOAT_MAX", "SWITCH", "schema_of", "structure_of"]
+__all__ = ["DERIVED", "FLOAT_MAX", "SWITCH", "schema_of", "structure_of"]
 
 FLOAT_MAX = 340282346638528859811704183484516925440
 """The greatest finite value of an IDL float."""
 
+DERIVED = "IDL:uoarm/"
+"""How the names of types begin that we derive from structures."""
+
 SWITCH = "switch"
 """Where a message keeps a union's discriminator: a reserved word of IDL, so never a member."""
+
+_REPOSITORY_ID = re.compile(r"IDL:(.+):([0-9.]+)")
 
 
 def structure_of(shape: Shape) -> MessageStructure:
@@ -31,12 +38,12 @@ def structure_of(shape: Shape) -> MessageStructure:
     return MessageStructure(schema_of(shape), native_type=getattr(shape, "name", ""))
 
 
-def schema_of(shape: Shape) -> dict[str, Any]:
-    """Return the schema of a shape."""
+def schema_of(shape: Shape, unit: str | None = None) -> dict[str, Any]:
+    """Return the schema of a shape; `unit` holds for the numbers in it that state none."""
     if isinstance(shape, Record):
-        return _object({each.name: schema_of(each.shape) for each in shape.fields}, shape.name)
+        return _record(shape, unit)
     if isinstance(shape, Listing):
-        return _array(shape)
+        return _array(shape, unit)
     if isinstance(shape, Choice):
         return {"oneOf": list(_variants(shape)), "x-native-type": shape.name}
     if isinstance(shape, Enumeration):
@@ -46,7 +53,20 @@ def schema_of(shape: Shape) -> dict[str, Any]:
         if shape.bound is not None:
             schema["maxLength"] = shape.bound
         return {**schema, "x-native-type": "wstring"} if shape.wide else schema
-    return _scalar(shape)
+    return _scalar(shape, unit)
+
+
+def _record(record: Record, unit: str | None) -> dict[str, Any]:
+    members = {
+        each.name: schema_of(each.shape, unit or unit_of(record.name, each.name))
+        for each in record.fields
+    }
+    schema = _object(members, record.name)
+    named = _REPOSITORY_ID.fullmatch(record.name)
+    # A type that we derived is named after its port: it is whatever its messages are.
+    if named is not None and not record.name.startswith(DERIVED):
+        schema["x-type"] = {"name": named[1].replace("/", "::"), "version": named[2]}
+    return schema
 
 
 def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
@@ -59,8 +79,8 @@ def _object(properties: dict[str, Any], name: str) -> dict[str, Any]:
     return {**schema, "x-native-type": name} if name else schema
 
 
-def _array(listing: Listing) -> dict[str, Any]:
-    schema: dict[str, Any] = {"type": "array", "items": schema_of(listing.element)}
+def _array(listing: Listing, unit: str | None) -> dict[str, Any]:
+    schema: dict[str, Any] = {"type": "array", "items": schema_of(listing.element, unit)}
     if listing.size is not None:
         schema["maxItems"] = listing.size
     if listing.fixed:
@@ -70,7 +90,7 @@ def _array(listing: Listing) -> dict[str, Any]:
     return schema
 
 
-def _scalar(scalar: Scalar) -> dict[str, Any]:
+def _scalar(scalar: Scalar, unit: str | None = None) -> dict[str, Any]:
     name = scalar.name
     if name == "boolean":
         return {"type": "boolean"}
@@ -80,11 +100,13 @@ def _scalar(scalar: Scalar) -> dict[str, Any]:
         return {"type": "string", **one, "x-native-type": name}
     if name in INTEGERS:
         low, high = INTEGERS[name]
-        return {"type": "integer", "minimum": low, "maximum": high, "x-native-type": name}
-    schema: dict[str, Any] = {"type": "number", "x-native-type": name, "x-nonfinite": True}
-    if name == "float":
-        schema["minimum"], schema["maximum"] = -FLOAT_MAX, FLOAT_MAX
-    return schema
+        schema: dict[str, Any] = {"type": "integer", "minimum": low, "maximum": high}
+        schema["x-native-type"] = name
+    else:
+        schema = {"type": "number", "x-native-type": name, "x-nonfinite": True}
+        if name == "float":
+            schema["minimum"], schema["maximum"] = -FLOAT_MAX, FLOAT_MAX
+    return schema if unit is None else {**schema, "x-unit": unit}
 
 
 def _variants(choice: Choice) -> list[dict[str, Any]]:
