@@ -15,7 +15,7 @@ from uoarm_rtm._types import Types
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.testing import slowness
+from uoarm.testing import patience, slowness
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
 __all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld"]
@@ -95,15 +95,21 @@ class RtmWorld(World):
     def served(self) -> Served:
         request = {"target": {"x": 0.5, "y": 0.0}, "steps": 3}
         reply = {"return": 0.5, "steps": 4, "path": [1.0]}
+        limit = {"timeout": patience()}  # longer than the kit's own
         service, failing, silent = (
-            Endpoint("rtm", "loop", Role.SERVICE, ("Loop.rtc", "served", f"Mover::{name}"))
+            Endpoint(
+                "rtm", "loop", Role.SERVICE, ("Loop.rtc", "served", f"Mover::{name}"), options=limit
+            )
             for name in ("move", "broken", "stuck")
         )
         return Served(service, request, reply, failing, silent)
 
     def servable(self) -> tuple[Endpoint, Endpoint]:
+        limit = {"timeout": patience()}
         offered, called = (
-            Endpoint("rtm", "offered", Role.SERVICE, (path, "offered", "Arm::Mover::echo"))
+            Endpoint(
+                "rtm", "offered", Role.SERVICE, (path, "offered", "Arm::Mover::echo"), options=limit
+            )
             for path in ("self", "uoarm_rtm.rtc")
         )
         return offered, called

@@ -203,6 +203,10 @@ class Process:
 
         setattr(self._component, "get_component_profile", profile)  # noqa: B010 - of this instance
 
+    def port_says(self, port: str, name: str, value: str) -> None:
+        """Say something else in the profile of `in` or `out`."""
+        {"in": self._in, "out": self._out}[port].properties[name] = value
+
     def mind_disconnecting(self) -> None:
         """Count whoever asks the OutPort while it is being disconnected."""
         setattr(_data_ports, "Pulled", Asked)  # noqa: B010 - typed as what it stands in for

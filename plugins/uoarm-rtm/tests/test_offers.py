@@ -135,7 +135,7 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
     assert world.arm.taken.wait(1)[-1]["data"] == 4
     assert talker.connectors() == [0, 1]
 
-    asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo")
+    asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo", timeout=patience())
     assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
 
     inbox = Inbox()

@@ -159,6 +159,41 @@ def test_what_is_not_there_is_said(
     assert caught.value.reason is reason
 
 
+def test_a_port_that_does_not_speak_as_we_do_is_refused_by_name(
+    bridge: Bridge, peer: Start
+) -> None:
+    component = peer("Fast")
+    component.port_says("in", "dataport.interface_type", "shared_memory, direct")
+    with pytest.raises(
+        BridgeError, match=r"shared_memory, direct, and we speak corba_cdr: let"
+    ) as e:
+        bridge.describe(endpoint(Role.INPUT, "Fast.rtc", "in"))
+    assert e.value.reason is FailureReason.UNSUPPORTED
+    component.port_says("in", "dataport.interface_type", "data_service,corba_cdr")
+    sink(bridge, endpoint(Role.INPUT, "Fast.rtc", "in", activate=True)).send(stamped(1))
+    assert component.received() == [stamped(1)]
+
+
+def test_an_event_of_a_state_machine_is_an_input(bridge: Bridge, peer: Start) -> None:
+    component = peer("Machine")
+    component.port_says("in", "dataport.data_type", "any")
+    (found,) = [each for each in bridge.discover() if each.name == "Machine.rtc"]
+    assert "port 'in' takes the events of a state machine" in found.detail
+    for address, options in ((["TimedLong"], {}), ([], {"event": "start"})):
+        with pytest.raises(
+            BridgeError, match=r"name the event in the option `event`, and its data"
+        ):
+            bridge.describe(endpoint(Role.INPUT, "Machine.rtc", "in", *address, **options))
+    component.activate()
+    start = sink(bridge, endpoint(Role.INPUT, "Machine.rtc", "in", "TimedLong", event="start"))
+    start.send(stamped(4))
+    assert component.received() == [stamped(4)]
+    (made,) = component.made()
+    assert made["dataport.fsm_event_name"] == "start"
+    with pytest.raises(BridgeError, match="and no events: leave the option `event` out"):
+        bridge.describe(endpoint(Role.OUTPUT, "Machine.rtc", "out", event="start"))
+
+
 @pytest.mark.parametrize(("role", "port"), [(Role.OUTPUT, "out"), (Role.INPUT, "in")])
 def test_a_refusal_half_way_leaves_nothing_behind(
     bridge: Bridge, peer: Start, role: Role, port: str

@@ -15,7 +15,7 @@ from uoarm_rtm.errors import IdlError
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, Role
-from uoarm.testing import wait
+from uoarm.testing import patience, slowness, wait
 
 IDL = str(Path(__file__).parent / "service.idl")
 Start = Callable[..., Peer]
@@ -149,8 +149,20 @@ def test_lifecycle_as_calls(bridge: Bridge, peer: Start) -> None:
 
 def test_an_endpoint_may_limit_its_calls(make_bridge: Make, robot: Peer) -> None:
     at = endpoint(Role.SERVICE, "Robot.rtc", "served", "Arm::Mover::sleep", timeout=0.2)
-    with pytest.raises(BridgeTimeoutError):
-        make_bridge(idl=IDL).call(at, {"seconds": 3})
+    with pytest.raises(BridgeTimeoutError, match=r"within 0.2 s, `timeout` of the endpoint"):
+        make_bridge(idl=IDL).call(at, {"seconds": 3}, timeout=patience())
+
+
+def test_a_call_timeout_limits_operations_whose_endpoint_has_no_limit(
+    make_bridge: Make, robot: Peer
+) -> None:
+    limit = 0.3 * slowness()  # that of connecting, too
+    bridge = make_bridge(idl=IDL, call_timeout=limit)
+    name = "Robot.rtc", "served", "Arm::Mover::sleep"
+    with pytest.raises(BridgeTimeoutError, match=f"within {limit:g} s, `call_timeout` of the brid"):
+        bridge.call(endpoint(Role.SERVICE, *name), {"seconds": 2 * limit}, timeout=patience())
+    at = endpoint(Role.SERVICE, *name, timeout=patience())
+    assert bridge.call(at, {"seconds": 1.1 * limit}, timeout=patience()) == {}
 
 
 def test_activated_on_request_and_deactivated_on_kill(bridge: Bridge, peer: Start) -> None:

@@ -159,6 +159,17 @@ def test_user_idl_is_compiled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert Types([str(file)]).codec("Mine::M").encode({"p": {"x": 1}}) == b"\1\0"
 
 
+def test_compiling_waits_for_no_import_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("uoarm", "uoarm_rtm"):  # which take ten times as long as the compiler
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the compiler imports us')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    names = load_idl("module Quick { interface One { void go(in long far); }; };").names
+    assert json.dumps(names) == '{"IDL:Quick/One:1.0": {"go": [["far", "in"]]}}'
+
+
 def test_wrong_idl_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(BridgeError, match=r"the IDL text:1: Syntax error"):

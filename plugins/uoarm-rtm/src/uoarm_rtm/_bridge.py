@@ -35,6 +35,7 @@ from uoarm_rtm._orb import Orb
 from uoarm_rtm._own import Own
 from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._place import Place
+from uoarm_rtm._required_port import is_big_in_cpp, required_port
 from uoarm_rtm._service_call import Caller, described, offered
 from uoarm_rtm._service_port import Offer, servant_of
 from uoarm_rtm._settings import (
@@ -42,7 +43,6 @@ from uoarm_rtm._settings import (
     LIFECYCLE,
     SELF,
     Address,
-    Settings,
     address_of,
     bridge_settings,
     linked,
@@ -58,7 +58,6 @@ __all__ = ["RtmBridge"]
 
 _EXIT_SECONDS = 3.0
 _WATCH_SECONDS = 1.0
-_PORT_KINDS = {Role.OUTPUT: "DataOutPort", Role.INPUT: "DataInPort"}
 
 
 class RtmBridge(Bridge):
@@ -149,8 +148,12 @@ class RtmBridge(Bridge):
         del structures  # the interface is in the address, or at the port
         address = address_of(endpoint)
         seconds = min(timeout, self._settings.call_seconds)
-        if endpoint.options:
-            timeout = min(timeout, settings_of(endpoint).timeout or timeout)
+        own = settings_of(endpoint).timeout if endpoint.options else None
+        limit = timeout, "the limit of the call"
+        if own is not None:
+            limit = min(limit, (own, "`timeout` of the endpoint"))
+        elif self._settings.operation_seconds is not None:
+            limit = min(limit, (self._settings.operation_seconds, "`call_timeout` of the bridge"))
         if address.port == LIFECYCLE:
             return _control.drive(self._directory.peer(address.component), message, seconds)
         if address.port == CONFIGURATION:
@@ -160,7 +163,7 @@ class RtmBridge(Bridge):
         if caller is None:
             caller = self._callers.setdefault(key, self._caller(address))
         try:
-            return caller.call(message, timeout)
+            return caller.call(message, *limit)
         except (IdlError, BridgeTimeoutError):
             raise
         except BridgeError:
@@ -204,7 +207,7 @@ class RtmBridge(Bridge):
         start, end = self._place(source), self._place(sink)
         if not self._types.same(start.port.data_type, end.port.data_type):
             return None
-        if _is_big_in_cpp(start.peer, settings) or _is_big_in_cpp(end.peer, settings):
+        if is_big_in_cpp(start.peer, settings) or is_big_in_cpp(end.peer, settings):
             return None
         native = Native(start, end, settings, self.report)
         for place in (end, start):
@@ -262,32 +265,12 @@ class RtmBridge(Bridge):
         )
 
     def _port(self, endpoint: Endpoint, address: Address) -> tuple[Peer, Port]:
-        """Return the port of an address, whose kind and type are what is asked."""
+        """Return the port of an address, which can be what is asked, and is not of a failed one."""
         peer = self._directory.peer(address.component)
-        port = peer.port(address.port)
-        wanted = _PORT_KINDS[endpoint.role]
-        if port.kind != wanted:
-            text = (
-                f"port {port.name!r} of component {peer.path!r} is a "
-                f"{port.kind or 'nameless kind'}, but an {endpoint.role.value} needs a {wanted}"
-            )
-            raise BridgeError(text, FailureReason.BAD_ENDPOINT)
-        if address.type and not self._types.same(address.type, port.data_type):
-            text = (
-                f"port {port.name!r} of component {peer.path!r} carries {port.data_type}, "
-                f"the configuration says {address.type}: correct the endpoint"
-            )
-            raise BridgeError(text, FailureReason.REFUSED)
         settings = settings_of(endpoint)
+        port = required_port(peer, endpoint.role, address, settings, self._types)
         if not settings.reset:
             self._well(peer)
-        misread = (Role.OUTPUT, "push"), (Role.INPUT, "pull")
-        if _is_big_in_cpp(peer, settings) and (endpoint.role, settings.flow) in misread:
-            text = (
-                f"port {port.name!r} of component {peer.path!r}: components in C++ take no notice "
-                "of `endian` where they push or ask: leave it out"
-            )
-            raise BridgeError(text, FailureReason.REFUSED)
         return peer, port
 
     def _well(self, peer: Peer) -> None:
@@ -344,11 +327,6 @@ def _let_go(reference: weakref.ref[RtmBridge]) -> None:
     bridge = reference()
     if bridge is not None and not bridge.closed:
         bridge.let_go()
-
-
-def _is_big_in_cpp(peer: Peer, settings: Settings) -> bool:
-    """Whether big-endian data is asked of a component that may not notice."""
-    return settings.endian == "big" and peer.language == "C++"
 
 
 def _only_type(peer: Peer, port: Port) -> str:

@@ -18,6 +18,9 @@ __all__ = ["OUR_IDL", "compile_idl", "omniorb_programs"]
 OUR_IDL = Path(__file__).parent / "idl"
 
 _LIMIT_SECONDS = 20.0
+# The back end lies apart: in our package its import would be that of uoarm, ten times the
+# compiler's own work.
+_BACK_END = Path(__file__).parent / "_back_end"
 # omniidl looks for its preprocessor beside the program that it believes to be.
 _RUN = "import sys; sys.argv[0] = sys.argv.pop(1); from omniidl.main import main; main()"
 
@@ -40,7 +43,7 @@ def compile_idl(
         into: existing folder that takes the package.
         package: dotted name of the package that the stubs live in.
         directory: where the files are; `#include` finds files there and ours.
-        names: file that takes the parameter names of operations, as `_idl_names` writes them;
+        names: file that takes the parameter names of operations, as our back end writes them;
             with it, what is included goes into the same stubs.
 
     Raises:
@@ -52,7 +55,11 @@ def compile_idl(
     program = str(programs / "omniidl") if programs is not None else "omniidl"
     command = [
         *(sys.executable, "-c", _RUN, program, "-bpython", f"-Wbpackage={package}"),
-        *(("-Wbinline", "-buoarm_rtm._idl_names", f"-Wbfile={names}") if names else ()),
+        *(
+            ("-Wbinline", f"-p{_BACK_END}", "-buoarm_idl_names", f"-Wbfile={names}")
+            if names
+            else ()
+        ),
         *(f"-I{directory}", f"-I{OUR_IDL}", f"-C{into}", *files),
     ]
     try:

@@ -57,6 +57,8 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
 
 
 def _description(port: Port, types: Types) -> tuple[Description, str]:
+    if port.takes_events:
+        return Description(), f"port {port.name!r} takes the events of a state machine"
     try:
         return Description(message=types.structure(port.data_type)), ""
     except BridgeError as error:

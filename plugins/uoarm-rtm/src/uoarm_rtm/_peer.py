@@ -51,6 +51,17 @@ class Port:
     properties: Mapping[str, str] = field(hash=False)
     interfaces: tuple[PortInterface, ...] = ()
 
+    @property
+    def interface_types(self) -> tuple[str, ...]:
+        """The ways in which a data port moves data; empty where it does not say."""
+        words = self.properties.get("dataport.interface_type", "").lower().split(",")
+        return tuple(word.strip() for word in words if word.strip())
+
+    @property
+    def takes_events(self) -> bool:
+        """Whether it is the port of a state machine: each event has a data type of its own."""
+        return self.kind == "DataInPort" and self.data_type.strip().lower() in {"any", "corba::any"}
+
 
 @frozen
 class Peer:

@@ -125,8 +125,8 @@ class Caller:
         self._connector: Connector | None = None
         self._object: Any = None
 
-    def call(self, message: Message, seconds: float) -> Message:
-        """Call the operation and return its reply.
+    def call(self, message: Message, seconds: float, whose: str) -> Message:
+        """Call the operation and return its reply, in so many seconds; `whose` names their limit.
 
         Raises:
             MessageError: the request does not fit.
@@ -147,8 +147,10 @@ class Caller:
                     raise BridgeError(text, FailureReason.UNAVAILABLE) from error
                 except CORBA.UserException as error:
                     raise _declared(chosen, error, what) from error
-        except (IdlError, BridgeTimeoutError):
+        except IdlError:
             raise  # the connection is as good as before
+        except BridgeTimeoutError as error:  # likewise
+            raise BridgeTimeoutError(f"{what}: no answer within {seconds:g} s, {whose}") from error
         except BridgeError:
             self.close()
             raise

@@ -56,7 +56,8 @@ BRIDGE_OPTIONS: Schema = {
             "type": "number",
             "exclusiveMinimum": 0,
             "maximum": 60,
-            "description": "seconds that one CORBA call may take; default 2",
+            "description": "seconds that one CORBA call may take; default 2, and for operations "
+            "of services the limit of the call",
         },
         "watch": {
             "type": "number",
@@ -100,7 +101,7 @@ class Address:
 
 @frozen
 class BridgeSettings:
-    """The options of a bridge instance."""
+    """The options of a bridge instance; `operation_seconds` is None where none are asked for."""
 
     component: str
     nameservers: tuple[str, ...] = (_NAMESERVER,)
@@ -110,6 +111,7 @@ class BridgeSettings:
     watch_seconds: float = 1.0
     text: str = "utf-8"
     most_octets: int = 1 << 26
+    operation_seconds: float | None = None
 
 
 @frozen
@@ -125,6 +127,7 @@ class Settings:
     endian: Literal["little", "big"] = "little"
     activate: Literal[False, True, "keep"] = False
     reset: bool = False
+    event: str = ""
     timeout: float | None = None
     stale_after: float | None = None
     properties: Mapping[str, str] = field(factory=dict, hash=False)
@@ -147,6 +150,7 @@ def bridge_settings(name: str, options: Options) -> BridgeSettings:
         _number(options.get("watch", defaults.watch_seconds), "watch"),
         str(options.get("text", defaults.text)),
         int(str(options.get("max_message", defaults.most_octets))),
+        _seconds(options, "call_timeout"),
     )
 
 
@@ -240,7 +244,14 @@ def _settings(options: Options) -> Settings:
     if "push_policy" in options and (flow == "pull" or subscription == "flush"):
         text = "push_policy means nothing without flow: push and subscription: new or periodic"
         raise ValueError(text)
-    properties = {**policy_properties(options), **_properties(options.get("properties", {}))}
+    event = options.get("event", "")
+    if not isinstance(event, str):
+        raise ValueError(f"event must be the name of an event, got {event!r}")  # noqa: TRY004 - one kind
+    properties = {
+        **policy_properties(options),
+        **({"dataport.fsm_event_name": event} if event else {}),
+        **_properties(options.get("properties", {})),
+    }
     for side in ("inport", "outport"):
         buffer_policy(properties, side)
     push_policy(properties)
@@ -251,6 +262,7 @@ def _settings(options: Options) -> Settings:
         _one_of(options, "endian", ("little", "big")),  # type: ignore[arg-type]  # checked there
         activate,
         reset,
+        event,
         _seconds(options, "timeout"),
         _seconds(options, "stale_after"),
         properties,

@@ -42,7 +42,7 @@ class Stubs:
 
     Attributes:
         scopes: a module for each IDL module at the outermost level.
-        names: parameters of operations, as `_idl_names` writes them.
+        names: parameters of operations, as our back end of omniidl writes them.
     """
 
     scopes: tuple[ModuleType, ...]

@@ -1,7 +1,8 @@
+# ruff: noqa: INP001 - no package: omniidl finds the folder by its path
 """A back end for omniidl: the parameter names of every operation, which stubs do not keep.
 
-omniidl imports it by its name (`-buoarm_rtm._idl_names -Wbfile=PATH`) and calls `run`. It writes
-JSON: repository id of the interface -> operation -> list of [parameter, direction].
+omniidl imports it by its name (`-pFOLDER -buoarm_idl_names -Wbfile=PATH`) and calls `run`. It
+writes JSON: repository id of the interface -> operation -> list of [parameter, direction].
 """
 
 from __future__ import annotations
