@@ -34,7 +34,10 @@ offer:
   rtm:
     counter: {output: {endpoint: [self, count, TimedLong]}}
     arm: {input: {endpoint: [self, goal, "IDL:RTC/TimedLong:1.0"]}}
-    loud: {service: {endpoint: [self, helper, "Mover::echo"]}}
+    loud:
+      service:
+        endpoint: [self, helper, "Mover::echo"]
+        options: {instance: mover0, interface: "Arm::Mover"}
 """
 
 
@@ -135,6 +138,8 @@ def test_ports_of_an_offer_are_found_and_used_by_other_components(
     assert world.arm.taken.wait(1)[-1]["data"] == 4
     assert talker.connectors() == [0, 1]
 
+    helper = vars(theirs)["_directory"].peer("Robot.rtc").port("helper")
+    assert [(each.name, each.type) for each in helper.interfaces] == [("mover0", "Arm::Mover")]
     asked = endpoint(Role.SERVICE, "Robot.rtc", "helper", "Mover::echo", timeout=patience())
     assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}
 

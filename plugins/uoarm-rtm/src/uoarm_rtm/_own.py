@@ -141,7 +141,11 @@ class Own:
         self._free(name)
         servant = servant_of(interface, operation, handler)
         full = f"{self.component.sheet.name}.{name}"
-        return _OwnService(self, endpoint, ServicePort(self._orb, full, interface, servant))
+        said = settings_of(endpoint)
+        port = ServicePort(
+            self._orb, full, interface, servant, instance=said.instance, kind=said.interface
+        )
+        return _OwnService(self, endpoint, port)
 
     def remove(self, port: PortServant) -> None:
         """Disconnect and remove a port."""

@@ -112,16 +112,30 @@ class Offer(Channel):
 
 
 class ServicePort(PortServant):
-    """A CorbaPort of our own component that provides one interface."""
+    """A CorbaPort of our own component that provides one interface.
 
-    def __init__(self, orb: Orb, name: str, interface: Interface, servant: Any) -> None:
+    Tools compare the names of the interface at both ports, which are free text: `instance` and
+    `kind` are those to show; by default the interface's own, the instance in lower case.
+    """
+
+    def __init__(
+        self,
+        orb: Orb,
+        name: str,
+        interface: Interface,
+        servant: Any,
+        *,
+        instance: str = "",
+        kind: str = "",
+    ) -> None:
         super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
-        kind = interface.name.split("/")[-1]
+        own = interface.name.split("/")[-1]
+        kind, instance = kind or own, instance or own.lower()
         self._served = orb.serve(servant)
-        instance, port = name.split(".", 1)
-        self._key = f"{kind}.{kind.lower()}"
-        self._long_key = f"{instance}.port.{port}.provided.{self._key}"
-        self.interfaces = [RTC.PortInterfaceProfile(kind.lower(), kind, RTC.PROVIDED)]
+        component, port = name.split(".", 1)
+        self._key = f"{kind}.{instance}"
+        self._long_key = f"{component}.port.{port}.provided.{self._key}"
+        self.interfaces = [RTC.PortInterfaceProfile(instance, kind, RTC.PROVIDED)]
 
     def close(self) -> None:
         """Disconnect everything, then stop serving."""

@@ -128,6 +128,8 @@ class Settings:
     activate: Literal[False, True, "keep"] = False
     reset: bool = False
     event: str = ""
+    instance: str = ""
+    interface: str = ""
     timeout: float | None = None
     stale_after: float | None = None
     properties: Mapping[str, str] = field(factory=dict, hash=False)
@@ -244,9 +246,7 @@ def _settings(options: Options) -> Settings:
     if "push_policy" in options and (flow == "pull" or subscription == "flush"):
         text = "push_policy means nothing without flow: push and subscription: new or periodic"
         raise ValueError(text)
-    event = options.get("event", "")
-    if not isinstance(event, str):
-        raise ValueError(f"event must be the name of an event, got {event!r}")  # noqa: TRY004 - one kind
+    event = _word(options, "event")
     properties = {
         **policy_properties(options),
         **({"dataport.fsm_event_name": event} if event else {}),
@@ -263,6 +263,8 @@ def _settings(options: Options) -> Settings:
         activate,
         reset,
         event,
+        _word(options, "instance"),
+        _word(options, "interface"),
         _seconds(options, "timeout"),
         _seconds(options, "stale_after"),
         properties,
@@ -274,6 +276,13 @@ def _one_of(options: Options, name: str, values: tuple[str, ...]) -> str:
     if value not in values:
         raise ValueError(f"{name} must be {' or '.join(values)}, got {value!r}")
     return str(value)
+
+
+def _word(options: Options, name: str) -> str:
+    value = options.get(name, "")
+    if not isinstance(value, str):
+        raise ValueError(f"{name} must be a text, got {value!r}")  # noqa: TRY004 - one kind
+    return value
 
 
 def _seconds(options: Options, name: str) -> float | None:
