@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from tests.schema._hostile import HOSTILE
 
-from uoarm._adapt import MappingError, adapt, check_edge, parse
+from uoarm._adapt import MappingError, _edge, adapt, check_edge, parse
 from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
@@ -168,6 +170,17 @@ def test_what_a_structure_says_of_its_unit_comes_before_the_name() -> None:
     producer = structure(pitch=radians, yaw=degrees, more=INT)
     found = check_edge(producer, structure(yaw=radians, pitch=radians)).reasons[0].suggestion
     assert "yaw: {from: yaw, scale: 0.017453292519943295}" in found
+
+
+def test_a_machine_that_has_other_work_takes_nothing_from_a_suggestion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A minute passes between any two looks at the clock, as where a hundred others work."""
+    minutes = itertools.count(step=60)
+    busy = SimpleNamespace(monotonic=lambda: next(minutes), thread_time=time.thread_time)
+    monkeypatch.setattr(_edge, "time", busy)
+    found = check_edge(structure(celsius=NUMBER), structure(fahrenheit=NUMBER)).reasons[0]
+    assert "{from: celsius, scale: 1.8, offset: 32}" in found.suggestion
 
 
 def test_nothing_is_suggested_where_nothing_fits() -> None:

@@ -57,10 +57,11 @@ def check_edge(
     seconds: float = _CHECK_SECONDS,
     suggest_seconds: float = _SUGGEST_SECONDS,
 ) -> EdgeVerdict:
-    """Judge one edge. Raises nothing; blocks for some 15 s at most, whatever the structures are.
+    """Judge one edge. Raises nothing; works for some 15 s at most, whatever the structures are.
 
     Equal arguments give equal verdicts, but where the time did not suffice: then the reason says
-    so, or it has no suggestion.
+    so, or it has no suggestion. A machine that has other work takes nothing from the time of a
+    suggestion, which is that of this thread: a refusal has its lines there, too, only later.
 
     Args:
         producer: structure of what is emitted.
@@ -69,16 +70,16 @@ def check_edge(
         allow_loss: fields that may be dropped.
         meaning: how the meaning of what fits in shape is judged.
         seconds: for the proof, about.
-        suggest_seconds: for a suggestion of what would mend a refusal; 0: there is none.
+        suggest_seconds: of work for a suggestion of what would mend a refusal; 0: there is none.
     """
     verdict = _judge(producer, consumer, mapping, allow_loss, meaning, Budget(seconds=seconds))
     is_told = verdict.compatible or not verdict.reasons or bool(verdict.reasons[0].suggestion)
     if is_told or not suggest_seconds:
         return verdict
-    end = time.monotonic() + suggest_seconds
+    end = time.thread_time() + suggest_seconds
 
     def left() -> Budget:
-        return Budget(seconds=max(0.0, end - time.monotonic()))
+        return Budget(seconds=max(0.0, end - time.thread_time()))
 
     def fits(mapping: Mapping[str, Any], losses: tuple[str, ...]) -> bool:
         return _judge(producer, consumer, mapping, losses, meaning, left()).compatible
