@@ -63,8 +63,12 @@ def check(folder: Path, **files: str) -> Result:
     against.mkdir(exist_ok=True)
     for name, text in files.items():
         (against / name.replace("__", ".")).write_text(text)
-    words = ["--lock", str(folder / "robot.lock"), "--check", "--against", str(against)]
-    return CliRunner().invoke(main, ["lock", *words])
+    return compared(folder, "--against", str(against))
+
+
+def compared(folder: Path, *words: str) -> Result:
+    lock = ["lock", "--lock", str(folder / "robot.lock"), "--check"]
+    return CliRunner().invoke(main, [*lock, *words])
 
 
 def test_what_a_plugin_reads_is_compared(tmp_path: Path) -> None:
@@ -113,3 +117,31 @@ def test_a_plugin_that_cannot_be_loaded_is_an_error(
     done = check(tmp_path, Grip__fields="width")
     assert done.exit_code == 3, done.output
     assert "the plugin gone cannot be used: ModuleNotFoundError" in done.output
+
+
+def test_what_the_definitions_do_not_have_is_told(tmp_path: Path) -> None:
+    done = check(tmp_path, Other__fields="width")
+    assert done.exit_code == 0, done.output
+    assert "and taken to be as they were: mine/Grip" in done.stderr
+
+
+def test_an_environment_is_compared_by_what_is_installed_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UOARM_HOME", str(tmp_path))
+    check(tmp_path, Grip__fields="width")
+    share = tmp_path / "environments" / "newer" / "share"
+    share.mkdir(parents=True)
+    (share / "Grip.fields").write_text("opening")
+    # What a library of it has for itself stands for no type.
+    (share / "mine.json").write_text(json.dumps({"title": "mine/Grip", **BEFORE}))
+    done = compared(tmp_path, "--environment", "newer")
+    assert done.exit_code == 4, done.output
+    assert "the environment 'newer' is not whole: make it again" in done.output
+    (share.parent / "uoarm-environment.json").write_text('{"requirements": []}')
+    done = compared(tmp_path, "--environment", "newer")
+    assert done.exit_code == 1, done.output
+    assert "grip: output.default: breaks: the field 'width' is required" in done.output
+    assert compared(tmp_path, "--environment", "none").exit_code == 4
+    both = compared(tmp_path, "--environment", "newer", "--against", str(tmp_path))
+    assert both.exit_code == 2

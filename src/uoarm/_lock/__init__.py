@@ -3,7 +3,7 @@
 from uoarm._lock._compare import Finding, Outcome, compare
 from uoarm._lock._guard import LockGuard, guard_of
 from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
-from uoarm._lock._schemas import read_schemas
+from uoarm._lock._schemas import read_schemas, untold
 
 __all__ = [
     "Finding",
@@ -16,5 +16,6 @@ __all__ = [
     "read_lock",
     "read_schemas",
     "record",
+    "untold",
     "write_lock",
 ]

@@ -14,7 +14,7 @@ from uoarm._plugins import cause_of, values_of
 from uoarm.errors import ConfigurationError, PluginError
 from uoarm.plugins import CONTRACT_VERSION, DefinitionFormat, DefinitionHooks, Definitions
 
-__all__ = ["read_schemas"]
+__all__ = ["read_schemas", "untold"]
 
 _GROUP = "uoarm.definitions"
 _SCHEMAS = frozenset({".json", ".schema"})
@@ -22,7 +22,7 @@ _OF_ROS = frozenset({".msg", ".srv", ".action", ".idl"})
 _MOST_FILES = 20_000
 
 
-def read_schemas(folder: Path, lock: Lock) -> dict[str, Any]:
+def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dict[str, Any]:
     """Return the JSON Schemas of a folder by the types that they are of.
 
     Types of schemas are named by `x-type`, by the title and by the name of the file, `.json` or
@@ -31,13 +31,15 @@ def read_schemas(folder: Path, lock: Lock) -> dict[str, Any]:
     Args:
         folder: with all that is below it.
         lock: whose types are to be readable where the folder defines them.
+        is_installed: whether it is an environment, whose JSON Schemas are those of its libraries
+            and stand for no type.
 
     Raises:
         LockError: a file or the definition of a type of the lock cannot be read, or there is none.
         ConfigurationError: what reads the files is not installed.
     """
     formats = _formats()
-    known = _SCHEMAS.union(_OF_ROS, *(one.suffixes for one, _ in formats))
+    known = _OF_ROS.union(() if is_installed else _SCHEMAS, *(one.suffixes for one, _ in formats))
     paths = sorted(path for path in folder.rglob("*") if path.suffix in known)
     if not paths or len(paths) > _MOST_FILES:
         kinds = ", ".join(f"*{suffix}" for suffix in sorted(known))
@@ -67,6 +69,16 @@ def read_schemas(folder: Path, lock: Lock) -> dict[str, Any]:
             f"of ROS are read with {install_command('uoarm-ros2', 'definitions')}"
         )
     return found
+
+
+def untold(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
+    """Return the types of a lock that are not among schemas, and so are not compared."""
+    names = {
+        frozenset({one.native_type, name_of_type(one.structure.get("x-type"))} - {""})
+        for one in lock.structures.values()
+        if isinstance(one.structure, Mapping)
+    }
+    return sorted(min(one) for one in names if one and one.isdisjoint(schemas))
 
 
 def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:

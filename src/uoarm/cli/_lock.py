@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import click
 from attrs import evolve
 
-from uoarm import RobotManager
+from uoarm import RobotManager, environments
 from uoarm._lock import (
     Finding,
     Lock,
@@ -20,11 +19,13 @@ from uoarm._lock import (
     read_lock,
     read_schemas,
     record,
+    untold,
     write_lock,
 )
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
-from uoarm.cli._shared import REFUSED, configuration_option, print_json, reporting
+from uoarm.cli._findings import FORMS
+from uoarm.cli._shared import REFUSED, configuration_option, reporting
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
@@ -43,31 +44,58 @@ __all__ = ["lock", "lock_of", "open_unlocked"]
     "plugins read; no bridge is asked.",
 )
 @click.option(
-    "--format", "form", type=click.Choice(["text", "json", "github"]), default="text",
+    "--environment", metavar="NAME",
+    help="Compare with the definitions that this environment has installed; no bridge is asked.",
+)  # fmt: skip
+@click.option(
+    "--format", "form", type=click.Choice(list(FORMS)), default="text",
     show_default=True, help="Of what --check says.",
 )  # fmt: skip
-def lock(file: str, path: str | None, form: str, *, check: bool, against: str | None) -> None:
+def lock(
+    file: str,
+    path: str | None,
+    form: str,
+    *,
+    check: bool,
+    against: str | None,
+    environment: str | None,
+) -> None:
     """Write down what the plans of all functions rest on, or check it.
 
     Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
-    fit as it is; 3 a file cannot be read; 4 a bridge failed.
+    fit as it is; 3 a file cannot be read; 4 a bridge failed, or there is no such environment.
     """
-    if against is not None and not check:
-        raise click.UsageError("--against belongs to --check")
+    if not check and (against is not None or environment is not None):
+        raise click.UsageError("--against and --environment belong to --check")
+    if against is not None and environment is not None:
+        raise click.UsageError("say --against or --environment, one of them")
     place = Path(file).with_name("robot.lock") if path is None else Path(path)
     with reporting():
         if not check:
             sys.exit(_write(file, place))
         before = read_lock(place)
-        if against is None:
+        if environment is not None:
+            findings = _against(before, environments.installed(environment), is_installed=True)
+        elif against is not None:
+            findings = _against(before, Path(against))
+        else:
             with open_unlocked(file) as robot:
                 findings = list(compare(before, lock_of(robot)))
-        else:
-            other = Path(against)
-            after = read_schemas(other, before) if other.is_dir() else read_lock(other)
-            findings = list(compare(before, after))
-    _tell(findings, form, str(place))
+    told = FORMS[form](findings, place)
+    if told:
+        click.echo(told)
     sys.exit(0 if all(one.outcome is Outcome.FITS for one in findings) else REFUSED)
+
+
+def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[Finding]:
+    """Compare with what stands in files; standard error says which types do not."""
+    if not other.is_dir():
+        return list(compare(before, read_lock(other)))
+    schemas = read_schemas(other, before, is_installed=is_installed)
+    missing = untold(before, schemas)
+    if missing:
+        click.echo(f"not in {other}, and taken to be as they were: {', '.join(missing)}", err=True)
+    return list(compare(before, schemas))
 
 
 @contextmanager
@@ -104,27 +132,3 @@ def lock_of(robot: RobotManager) -> Lock:
         with suppress(ResolutionError):  # what is not there is no candidate now
             described[component.name] = robot.structures(component.name)
     return record(robot.config, plans, described)
-
-
-def _tell(findings: list[Finding], form: str, path: str) -> None:
-    if form == "json":
-        print_json({"findings": findings})
-        return
-    for one in findings:
-        if not one.changed:
-            continue
-        where = f"{one.path}: " if one.path else ""
-        told = f"{one.function}: {one.subject}: {one.outcome.value}"
-        if one.sentence:
-            told += f": {where}{one.sentence}"
-        if form == "github":
-            if one.outcome is not Outcome.FITS:
-                text = "%0A".join([told, *one.suggestion.splitlines()])
-                click.echo(f"::error file={path}::{text}")
-            continue
-        click.echo(told)
-        for line in one.suggestion.splitlines():
-            click.echo(f"    {line}")
-    if form == "text":
-        counts = Counter(one.outcome.value for one in findings)
-        click.echo(", ".join(f"{kind.value}: {counts[kind.value]}" for kind in Outcome))

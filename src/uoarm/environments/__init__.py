@@ -2,7 +2,7 @@
 
 from uoarm.environments._doctor import Finding, examine
 from uoarm.environments._make import create
-from uoarm.environments._place import Environment, environment_python, listed, remove
+from uoarm.environments._place import Environment, environment_python, installed, listed, remove
 from uoarm.environments._requirements import requirements
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "create",
     "environment_python",
     "examine",
+    "installed",
     "listed",
     "remove",
     "requirements",

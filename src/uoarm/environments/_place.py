@@ -12,7 +12,15 @@ from attrs import frozen
 
 from uoarm.errors import PluginError
 
-__all__ = ["MARK", "Environment", "environment_folder", "environment_python", "listed", "remove"]
+__all__ = [
+    "MARK",
+    "Environment",
+    "environment_folder",
+    "environment_python",
+    "installed",
+    "listed",
+    "remove",
+]
 
 MARK = "uoarm-environment.json"
 """A file in every environment that was made to its end; says of what it was made."""
@@ -56,6 +64,20 @@ def environment_folder(name: str) -> Path:
 def environment_python(name: str) -> Path:
     """Return the interpreter of an environment, which may not be there."""
     return environment_folder(name) / "bin" / "python"
+
+
+def installed(name: str) -> Path:
+    """Return the folder of an environment that is there and whole.
+
+    Raises:
+        PluginError: there is none of this name, or its making was cut short.
+    """
+    folder = environment_folder(name)
+    if not (folder / MARK).is_file():
+        whole = ", ".join(one.name for one in listed() if one.is_whole) or "none"
+        what = "is not whole: make it again" if folder.is_dir() else "is not there"
+        raise PluginError(f"the environment {name!r} {what} (whole are: {whole})")
+    return folder
 
 
 def listed() -> list[Environment]:

@@ -1,0 +1,55 @@
+"""Findings as build servers read them: JUnit's reports and SARIF's logs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from uoarm._lock import Finding, Outcome
+from uoarm.cli._findings import FORMS
+
+LOCK = Path("robots/the cart/robot.lock")
+FINDINGS = [
+    Finding("scan", "laser.out -> map.in", Outcome.FITS, changed=False),
+    Finding("scan", "output.default", Outcome.FITS, changed=True),
+    Finding(
+        "drive", "pad.out -> base.in", Outcome.FITS_WITH_MAP, changed=True, path="speed",
+        sentence="the units differ: km/h & m/s", suggestion="map: {speed: {from: <speed>}}",
+    ),
+    Finding("drive", "input.go", Outcome.UNDECIDED, changed=True, sentence="it took too long"),
+    Finding("drive", "output.on", Outcome.BREAKS, changed=True, path="x", sentence="it is gone"),
+]  # fmt: skip
+
+
+def test_a_report_of_tests_has_a_case_for_each_finding() -> None:
+    root = ET.fromstring(FORMS["junit"](FINDINGS, LOCK))
+    assert (root.get("tests"), root.get("failures")) == ("5", "3")
+    suites = [(one.get("name"), one.get("tests"), one.get("failures")) for one in root]
+    assert suites == [("scan", "2", "0"), ("drive", "3", "3")]
+    failed = {case.get("name"): case[0] for case in root.iter("testcase") if len(case)}
+    assert [one.get("type") for one in failed.values()] == [
+        "fits-with-a-map", "undecided", "breaks",
+    ]  # fmt: skip
+    told = failed["pad.out -> base.in"]
+    assert "speed: the units differ: km/h & m/s" in str(told.get("message"))
+    assert str(told.text).endswith("map: {speed: {from: <speed>}}")
+
+
+def test_a_log_of_static_analysis_has_a_result_for_what_does_not_fit() -> None:
+    log = json.loads(FORMS["sarif"](FINDINGS, LOCK))
+    (run,) = log["runs"]
+    rules = [one["id"] for one in run["tool"]["driver"]["rules"]]
+    told = [(one["ruleId"], one["level"]) for one in run["results"]]
+    assert told == [("fits-with-a-map", "error"), ("undecided", "warning"), ("breaks", "error")]
+    assert all(rules[one["ruleIndex"]] == one["ruleId"] for one in run["results"])
+    (place,) = run["results"][0]["locations"]
+    assert place["physicalLocation"]["artifactLocation"]["uri"] == "robots/the%20cart/robot.lock"
+    assert "map: {speed" in run["results"][0]["message"]["text"]
+    assert json.loads(FORMS["sarif"]([], LOCK.absolute()))["runs"][0]["results"] == []
+
+
+def test_each_form_of_nothing_is_whole() -> None:
+    assert len(ET.fromstring(FORMS["junit"]([], LOCK))) == 0
+    assert FORMS["github"]([], LOCK) == ""
+    assert FORMS["text"]([], LOCK).startswith("fits: 0")
