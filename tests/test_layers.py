@@ -25,7 +25,7 @@ LAYERS = [
     {"schema"},
     {"model"},
     {"_wire"},
-    {"_bounded", "_deadlines"},
+    {"_bounded", "_deadlines", "_renewal"},
     {"_meaning"},
     {"_adapt"},
     {"_hints"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import pytest
 
@@ -145,3 +146,27 @@ def test_what_waits_while_another_takes_over_is_not_sent_behind_it(memory: Memor
         assert base.taken.messages == [1, 3]
         (route,) = first.routes()
         assert dict(route.dropped) == {"leased": 1}
+
+
+def test_a_command_is_renewed_while_it_is_held_and_stopped_then(
+    memory: MemoryBridge, caplog: pytest.LogCaptureFixture
+) -> None:
+    base = memory.taker("base", {"type": "number"})
+    with open_robot(memory) as manager:
+        first, second = manager.request("drive"), manager.request("drive")
+        with first.hold(1, period=0.001) as held:
+            wait(lambda: base.taken.messages.count(1) >= 3)
+            held.message = 2
+            wait(lambda: 2 in base.taken.messages)
+        assert base.taken.messages[-1] == 0
+        held_by_first = ExitStack()
+        held = held_by_first.enter_context(first.hold(3, period=0.001))
+        second.send(4, take_over=True)
+        wait(lambda: held.error is not None)
+        with pytest.raises(CommandRefusedError, match="holds its lease"):
+            held_by_first.close()
+        assert base.taken.messages[-1] == 4, "who was taken over from stops nobody"
+        with second.hold(5, period=3600):
+            assert base.taken.messages[-1] == 5
+    told = "commands live for 3600 s, and are renewed every 3600 s: it stops in between"
+    assert f"base.default: {told}" in caplog.text

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from functools import partial
 from types import TracebackType
 from typing import Generic, cast, final
 
@@ -14,6 +16,7 @@ from uoarm._control.reconciler.state import ConnectionRecord
 from uoarm._control.runtime.executor import Executor
 from uoarm._dataplane import QueueClosed
 from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._renewal import HeldCommand, renewal_period, renewed
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
     ConnectionState,
@@ -173,6 +176,41 @@ class Connection(Generic[T]):
         if not way.can_stop:
             raise UsageError(f"{way.place} has no stop message in the configuration")
         way.stop(self._as(sender), timeout)
+
+    def hold(
+        self,
+        message: Message,
+        port: str | None = None,
+        *,
+        period: float | None = None,
+        sender: LeaseHolder | None = None,
+        take_over: bool = False,
+    ) -> AbstractContextManager[HeldCommand]:
+        """Renew a command for the length of a `with` block, and stop at its end.
+
+        Gives a `HeldCommand`, whose `message` may be replaced meanwhile and whose `error` says why
+        it is not renewed any more; that is raised at the end of the block.
+
+        Args:
+            message: as `send` takes it.
+            port: name of the input; None where there is one only.
+            period: seconds between two renewals; None: a quarter of the lifetime. One that is no
+                shorter than the lifetime is warned of.
+            sender: who sends it, where the input has a lease; None: this connection.
+            take_over: whether to take the lease from a holder of the same priority at first.
+
+        Raises:
+            UoarmError: as `send`, from the first command on, and as `stop`.
+        """
+        way = self._ports().sender(port)
+        seconds = renewal_period(way.lifetime, period, way.place)
+        taking = [take_over]
+
+        def send(command: Message) -> None:
+            self.send(command, port, sender=sender, take_over=taking[0])
+            taking[0] = False  # who was taken over from does not take it back by itself
+
+        return renewed(message, send, partial(self.stop, port, sender=sender), seconds)
 
     def leave(self, sender: LeaseHolder) -> None:
         """Give back what leases a sender holds, and stop what it moves with them. Never raises."""

@@ -32,6 +32,8 @@ _ERRORS: Mapping[str, Callable[[str], errors.UoarmError]] = {
     "timeout": errors.BridgeTimeoutError,
     "message": errors.MessageError,
     "held": partial(errors.CommandRefusedError, reason="held"),
+    "leased": partial(errors.CommandRefusedError, reason="leased"),
+    "refused": partial(errors.CommandRefusedError, reason="stopped"),
     "usage": errors.UsageError,
     "closed": errors.ConnectionClosedError,
     "unknown": errors.ConnectionClosedError,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import AbstractAsyncContextManager
+from functools import partial
 from types import TracebackType
 from typing import Any, Generic, cast, final
 
@@ -12,6 +14,7 @@ from typing_extensions import Self
 
 from uoarm._deadlines import event_by
 from uoarm._hints.applications import MessageType, T, as_message
+from uoarm._renewal import HeldCommand, renewal_period, renewed_in_task
 from uoarm.errors import ConnectionClosedError
 from uoarm.model import Message
 
@@ -27,6 +30,7 @@ class RemoteStream(Generic[T]):
     Attributes:
         connection: its name at the server, shared with other clients of the same function.
         inputs: inputs that `send` can feed.
+        lifetimes: seconds for which a command lives, by input; of those that have one.
         lost: messages that did not get here, as gaps in their numbers.
     """
 
@@ -34,6 +38,7 @@ class RemoteStream(Generic[T]):
         self.connection: str = opened["connection"]
         self.inputs: tuple[str, ...] = tuple(opened["inputs"])
         self.warnings: tuple[str, ...] = tuple(opened["warnings"])
+        self.lifetimes: Mapping[str, float] = opened.get("lifetimes", {})
         self.lost = 0
         self._ask = ask
         self._waiting: deque[tuple[int, Message]] = deque(maxlen=length)
@@ -71,22 +76,79 @@ class RemoteStream(Generic[T]):
         self._last = number
         return cast("T", message) if self._type is None else self._type.read(message)
 
-    async def send(self, message: Message, port: str | None = None) -> None:
+    async def send(
+        self, message: Message, port: str | None = None, *, take_over: bool = False
+    ) -> None:
         """Hand one message to an input; returns when the server has taken it.
 
+        Args:
+            message: plain values or objects, as `Connection.send` takes them.
+            port: name of the input; None where there is one only.
+            take_over: whether to take the lease from a holder of the same priority.
+
         Raises:
+            CommandRefusedError: the emergency stop holds the input, or somebody else its lease.
             MessageError: it does not match the input's structure.
             UsageError: there is no such input.
             ConnectionClosedError: the function has ended.
         """
-        kind = self.connection if port is None else f"{self.connection}.{port}"
-        await self._ask("Data", kind, jsonMessage=as_message(message, kind))
+        kind = self._kind(port)
+        more = {"x-take-over": True} if take_over else {}
+        await self._ask("Data", kind, jsonMessage=as_message(message, kind), **more)
+
+    async def stop(self, port: str | None = None) -> None:
+        """Have the stop message of an input sent, and give its lease back.
+
+        What was sent before and waits is discarded; the next command moves it again.
+
+        Raises:
+            BridgeError: the framework has not taken the stop message, which goes on being sent.
+            UsageError: there is no such input, or it has no stop message.
+            ConnectionClosedError: the function has ended, and was stopped with that.
+        """
+        await self._ask("Stop", self._kind(port))
+
+    def hold(
+        self,
+        message: Message,
+        port: str | None = None,
+        *,
+        period: float | None = None,
+        take_over: bool = False,
+    ) -> AbstractAsyncContextManager[HeldCommand]:
+        """Renew a command for the length of an `async with` block, and stop at its end.
+
+        Gives a `HeldCommand`, whose `message` may be replaced meanwhile and whose `error` says why
+        it is not renewed any more; that is raised at the end of the block.
+
+        Args:
+            message: the command.
+            port: name of the input; None where there is one only.
+            period: seconds between two renewals; None: a quarter of the lifetime. One that is no
+                shorter than the lifetime is warned of.
+            take_over: whether to take the lease from a holder of the same priority at first.
+
+        Raises:
+            UoarmError: as `send`, from the first command on, and as `stop`.
+        """
+        taking = [take_over]
+
+        async def send(command: Message) -> None:
+            await self.send(command, port, take_over=taking[0])
+            taking[0] = False  # who was taken over from does not take it back by itself
+
+        name = port or (self.inputs[0] if len(self.inputs) == 1 else "default")
+        seconds = renewal_period(self.lifetimes.get(name), period, self._kind(port))
+        return renewed_in_task(message, send, partial(self.stop, port), seconds)
 
     async def kill(self) -> None:
         """Give the function back. Once is enough."""
         if self._end is None:
             self.finish("closed", "")
             await self._ask("Kill", self.connection)
+
+    def _kind(self, port: str | None) -> str:
+        return self.connection if port is None else f"{self.connection}.{port}"
 
     def take(self, number: int, message: Message) -> None:
         """Take one message from the client's reader."""

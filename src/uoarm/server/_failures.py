@@ -39,16 +39,21 @@ _CODES: _Kinds = {
     errors.BridgeError: "bridge",
     errors.PluginError: "bridge",
     errors.MessageError: "message",
-    errors.CommandRefusedError: "held",
+    errors.CommandRefusedError: "refused",
     errors.UsageError: "usage",
     errors.ConnectionClosedError: "closed",
     LimitError: "limit",
     BusyError: "busy",
 }
 
+_REFUSALS = frozenset({"held", "leased"})
+"""Reasons for which a command is refused that clients tell apart."""
+
 
 def code_of(error: BaseException) -> str:
     """Return the code of an error; `internal` for one that nobody foresaw."""
+    if isinstance(error, errors.CommandRefusedError) and error.reason in _REFUSALS:
+        return error.reason
     return next((code for kind, code in _CODES.items() if isinstance(error, kind)), "internal")
 
 

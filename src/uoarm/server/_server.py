@@ -19,6 +19,7 @@ from websockets.frames import CloseCode
 from uoarm._control import RobotManager
 from uoarm._wire import FORMS, TEXT_FORM
 from uoarm.errors import ConfigurationError
+from uoarm.model import StatusEvent
 from uoarm.server._settings import Settings
 from uoarm.server.access import Admission, Audit
 from uoarm.server.front_end import FrontEnd, MakeSession
@@ -100,6 +101,7 @@ class Server:
         self._sockets: set[TurnConnection] = set()
         self._registry: FeedRegistry | None = None
         self._watches: list[asyncio.Task[None]] = []
+        self._stop_listening: Callable[[], None] = lambda: None
 
     @property
     def ports(self) -> tuple[int, ...]:
@@ -128,6 +130,7 @@ class Server:
             OSError: a port is taken, or the address is none of this machine; the text names it.
         """
         registry = self._registry = FeedRegistry(self._robot, self._limits)
+        self._stop_listening = self._robot.listen(self._audit_lease)
         metrics = Metrics(registry, self._totals, lambda: self._clients, self._store)
         try:
             self._start_front_ends(registry)
@@ -161,10 +164,16 @@ class Server:
         for socket in tuple(self._sockets):
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
+        self._stop_listening()
         self._store.close()
         self._decoder.close()
         if self._registry is not None:
             await self._registry.close()
+
+    def _audit_lease(self, event: StatusEvent) -> None:
+        """Record who commands what; in the thread of the robot's listeners."""
+        if event.change == "leased":
+            self._audit.leased(event.cause)
 
     def _start_front_ends(self, registry: FeedRegistry) -> None:
         for one in self._front_ends.usable:

@@ -24,7 +24,7 @@ from uoarm._wire import (
     read_text,
     write_binary,
 )
-from uoarm.model import Message, MessageStructure, Plan
+from uoarm.model import LeaseHolder, Message, MessageStructure, Plan
 from uoarm.server._failures import (
     BusyError,
     LimitError,
@@ -201,13 +201,20 @@ class Backend(Protocol):
     def leave(self, feed: Feed) -> None:
         """Give a feed back; the last one closes its connection, without waiting."""
 
-    def sender(self, connection: Connection, account: Account, read: Read) -> InputSender:
+    def sender(
+        self,
+        connection: Connection,
+        account: Account,
+        read: Read,
+        holder: LeaseHolder | None = None,
+    ) -> InputSender:
         """Return what hands a client's messages to a connection.
 
         Args:
             connection: of a feed that is open.
             account: charged for what is on its way.
             read: makes a message's logical value by the input's structure, in a worker.
+            holder: as whom it commands inputs that have a lease; None: as nobody else.
         """
 
     async def call(self, name: str, message: Message, read: Read, timeout: float) -> Message:

@@ -57,6 +57,10 @@ class Audit:
             level, session=asker, role=role, operation="release", done=not cause, cause=cause
         )
 
+    def leased(self, told: str) -> None:
+        """Record who commands an input now, or gave it back."""
+        self._write(logging.INFO, operation="lease", lease=told)
+
     def arrival(self, address: str, session: str, role: str, cause: str = "") -> None:
         """Record a client that was admitted, or, with a cause, that was not."""
         level = logging.WARNING if cause else logging.INFO

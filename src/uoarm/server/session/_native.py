@@ -19,6 +19,7 @@ from uoarm.errors import ConnectionClosedError, ControlMessageError, UoarmError,
 from uoarm.model import (
     ConfigurationChange,
     ControlMessage,
+    LeaseHolder,
     Message,
     Op,
     Plan,
@@ -62,6 +63,7 @@ class NativeSession:
             client.account,
             form,
             client.limits,
+            LeaseHolder(f"session {client.identity}", client.role.name),
             lambda connection, error: self._fail(None, connection, error),
         )
         self._stops: set[asyncio.Task[None]] = set()
@@ -176,6 +178,7 @@ class NativeSession:
             "components": [step.component.name for step in plan.steps],
             "inputs": [one.name for one in plan.provider.component.inputs if one.source is None],
             "warnings": list(plan.warnings),
+            "lifetimes": dict(stream.connection.lifetimes()),
         }
         self._reply(asked, opened)
         self._streams.begin(stream)
@@ -214,13 +217,25 @@ class NativeSession:
         self._reply(asked, _told((changed,))[0])
 
     def _stop(self, asked: ControlMessage) -> None:
-        """Stop all beside whatever else is under way; it counts for no limit of calls."""
+        """Stop beside whatever else is under way; it counts for no limit of calls."""
         release = bool((asked.jsonMessage or {}).get("release"))
+        if asked.type:
+            self._stop_input(asked, release=release)
+            return
         self._client.require(Operation.RELEASE if release else Operation.STOP, "*")
         work = self._release(asked) if release else self._stop_all(asked)
         task = asyncio.ensure_future(self._answer(asked, work))
         self._stops.add(task)
         task.add_done_callback(self._stops.discard)
+
+    def _stop_input(self, asked: ControlMessage, *, release: bool) -> None:
+        """Stop one input, which needs the right to send to it: it is a command like others."""
+        if release:
+            raise UsageError("one input that was stopped needs no release: the next command moves")
+        identity, _, port = str(asked.type).partition(".")
+        stream = self._streams.own(identity)
+        self._client.require(Operation.SEND, stream.connection.plan.function)
+        self._streams.stop(stream, port or None, lambda error: self._done(asked, error))
 
     async def _stop_all(self, asked: ControlMessage) -> None:
         report = await self._registry.stop_all()
@@ -279,6 +294,7 @@ class NativeSession:
             port or None,
             lambda error: self._done(asked, error),
             self._client.in_hand,
+            take_over=bool(asked.extensions.get("x-take-over")),
         )
 
     def _kill(self, asked: ControlMessage) -> None:

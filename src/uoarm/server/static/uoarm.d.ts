@@ -2,7 +2,8 @@
 
 export type Code =
   | "unreadable" | "unknown" | "denied" | "resolution" | "bridge" | "timeout" | "message"
-  | "usage" | "closed" | "limit" | "busy" | "configuration" | "held" | "internal";
+  | "usage" | "closed" | "limit" | "busy" | "configuration" | "held" | "leased"
+  | "refused" | "internal";
 
 /** A JSON value, and with `binary` also octets, typed arrays and BigInt. */
 export type Message = unknown;
@@ -24,6 +25,16 @@ export interface RequestOptions {
   wait?: number;
 }
 
+/** A command that is renewed until `stop`, as while a button is held. */
+export class HeldCommand {
+  /** What is sent the next time; may be replaced. */
+  message: Message;
+  /** Resolves when it was stopped; rejects when it cannot be renewed any more. */
+  readonly done: Promise<void>;
+  /** Have the input stopped. Once is enough; resolves when it has stopped. */
+  stop(): Promise<void>;
+}
+
 /** One open function. Iterating to the end, or out of the loop, gives it back. */
 export class Stream<T = Message> implements AsyncIterable<T> {
   readonly connection: string;
@@ -34,8 +45,17 @@ export class Stream<T = Message> implements AsyncIterable<T> {
   [Symbol.asyncIterator](): AsyncIterator<T, undefined>;
   /** The next message, or undefined when no more will come; rejects when the function failed. */
   get(): Promise<T | undefined>;
+  /** Seconds for which a command lives, by input; of those that have a lifetime. */
+  readonly lifetimes: Readonly<Record<string, number>>;
   /** Hand one message to an input; resolves when the server has taken it. */
-  send(message: Message, input?: string): Promise<void>;
+  send(message: Message, input?: string, options?: { takeOver?: boolean }): Promise<void>;
+  /** Have an input stopped, and give its lease back; what waits of it is discarded. */
+  stop(input?: string): Promise<void>;
+  /** Renew a command until it is stopped. `period` in seconds; by default a quarter of its life. */
+  hold(
+    message: Message,
+    options?: { input?: string; period?: number; takeOver?: boolean },
+  ): HeldCommand;
   /** Give the function back. Once is enough. */
   kill(): Promise<void>;
 }

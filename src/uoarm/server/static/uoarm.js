@@ -42,7 +42,52 @@ class Mailbox {
   }
 }
 
-/** One open function: `for await`, `send`, `kill`. */
+/** A command that is renewed until `stop`; `message` may be replaced meanwhile. Made by `hold`. */
+export class HeldCommand {
+  #over = false;
+  #wake = () => {};
+  #stop;
+
+  constructor(message, period, send, stop) {
+    this.message = message;
+    this.#stop = stop;
+    /** Resolves when it was stopped; rejects when it cannot be renewed any more, with the reason. */
+    this.done = this.#renew(period, send);
+    this.done.catch(() => {}); // whoever wants to know asks for it
+  }
+
+  /** Renew it no more, and have the input stopped. Once is enough; resolves when it has stopped. */
+  stop() {
+    if (!this.#over) {
+      this.#over = true;
+      this.#wake();
+      this.stopped = this.#stop();
+    }
+    return this.stopped;
+  }
+
+  /** One message is under way at a time, so that a link that was down never brings up many. */
+  async #renew(period, send) {
+    while (!this.#over) {
+      const due = performance.now() + period * 1000;
+      try {
+        await send(this.message);
+      } catch (error) {
+        if (this.#over) break; // the stop came before what waited
+        this.#over = true;
+        throw error;
+      }
+      if (this.#over) break;
+      await new Promise((wake) => {
+        this.#wake = wake;
+        setTimeout(wake, Math.max(0, due - performance.now()));
+      });
+    }
+    await this.stopped;
+  }
+}
+
+/** One open function: `for await`, `send`, `hold`, `stop`, `kill`. */
 export class Stream {
   #ask;
   #mailbox = new Mailbox();
@@ -53,6 +98,7 @@ export class Stream {
     this.connection = opened.connection;
     this.inputs = opened.inputs;
     this.warnings = opened.warnings;
+    this.lifetimes = opened.lifetimes ?? {};
     this.lost = 0;
     this.#ask = ask;
   }
@@ -70,9 +116,34 @@ export class Stream {
   }
 
   /** Hand one message to an input; resolves when the server has taken it. */
-  async send(message, input) {
-    const type = input === undefined ? this.connection : `${this.connection}.${input}`;
-    await this.#ask({ op: "Data", type, jsonMessage: message });
+  async send(message, input, { takeOver = false } = {}) {
+    const more = takeOver ? { "x-take-over": true } : {};
+    await this.#ask({ op: "Data", type: this.#type(input), jsonMessage: message, ...more });
+  }
+
+  /** Have an input stopped, and give its lease back; what was sent before and waits is discarded. */
+  async stop(input) {
+    await this.#ask({ op: "Stop", type: this.#type(input) });
+  }
+
+  /**
+   * Renew a command until `stop` of what is returned is called, as while a button is held. The
+   * period is in seconds; it is a quarter of the command's lifetime where none is given.
+   */
+  hold(message, { input, period, takeOver = false } = {}) {
+    const name = input ?? (this.inputs.length === 1 ? this.inputs[0] : "default");
+    const lifetime = this.lifetimes[name];
+    if (lifetime !== undefined && period >= lifetime) {
+      const lives = `commands live for ${lifetime} s, and are renewed every ${period} s`;
+      console.warn(`${this.#type(input)}: ${lives}: it stops in between`);
+    }
+    const send = async (command) => {
+      const options = { takeOver };
+      takeOver = false; // who was taken over from does not take it back by itself
+      await this.send(command, input, options);
+    };
+    const seconds = period ?? (lifetime === undefined ? 0.1 : lifetime / 4);
+    return new HeldCommand(message, seconds, send, () => this.stop(input));
   }
 
   /** Give the function back. Once is enough. */
@@ -80,6 +151,10 @@ export class Stream {
     if (this.#ended) return;
     this.finish("closed", "");
     await this.#ask({ op: "Kill", type: this.connection });
+  }
+
+  #type(input) {
+    return input === undefined ? this.connection : `${this.connection}.${input}`;
   }
 
   take(number, message) {

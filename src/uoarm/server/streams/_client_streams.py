@@ -15,7 +15,7 @@ from uoarm._dataplane import Clock
 from uoarm._deadlines import result_within
 from uoarm._wire import Form
 from uoarm.errors import BridgeTimeoutError, MessageError, UsageError
-from uoarm.model import Message, OverflowPolicy, QueuePolicy, ValidationMode
+from uoarm.model import LeaseHolder, Message, OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.server._failures import LimitError, UnknownError
 from uoarm.server._limits import Limits
 from uoarm.server.streams._encoder import Encoder
@@ -105,6 +105,7 @@ class ClientStreams:
         account: the client's.
         form: in which its messages are.
         limits: bounds.
+        holder: as whom it commands inputs that have a lease.
         on_refused: called with the connection, and why one of its messages could not be written.
     """
 
@@ -115,6 +116,7 @@ class ClientStreams:
         account: Account,
         form: Form,
         limits: Limits,
+        holder: LeaseHolder,
         on_refused: Callable[[str, MessageError], None],
     ) -> None:
         self._registry = registry
@@ -122,6 +124,7 @@ class ClientStreams:
         self._account = account
         self._form = form
         self._limits = limits
+        self._holder = holder
         self._on_refused = on_refused
         self._streams: dict[str, Stream] = {}
         self._sendings: dict[str, InputSender] = {}
@@ -191,16 +194,31 @@ class ClientStreams:
         return stream
 
     def send(
-        self, stream: Stream, message: Message, port: str | None, done: Done, octets: int
+        self,
+        stream: Stream,
+        message: Message,
+        port: str | None,
+        done: Done,
+        octets: int,
+        *,
+        take_over: bool = False,
     ) -> None:
         """Hand one message to an input; raises as `InputSender.send`."""
+        self._sending(stream).send(message, port, done, octets, take_over=take_over)
+
+    def stop(self, stream: Stream, port: str | None, done: Done) -> None:
+        """Stop an input; raises as `InputSender.stop`."""
+        self._sending(stream).stop(port, done)
+
+    def _sending(self, stream: Stream) -> InputSender:
         identity = stream.connection.id
         sending = self._sendings.get(identity)
         if sending is None:
+            read = functools.partial(read_message, self._form)
             sending = self._sendings[identity] = self._registry.sender(
-                stream.connection, self._account, functools.partial(read_message, self._form)
+                stream.connection, self._account, read, self._holder
             )
-        sending.send(message, port, done, octets)
+        return sending
 
     def kill(self, stream: Stream, done: Callable[[], None]) -> None:
         """Give a connection back after what was sent to it; what waits of it is discarded.

@@ -20,6 +20,7 @@ from uoarm.errors import (
 )
 from uoarm.model import (
     ConfigurationChange,
+    LeaseHolder,
     Message,
     MessageStructure,
     Plan,
@@ -159,11 +160,15 @@ class FeedRegistry:
                 self.kill(feed.connection)
 
     def sender(
-        self, connection: Connection, account: Account, read: Read = _READ_TEXT
+        self,
+        connection: Connection,
+        account: Account,
+        read: Read = _READ_TEXT,
+        holder: LeaseHolder | None = None,
     ) -> InputSender:
         """Return what hands a client's messages, which `read` understands, to a connection."""
         limit = self.limits.queue_messages
-        return InputSender(connection, read, self.workers, account, limit=limit)
+        return InputSender(connection, read, self.workers, account, limit=limit, holder=holder)
 
     def open_account(self) -> Account:
         """Return an account for what no single client caused. Close it."""

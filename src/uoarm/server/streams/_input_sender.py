@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
@@ -12,8 +13,8 @@ from attrs import define
 from uoarm._control import Connection
 from uoarm._dataplane import make_check
 from uoarm._wire import Form
-from uoarm.errors import ConnectionClosedError, UsageError
-from uoarm.model import Message, MessageStructure, ValidationMode
+from uoarm.errors import CommandRefusedError, ConnectionClosedError, UsageError
+from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._workers import Workers
@@ -23,6 +24,7 @@ __all__ = ["Done", "InputSender", "Read", "read_message"]
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
 _FLUSH_SECONDS = 2.0
+_numbers = itertools.count(1)
 Done: TypeAlias = Callable[[BaseException | None], None]
 Read: TypeAlias = Callable[[MessageStructure, Message], Message]
 
@@ -33,6 +35,8 @@ class _QueuedMessage:
     port: str | None
     done: Done
     charge: Charge
+    take_over: bool
+    is_stopped: bool = False
 
 
 class InputSender:
@@ -46,24 +50,44 @@ class InputSender:
         read: makes the logical value of a message by the input's structure, in a worker.
         workers: where they are handed over, many in one go.
         account: of the client, charged until a message is handed over.
-        limit: messages that may wait.
+        limit: messages that may wait, and stops.
+        holder: as whom it commands inputs that have a lease; None: as nobody else.
     """
 
     def __init__(
-        self, connection: Connection, read: Read, workers: Workers, account: Account, *, limit: int
+        self,
+        connection: Connection,
+        read: Read,
+        workers: Workers,
+        account: Account,
+        *,
+        limit: int,
+        holder: LeaseHolder | None = None,
     ) -> None:
         self._connection = connection
         self._read = read
         self._workers = workers
         self._account = account
         self._limit = limit
+        self._holder = holder or LeaseHolder(f"client {next(_numbers)} of {connection.id}")
+        self._handing: list[_QueuedMessage] = []
+        self._stops: deque[tuple[str | None, Done]] = deque()
+        self._is_stopping_beside = False
         self._waiting: deque[_QueuedMessage] = deque()
         self._running = False
         self._closed = False
         self._flushing = False
         self._after: list[Callable[[], None]] = []
 
-    def send(self, message: Message, port: str | None, done: Done, octets: int) -> None:
+    def send(
+        self,
+        message: Message,
+        port: str | None,
+        done: Done,
+        octets: int,
+        *,
+        take_over: bool = False,
+    ) -> None:
         """Hand one message over, after those before it; `done` is called with how it went.
 
         Args:
@@ -71,6 +95,7 @@ class InputSender:
             port: name of the input; None for the only one.
             done: called once.
             octets: of memory that the message holds.
+            take_over: whether to take the lease of the input, as `Connection.send` has it.
 
         Raises:
             BusyError: too many wait already, or every worker is taken.
@@ -79,13 +104,34 @@ class InputSender:
         if len(self._waiting) >= self._limit:
             raise BusyError(f"{self._limit} messages to {self._connection.id} wait already")
         charge = self._account.charge(Held.SENDING, octets)
-        self._waiting.append(_QueuedMessage(message, port, done, charge))
+        self._waiting.append(_QueuedMessage(message, port, done, charge, take_over))
         if not self._running:
             try:
                 self._run()
             except BusyError:
                 self._waiting.pop().charge.release()
                 raise
+
+    def stop(self, port: str | None, done: Done) -> None:
+        """Stop an input, as `Connection.stop` does, beside whatever hangs; `done` as with `send`.
+
+        What was sent before and is not handed over yet fails. What is sent afterwards waits.
+
+        Raises:
+            BusyError: too many wait already.
+        """
+        if len(self._stops) >= self._limit:
+            raise BusyError(f"{self._limit} stops of {self._connection.id} wait already")
+        for queued in (*self._handing, *self._waiting):
+            queued.is_stopped = queued.is_stopped or queued.port == port
+        self._stops.append((port, done))
+        if not self._running:
+            self._run()
+        elif not self._is_stopping_beside:
+            # At once, and in its turn again: a message that is being handed over may come between.
+            self._is_stopping_beside = True
+            stopping = self._workers.stop(lambda: self._halt(port))
+            stopping.add_done_callback(lambda _: self._stopped_beside())
 
     def after(self, action: Callable[[], None]) -> None:
         """Do something once the component has taken all that was sent until now.
@@ -99,7 +145,13 @@ class InputSender:
 
     def close(self) -> None:
         """Hand over nothing more; what waits fails with that, and is released. Idempotent."""
+        if self._closed:
+            return
         self._closed = True
+        while self._stops:
+            self._stops.popleft()[1](self._has_ended())
+        if self._has_lease():
+            self._workers.free(lambda: self._connection.leave(self._holder))
         while self._waiting:
             queued = self._waiting.popleft()
             queued.charge.release()
@@ -133,11 +185,18 @@ class InputSender:
             action()
 
     def _run(self) -> None:
+        if self._stops:
+            port, done = self._stops.popleft()
+            self._running = True
+            stopping = self._workers.stop(lambda: self._halt(port))
+            stopping.add_done_callback(lambda ended: self._stopped(done, ended.result()))
+            return
         batch = self._next_batch()
         future = self._workers.start(
             lambda: [self._hand_over(queued) for queued in batch], always=self._running
         )
         self._running = True
+        self._handing = batch
         for _ in batch:
             self._waiting.popleft()
         future.add_done_callback(lambda done: self._handed(batch, done.result()))
@@ -153,11 +212,35 @@ class InputSender:
             batch.append(queued)
         return batch
 
+    def _stopped(self, done: Done, outcome: BaseException | None) -> None:
+        done(outcome)
+        self._go_on()
+
+    def _stopped_beside(self) -> None:
+        self._is_stopping_beside = False
+
+    def _halt(self, port: str | None) -> BaseException | None:
+        """Return what went wrong with a stop, in a thread beside the loop's."""
+        try:
+            self._connection.stop(port, sender=self._holder)
+        except Exception as error:  # noqa: BLE001 - reported to the one who asked
+            return error
+        return None
+
+    def _has_lease(self) -> bool:
+        ports = self._connection.plan.provider.component.inputs
+        policies = (one.endpoint.command for one in ports if one.source is None)
+        return any(one is not None and one.lease is not None for one in policies)
+
     def _handed(self, batch: list[_QueuedMessage], outcomes: list[BaseException | None]) -> None:
+        self._handing = []
         for queued, outcome in zip(batch, outcomes, strict=True):
             queued.charge.release()
             queued.done(outcome)
-        if self._waiting:
+        self._go_on()
+
+    def _go_on(self) -> None:
+        if self._waiting or self._stops:
             self._run()
             return
         self._running = False
@@ -173,13 +256,18 @@ class InputSender:
         try:
             if self._closed:
                 return self._has_ended()
+            if queued.is_stopped:
+                text = f"{self._connection.id}: the input was stopped while the command waited"
+                return CommandRefusedError(text, "stopped")
             structure = self.structure(queued.port)
             place = f"{self._connection.plan.provider.component.name}.{queued.port or 'input'}"
             message = self._read(structure, queued.message)
             check = make_check(structure, ValidationMode.ALWAYS, place)
             if check is not None:
                 check(message)
-            self._connection.send(message, queued.port)
+            self._connection.send(
+                message, queued.port, sender=self._holder, take_over=queued.take_over
+            )
         except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
         return None

@@ -77,9 +77,17 @@ const Part = ({ row }) => html`
       ["invalid", row.invalid ? short(row.invalid) : ""],
       ["raised on", row.failed ? short(row.failed) : ""],
       ["used by", row.users.join(", ")],
+      ...row.commands.map((one) => [`input ${one.name}`, command(one)]),
     ]} />
     ${row.cause && html`<${Notice} kind="bad" title="Cause">${row.cause}</${Notice}>`}
     ${row.error && html`<${Notice} kind="warn" title="Last error">${row.error}</${Notice}>`}</li>`;
+
+/** What an input that moves something does, and who commands it. */
+function command({ phase, left, lease }) {
+  const lives = left == null ? phase : `${phase}, ${span(left)} left`;
+  if (!lease) return lives;
+  return `${lives}; lease: ${lease === "free" ? lease : `${lease.id}${lease.role && ` (${lease.role})`}`}`;
+}
 
 function ConnectionPanel({ store, address }) {
   const one = store.system.connections.find((other) => other.id === address.name);

@@ -48,10 +48,16 @@ function withRows(described, open, from, deaths) {
     const health = live?.health ?? (died ? "lost" : "idle");
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
-    const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "" };
+    const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
     return { ...one, open: Boolean(live), health, cause, users, ...flow(from.get(one.name) ?? []), ...own };
   });
   return { ...described, rows, health: worst(rows.map((one) => one.health)) };
+}
+
+/** The inputs of an open component that move something: what each was told last, and who may tell it. */
+function commandsOf(live) {
+  return (live?.channels ?? []).filter(({ command }) => command).map(({ port, command, lease }) => ({
+    name: port.split(".")[1], phase: command.phase, left: command.left, lease: lease && (lease.holder ?? "free") }));
 }
 
 /** What an application's callback raises is told with the connection, whose own failure it is. */

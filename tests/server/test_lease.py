@@ -1,0 +1,185 @@
+"""Clients that command one input: who may, who is told, and that what a client held stops."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.server.conftest import Serve
+from tests.server.talk import Talk
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.client import connect
+from uoarm.config import loads
+from uoarm.errors import CommandRefusedError
+from uoarm.model import LeaseHolder, LeaseStatus
+from uoarm.server import Server, hash_token, make_token
+from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing._memory_components import Taker
+
+ROBOT = """
+version: 1
+bridges: {memory: {plugin: python}}
+functions:
+  drive:
+    components:
+      - name: base
+        bridge: memory
+        input:
+          endpoint: [base]
+          lifetime: 3600
+          stop: {message: 0}
+          lease: {duration: 3600, priorities: {safety: 10}}
+"""
+TOKENS = {"driver": make_token(), "safety": make_token()}
+ACCESS = """
+version: 1
+roles:
+  driver: {{see: ["*"], request: ["*"], send: ["*"]}}
+  safety: {{see: ["*"], request: ["*"], send: ["*"]}}
+tokens:
+  - {{name: driver, role: driver, sha256: {driver}}}
+  - {{name: safety, role: safety, sha256: {safety}}}
+"""
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
+
+
+@pytest.fixture
+def base(memory: MemoryBridge) -> Taker:
+    return memory.taker("base", {"type": "number"})
+
+
+@pytest.fixture
+def robot(memory: MemoryBridge, base: Taker) -> Iterator[RobotManager]:
+    del base
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"memory": memory}) as robot:
+        yield robot
+
+
+@pytest.fixture
+def guarded(serve: Serve, tmp_path: Path) -> Server:
+    access = tmp_path / "access.yaml"
+    access.write_text(ACCESS.format(**{name: hash_token(one) for name, one in TOKENS.items()}))
+    return serve(access=access)
+
+
+def url(server: Server) -> str:
+    return f"ws://127.0.0.1:{server.ports[0]}/"
+
+
+def enter(server: Server, name: str) -> Talk:
+    return Talk(url(server), additional_headers={"Authorization": f"Bearer {TOKENS[name]}"})
+
+
+def lease(robot: RobotManager) -> LeaseStatus:
+    (component,) = robot.status().components
+    found = component.channels[0].lease
+    assert found is not None
+    return found
+
+
+def test_one_client_commands_and_the_other_is_told_which(
+    guarded: Server, robot: RobotManager, base: Taker, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "uoarm.audit")
+    with enter(guarded, "driver") as first, enter(guarded, "driver") as second:
+        drive = first.open("drive")
+        assert second.open("drive") == drive, "they share a connection, and have a lease each"
+        first.ask("Data", drive, 1)
+        holder = LeaseHolder(f"session {first.hello['session']}", "driver")
+        assert lease(robot).holder == holder
+        error = second.refused("Data", drive, 2)
+        assert error["code"] == "leased"
+        assert f"base.default: {holder} holds its lease" in error["text"]
+        second.ask("Data", drive, 3, **{"x-take-over": True})
+        with enter(guarded, "safety") as fence:
+            fenced = LeaseHolder(f"session {fence.hello['session']}", "safety")
+            fence.open("drive")
+            fence.ask("Data", drive, 4)
+            assert second.refused("Data", drive, 5, **{"x-take-over": True})["code"] == "leased"
+            second.ask("Stop", drive)
+            assert base.taken.messages == [1, 3, 4], "it stops nothing that another commands"
+        wait(lambda: base.taken.messages == [1, 3, 4, 0])
+        wait(lambda: lease(robot).holder is None)
+
+    def audited() -> list[str]:
+        told = (json.loads(one.getMessage()).get("lease", "") for one in caplog.records)
+        return [one for one in told if one]
+
+    wait(lambda: audited()[-1:] == [f"base.default: {fenced} gave its lease back"])
+    assert audited()[0] == f"base.default: {holder} holds its lease"
+
+
+def test_a_client_stops_what_it_moves_and_what_it_may_not_stop_is_told(
+    guarded: Server, base: Taker
+) -> None:
+    with enter(guarded, "driver") as driver:
+        drive = driver.open("drive")
+        driver.ask("Data", drive, 1)
+        driver.ask("Stop", f"{drive}.default")
+        driver.ask("Stop", drive)
+        assert base.taken.messages == [1, 0]
+        assert driver.refused("Stop", f"{drive}.other")["code"] == "usage"
+        assert driver.refused("Stop", "c99")["code"] == "unknown"
+        assert driver.refused("Stop", drive, {"release": True})["code"] == "usage"
+        assert driver.refused("Stop")["code"] == "denied", "to stop all is a right of its own"
+
+
+def test_what_a_client_moved_that_is_gone_stops_and_others_may(
+    guarded: Server, robot: RobotManager, base: Taker
+) -> None:
+    with enter(guarded, "driver") as second:
+        drive = second.open("drive")
+        with enter(guarded, "driver") as first:
+            first.ask("Data", first.open("drive"), 1)
+            second.refused("Data", drive, 2)
+        wait(lambda: base.taken.messages == [1, 0])
+        wait(lambda: lease(robot).holder is None)
+        second.ask("Data", drive, 3)
+
+
+def test_the_python_client_renews_while_it_holds_and_stops_then(
+    guarded: Server, base: Taker, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def run() -> None:
+        async with connect(url(guarded), token=TOKENS["driver"]) as robot:
+            drive = await robot.request("drive")
+            assert drive.lifetimes == {"default": 3600}
+            async with drive.hold(1, period=0.001) as held:
+                await asyncio.to_thread(wait, lambda: base.taken.messages.count(1) >= 3)
+                held.message = 2
+                await asyncio.to_thread(wait, lambda: 2 in base.taken.messages)
+            assert base.taken.messages[-1] == 0
+            held_before = len(base.taken.messages)
+            async with connect(url(guarded), token=TOKENS["driver"]) as other:
+                same = await other.request("drive")
+                async with same.hold(3, period=3600):
+                    with pytest.raises(CommandRefusedError, match="holds its lease"):
+                        await drive.hold(4).__aenter__()
+            assert base.taken.messages[held_before:] == [3, 0]
+
+    asyncio.run(asyncio.wait_for(run(), patience()))
+    assert "commands live for 3600 s, and are renewed every 3600 s" in caplog.text
+
+
+@pytest.mark.needs("node")
+def test_the_javascript_client_renews_while_it_holds_and_stops_then(
+    serve: Serve, base: Taker
+) -> None:
+    script = Path(__file__).parent / "clients" / "with_holds.mjs"
+    command = ["node", "--experimental-websocket", "--no-warnings", str(script), url(serve())]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=patience(), check=False)
+    assert done.stdout == "done\n", done.stdout + done.stderr
+    assert base.taken.messages[:3] == [1, 1, 1]
+    assert base.taken.messages[-1] == 0, "the stop comes last, whenever the button was let go"
+    assert 9 not in base.taken.messages
