@@ -36,6 +36,13 @@ functions:
     components: [{{name: mover, bridge: one, input: {{endpoint: [mover]}}}}]
   scan:
     components: [{{name: laser, bridge: one, output: {{endpoint: [laser]}}}}]
+  carry:
+    components:
+      - {{name: cart, bridge: one, priority: 2,
+          inputs: {{goal: {{endpoint: [cart]}}}}, outputs: {{status: {{endpoint: [rolled]}}}}}}
+      - {{name: lift, bridge: one, priority: 1,
+          inputs: {{goal: {{endpoint: [lift], stop: {{message: 0}}}}}},
+          outputs: {{status: {{endpoint: [raised]}}}}}}
   double:
     components: [{{name: doubler, bridge: one, service: {{endpoint: [doubler]}}}}]
 {}
@@ -51,6 +58,11 @@ class Stage:
         self.next = self.one.emitter("next", NUMBER)
         self.laser = self.one.emitter("laser", SCAN)
         self.mover = self.one.taker("mover", NUMBER)
+        self.cart, self.lift = self.one.taker("cart", NUMBER), self.one.taker("lift", NUMBER)
+        self.rolled = self.one.emitter("rolled", STATUS)
+        self.raised = self.one.emitter("raised", STATUS)
+        self.wanted = self.net.emitter("wanted", NUMBER)
+        self.told = self.net.taker("told", STATUS)
         self.one.service("doubler", NUMBER, {"type": "integer"}, lambda asked: 2 * asked)
         self.seen = self.net.taker("seen", NUMBER)
         self.wish = self.net.emitter("wish", {**NUMBER, "maximum": 10})
@@ -82,6 +94,19 @@ def stage() -> Iterator[Callable[[str], Stage]]:
         one.robot.close()
 
 
+ACTION = """
+offer:
+  net:
+    carry:
+      inputs: {goal: {endpoint: [wanted]}}
+      outputs: {status: {endpoint: [told]}}
+"""
+STATUS = {
+    "type": "object",
+    "properties": {"goal_id": TEXT, "status": TEXT},
+    "required": ["goal_id", "status"],
+    "additionalProperties": False,
+}
 CAMERA = "offer: {net: {camera: {output: {endpoint: [seen]}}}}"
 ARM = "offer: {net: {arm: {input: {endpoint: [wish]}}}}"
 DOUBLE = "offer: {net: {double: {service: {endpoint: [twice]}}}}"
@@ -134,6 +159,28 @@ def test_a_service_is_called_from_a_framework(stage: Callable[[str], Stage]) -> 
         served(there, 2000)
     status = there.robot.status().offers[0]
     assert (status.calls, status.failed) == (1, 1)
+
+
+def test_goals_of_a_provider_that_dies_and_goals_that_are_refused_are_told_so(
+    stage: Callable[[str], Stage],
+) -> None:
+    there = stage(ACTION)
+    assert there.offer().state is OfferState.OPEN
+    accepted = {"goal_id": "first", "status": "accepted"}
+    there.wanted.emit(1)
+    assert there.cart.taken.wait(1) == [1]
+    there.rolled.emit(accepted)
+    there.wanted.emit(2)
+    assert there.cart.taken.wait(2) == [1, 2]
+    there.one.die("cart")
+    lost = {"goal_id": "first", "status": "lost"}
+    rejected = {"goal_id": "", "status": "rejected"}
+    assert there.told.taken.wait(3) == [accepted, lost, rejected]
+
+    wait(there.lift.channels, "the next provider was never opened")
+    there.robot.stop_all()
+    there.wanted.emit(3)
+    assert there.told.taken.wait(4)[-1] == rejected
 
 
 def test_a_service_stays_while_nobody_answers(stage: Callable[[str], Stage]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import rclpy
 import test_msgs.msg
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
@@ -70,6 +70,14 @@ def patiently(publisher: Any, message: Any) -> None:
             return
 
 
+def done(future: Any) -> Any:
+    """Wait for a future that the executor's thread completes."""
+    completed = threading.Event()
+    future.add_done_callback(lambda _: completed.set())
+    assert completed.wait(PATIENCE)
+    return future.result()
+
+
 class Doer:
     """One method per operation; what it returns is the answer."""
 
@@ -79,6 +87,9 @@ class Doer:
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
         self.ends: list[str] = []
+        self.clients: dict[str, Any] = {}
+        self.goals: list[Any] = []
+        self.steps: list[list[list[int]]] = []
 
     def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
@@ -218,6 +229,37 @@ class Doer:
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         return {}
+
+    def pursue(self, name: str, order: int) -> dict[str, Any]:
+        """Send a goal, as an ordinary action client does, and wait for its answer."""
+        if name not in self.clients:
+            self.clients[name] = ActionClient(self.node, Fibonacci, name, callback_group=self.group)
+        client, steps = self.clients[name], list[list[int]]()
+        assert client.wait_for_server(PATIENCE)
+
+        def hear(message: Any) -> None:
+            steps.append(list(message.feedback.sequence))
+
+        handle = done(client.send_goal_async(Fibonacci.Goal(order=order), hear))
+        self.goals.append(handle)
+        self.steps.append(steps)
+        return {"goal": len(self.goals) - 1, "accepted": handle.accepted}
+
+    def feedback(self, goal: int, expected: int) -> dict[str, Any]:
+        deadline = time.monotonic() + PATIENCE
+        while len(self.steps[goal]) < expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return {"steps": self.steps[goal]}
+
+    def give_up(self, goal: int) -> dict[str, Any]:
+        """Ask for the end of a goal."""
+        reply = done(self.goals[goal].cancel_goal_async())
+        return {"canceling": len(reply.goals_canceling), "code": reply.return_code}
+
+    def outcome(self, goal: int) -> dict[str, Any]:
+        """Wait for the result of a goal."""
+        reply = done(self.goals[goal].get_result_async())
+        return {"status": reply.status, "sequence": list(reply.result.sequence)}
 
     def goal_ends(self) -> dict[str, Any]:
         deadline = time.monotonic() + PATIENCE

@@ -131,10 +131,9 @@ def test_ros_calls_what_we_serve(bridge: Bridge, peer: Start) -> None:
 
 
 def test_what_cannot_be_served_says_so(bridge: Bridge) -> None:
-    for address, words in ((("/navigate", FIBONACCI), "not served"), (("/x",), "needs a type")):
-        with pytest.raises(BridgeError, match=words) as caught:
-            bridge.serve(service(*address), lambda message: message)
-        assert caught.value.reason is FailureReason.UNSUPPORTED
+    with pytest.raises(BridgeError, match="needs a type") as caught:
+        bridge.serve(service("/x"), lambda message: message)
+    assert caught.value.reason is FailureReason.UNSUPPORTED
 
 
 def test_a_handler_may_call_and_a_receiver_may_call(bridge: Bridge, peer: Start) -> None:

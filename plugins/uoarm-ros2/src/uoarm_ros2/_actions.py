@@ -19,7 +19,7 @@ from uoarm_ros2._shape import Record, shape_of
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
 
-__all__ = ["Action", "ActionSink", "ActionSource", "described", "part_structure"]
+__all__ = ["Action", "ActionSink", "ActionSource", "described", "part_structure", "records"]
 
 _STATUS = {
     1: "accepted",
@@ -35,13 +35,13 @@ _MOST_GOALS = 256
 
 def described(type_name: str) -> Description:
     """Return an action as a call: the goal as request, the result as reply."""
-    goal, _, result = _records(type_name)
+    goal, _, result = records(type_name)
     return Description(request=structure_of(goal), reply=structure_of(result))
 
 
 def part_structure(type_name: str, part: str) -> MessageStructure:
     """Return the structure of one stream of an action."""
-    goal, feedback, result = _records(type_name)
+    goal, feedback, result = records(type_name)
     if part == "goal":
         return structure_of(goal)
     members: dict[str, object] = {"goal_id": {"type": "string"}}
@@ -58,7 +58,8 @@ def part_structure(type_name: str, part: str) -> MessageStructure:
     return MessageStructure(schema, native_type=f"{type_name}.{part}")
 
 
-def _records(type_name: str) -> tuple[Record, Record, Record]:
+def records(type_name: str) -> tuple[Record, Record, Record]:
+    """Return the shapes of the goal, the feedback and the result of an action type."""
     native: Any = import_type(type_name)
     return (
         shape_of(native.Goal, f"{type_name}_Goal"),
@@ -75,7 +76,7 @@ class Action:
     """
 
     def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
-        goal, feedback, result = _records(type_name)
+        goal, feedback, result = records(type_name)
         self.name = name
         self._graph = graph
         self._write_goal = writer(goal)

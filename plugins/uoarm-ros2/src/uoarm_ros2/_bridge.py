@@ -31,6 +31,12 @@ from uoarm_ros2._end import Place
 from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._link import Relay, SameTopic
 from uoarm_ros2._middleware import Participant, Station
+from uoarm_ros2._offered_action import (
+    OfferedAction,
+    OfferedCall,
+    OfferedSink,
+    OfferedSource,
+)
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._services import Caller, Server
 from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
@@ -80,6 +86,7 @@ class Ros2Bridge(Bridge):
         self._replies: Station | None = None
         self._callers: dict[tuple[str, str], Caller] = {}
         self._actions: dict[tuple[str, str], Action] = {}
+        self._offered: dict[tuple[str, str], OfferedAction] = {}
         self._called: dict[Address, Caller | Action] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
@@ -90,7 +97,8 @@ class Ros2Bridge(Bridge):
         if endpoint.role is Role.SERVICE:
             return self._describe_service(address, settings)
         if address.kind == ACTION:
-            self._require_server(address, settings, action=True)
+            if not endpoint.is_offered:
+                self._require_server(address, settings, action=True)
             return Description(message=_actions.part_structure(address.type, address.part))
         topic = self._graph.topic(address, endpoint.role, settings)
         self._mention_others(topic, endpoint)
@@ -131,6 +139,9 @@ class Ros2Bridge(Bridge):
     ) -> Source:
         del structure  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)
+        if address.kind == ACTION and endpoint.is_offered:
+            with self._making:
+                return OfferedSource(endpoint, self._offering(address), address.part, deliver)
         if address.kind == ACTION:
             return self._open_action_source(endpoint, address, settings, deliver)
         place = self._place(endpoint, address, settings)
@@ -141,6 +152,9 @@ class Ros2Bridge(Bridge):
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         address, settings = address_of(endpoint), settings_of(endpoint)
+        if address.kind == ACTION and endpoint.is_offered:
+            with self._making:
+                return OfferedSink(endpoint, self._offering(address), address.part)
         if address.kind == ACTION:
             return ActionSink(endpoint, self._reachable(address, settings), address.part)
         place = self._place(endpoint, address, settings)
@@ -175,15 +189,13 @@ class Ros2Bridge(Bridge):
     ) -> Channel:
         del structures
         address, settings = address_of(endpoint), settings_of(endpoint)
-        if address.kind == ACTION:
-            text = f"{endpoint}: an action can be called and followed, not served; serve a service"
-            raise BridgeError(text, FailureReason.UNSUPPORTED)
         if not address.type:
-            text = f"{endpoint}: serving needs a type package/srv/Name in the address"
+            text = f"{endpoint}: serving needs a type, as package/srv/Name, in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._station.node.resolve_service_name(address.name)
+        kind = OfferedCall if address.kind == ACTION else Server
         station, at_once = self._reply_station(), settings.at_once
-        return Server(station, endpoint, name, address.type, handler, at_once, self._told)
+        return kind(station, endpoint, name, address.type, handler, at_once, self._told)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
         wanted = [(each, address_of(each), settings_of(each)) for each in (source, sink)]
@@ -205,6 +217,8 @@ class Ros2Bridge(Bridge):
 
     def _close(self) -> None:
         self._watched.clear()
+        for offered in list(self._offered.values()):
+            offered.destroy()
         self._participant.close(_CLOSE_SECONDS)
 
     def _structure(self, type_name: str, topic: str) -> MessageStructure:
@@ -275,6 +289,15 @@ class Ros2Bridge(Bridge):
                 self._actions[name, type_name] = action
             return action
 
+    def _offering(self, address: Address) -> OfferedAction:
+        """Return the server of an action; goals come where topics do, so that takers may call."""
+        name = self._station.node.resolve_service_name(address.name)
+        offered = self._offered.get((name, address.type))
+        if offered is None:
+            offered = OfferedAction(self._station, name, address.type)
+            self._offered[name, address.type] = offered
+        return offered
+
     def _reply_station(self) -> Station:
         with self._making:
             if self._replies is None:
@@ -299,8 +322,17 @@ class Ros2Bridge(Bridge):
                 tick()
         for action in list(self._actions.values()):
             action.tick()
+        self._look_after_offers()
         self._graph.tick()
         self._attendance.tick()
+
+    def _look_after_offers(self) -> None:
+        for key, offered in list(self._offered.items()):
+            offered.tick()
+            with self._making:
+                if offered.is_unused:
+                    del self._offered[key]
+                    offered.destroy()
 
 
 def _serialising(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -20,11 +21,10 @@ from uoarm_ros2._shape import Record, shape_of
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
 
-__all__ = ["Caller", "Server", "answered", "described"]
+__all__ = ["Caller", "Server", "Workers", "answered", "described"]
 
 _GLANCE_SECONDS = 0.25
 _MOST_WAITING = 256
-_Request = tuple[Any, Callable[[Any], None]]
 _log = logging.getLogger("uoarm.ros2")
 
 
@@ -101,8 +101,100 @@ class Caller:
         self._greeted = True
 
 
-class Server(Channel):
-    """A service offered to ROS; several requests are handled at once, in threads of their own.
+class Workers(Channel):
+    """What is asked of a function, handled by several threads at once; the rest waits.
+
+    Must implement: `_reply` and `_refuse`, which are called by any thread.
+
+    Args:
+        endpoint: as it was configured.
+        name: the full name.
+        handler: called by `at_once` threads at most.
+        at_once: how many.
+        report: takes changes of health.
+    """
+
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        name: str,
+        handler: Handler,
+        at_once: int,
+        report: Callable[[Channel, Health, str], None],
+    ) -> None:
+        super().__init__(endpoint)
+        self._name = name
+        self._handler = handler
+        self._at_once = at_once
+        self._report = report
+        self._lock = threading.Lock()
+        self._waiting: deque[tuple[Any, Message]] = deque()
+        self._working = 0
+        self._failing = False
+        self.failures = 0
+        self.count = 0
+
+    @abstractmethod
+    def _reply(self, asked: Any, reply: Message) -> None:
+        """Tell who asked; raises MessageError for a reply that does not fit."""
+
+    @abstractmethod
+    def _refuse(self, asked: Any, error: Exception) -> None:
+        """Tell who asked that there is no reply."""
+
+    def facts(self) -> dict[str, object]:
+        """Return how many requests came, how many wait, and how many the handler failed."""
+        waiting = len(self._waiting)
+        return {"requests": self.count, "waiting": waiting, "failures": self.failures}
+
+    @property
+    def is_full(self) -> bool:
+        """Whether as much waits as may."""
+        return len(self._waiting) >= _MOST_WAITING
+
+    def _take(self, asked: Any, message: Message) -> None:
+        """Have a request handled; in the station's thread alone."""
+        with self._lock:
+            self.count += 1
+            is_full = self.is_full
+            if not is_full:
+                self._waiting.append((asked, message))
+            starts = not is_full and self._working < self._at_once
+            self._working += starts
+        if is_full:
+            self._failed(asked, RuntimeError(f"{_MOST_WAITING} requests wait already"))
+        elif starts:
+            threading.Thread(target=self._work, name=f"serves {self._name}", daemon=True).start()
+
+    def _work(self) -> None:
+        """Handle requests until none waits."""
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._working -= 1
+                    return
+                asked, message = self._waiting.popleft()
+            try:
+                self._reply(asked, self._handler(message))
+            except Exception as error:  # noqa: BLE001 - reported, and told to the client if it can be
+                self._failed(asked, error)
+                continue
+            if self._failing:
+                self._failing = False
+                self._report(self, Health.OK, f"serving {self._name} works again")
+
+    def _failed(self, asked: Any, error: Exception) -> None:
+        with self._lock:
+            self.failures += 1
+            self._failing = True
+        cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
+        _log.warning("%s", cause)
+        self._report(self, Health.DEGRADED, cause)
+        self._refuse(asked, error)
+
+
+class Server(Workers):
+    """A service offered to ROS.
 
     When the handler fails, a reply type with `success` and `message` says so; any other client is
     left without a reply, since ROS 2 has no other way to refuse, and the channel is degraded. The
@@ -128,82 +220,34 @@ class Server(Channel):
         at_once: int,
         report: Callable[[Channel, Health, str], None],
     ) -> None:
-        super().__init__(endpoint)
+        super().__init__(endpoint, name, handler, at_once, report)
         native: Any = import_type(type_name)
         request, reply = _records(native, type_name)
+        read = reader(request)
         self._native = native
-        self._name = name
-        self._read = reader(request)
         self._write = writer(reply)
         self._refusable = {"success", "message"} <= {each.name for each in reply.fields}
-        self._handler = handler
-        self._at_once = at_once
-        self._report = report
-        self._lock = threading.Lock()
-        self._waiting: deque[_Request] = deque()
-        self._working = 0
-        self._failing = False
-        self.failures = 0
-        self.count = 0
         self._station = station
-        self._service = station.server(native, name, self._take)
-
-    def facts(self) -> dict[str, object]:
-        """Return how many requests came, how many wait, and how many the handler failed."""
-        waiting = len(self._waiting)
-        return {"requests": self.count, "waiting": waiting, "failures": self.failures}
+        self._service = station.server(
+            native, name, lambda asked, answer: self._take(answer, read(asked))
+        )
 
     def _close(self) -> None:
         # A handler that is at work may be what asked for the close: nobody waits for it.
         self._waiting.clear()
         self._station.discard(self._service)
 
-    def _take(self, request: Any, reply: Callable[[Any], None]) -> None:
-        """Have a request handled; in the station's thread."""
-        with self._lock:
-            self.count += 1
-            is_full = len(self._waiting) >= _MOST_WAITING
-            if not is_full:
-                self._waiting.append((request, reply))
-            starts = not is_full and self._working < self._at_once
-            self._working += starts
-        if is_full:
-            self._failed(RuntimeError(f"{_MOST_WAITING} requests wait already"), reply)
-        elif starts:
-            threading.Thread(target=self._work, name=f"serves {self._name}", daemon=True).start()
+    def _reply(self, asked: Any, reply: Message) -> None:
+        self._send(asked, self._write(reply))
 
-    def _work(self) -> None:
-        """Handle requests until none waits."""
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    self._working -= 1
-                    return
-                request, reply = self._waiting.popleft()
-            try:
-                answer = self._write(self._handler(self._read(request)))
-            except Exception as error:  # noqa: BLE001 - reported, and told to the client if it can be
-                self._failed(error, reply)
-                continue
-            self._send(reply, answer)
-            if self._failing:
-                self._failing = False
-                self._report(self, Health.OK, f"serving {self._name} works again")
-
-    def _failed(self, error: Exception, reply: Callable[[Any], None]) -> None:
-        with self._lock:
-            self.failures += 1
-            self._failing = True
-        cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
-        _log.warning("%s", cause)
-        self._report(self, Health.DEGRADED, cause)
+    def _refuse(self, asked: Any, error: Exception) -> None:
         if self._refusable:
-            self._send(reply, self._native.Response(success=False, message=str(error)))
+            self._send(asked, self._native.Response(success=False, message=str(error)))
 
-    def _send(self, reply: Callable[[Any], None], answer: Any) -> None:
+    def _send(self, answer: Callable[[Any], None], native: Any) -> None:
         """Send a reply; a client that is gone, or a channel that was closed, gets none."""
         try:
-            reply(answer)
+            answer(native)
         except Exception as error:  # noqa: BLE001 - rclpy's, of several kinds
             if not self._closed:
                 _log.warning("a reply of %s could not be sent: %s", self._name, error)

@@ -23,7 +23,11 @@ __all__ = [
 ]
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-_PARTS = {Role.OUTPUT: ("feedback", "result", "status"), Role.INPUT: ("goal", "cancel")}
+_PARTS = {
+    Role.OUTPUT: ("feedback", "result", "status"),
+    Role.INPUT: ("goal", "cancel"),
+    Role.SERVICE: (),
+}
 # Fast DDS announces a participant every 3 s: who starts beside us may be unseen that long.
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
@@ -123,9 +127,10 @@ def address_of(endpoint: Endpoint) -> Address:
     """
     with reading_endpoint(endpoint):
         address = _address(endpoint.address)
-        _fits(address, endpoint.role)
+        parts = _PARTS[_seen_by_clients(endpoint)]
+        _fits(address, endpoint.role, parts)
         if address.kind == ACTION and endpoint.role is not Role.SERVICE:
-            part = address.part or _default_part(endpoint)
+            part = address.part or _default_part(endpoint, parts)
             address = Address(address.name, address.type, part)
     return address
 
@@ -174,20 +179,26 @@ def _address(parts: tuple[str, ...]) -> Address:
     return address
 
 
-def _fits(address: Address, role: Role) -> None:
+def _seen_by_clients(endpoint: Endpoint) -> Role:
+    """Return what clients have at an endpoint: an action that is offered is given its status."""
+    if not endpoint.is_offered or endpoint.role is Role.SERVICE:
+        return endpoint.role
+    return Role.OUTPUT if endpoint.role is Role.INPUT else Role.INPUT
+
+
+def _fits(address: Address, role: Role, parts: tuple[str, ...]) -> None:
     wanted = (SERVICE, ACTION) if role is Role.SERVICE else (MESSAGE, ACTION)
     if address.kind not in wanted and address.type:
         kinds = " or ".join(f"package/{kind}/Name" for kind in wanted)
         raise ValueError(f"an {role.value} takes a type {kinds}, got {address.type!r}")
-    if address.part and address.part not in _PARTS.get(role, ()):
+    if address.part and address.part not in parts:
         raise ValueError(f"part {address.part!r} of an action is not an {role.value}")
 
 
-def _default_part(endpoint: Endpoint) -> str:
-    parts = _PARTS[endpoint.role]
+def _default_part(endpoint: Endpoint, parts: tuple[str, ...]) -> str:
     if endpoint.port in parts:
         return endpoint.port
-    return "result" if endpoint.role is Role.OUTPUT else "goal"
+    return "result" if "result" in parts else "goal"
 
 
 def _settings(options: Options) -> Settings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from uoarm._dataplane import Clock, Route
 from uoarm.bridge import Bridge, Channel, ServiceStructures
 from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
+    ConnectionState,
     Edge,
     Message,
     MessageStructure,
@@ -29,6 +31,8 @@ _OPEN_SECONDS = 10.0
 _DESCRIBE_SECONDS = 10.0
 _CLOSE_SECONDS = 2.0
 _KEPT_PROOFS = 16
+_GOAL, _STATUS = "goal", "status"
+_GOAL_ENDS = frozenset({"succeeded", "canceled", "aborted", "lost"})
 _log = logging.getLogger("uoarm")
 
 Transfer = Callable[[Message], Message]
@@ -70,6 +74,70 @@ class _ServiceProof:
         )  # fmt: skip
 
 
+class _GoalWatch:
+    """The goals that an offered function has: each that goes with a provider is told as lost.
+
+    A function is an action where it takes a `goal` and tells a `status`, which has `goal_id` and
+    `status` as docs/serve.md says. Whoever sent a goal that was refused, or whose provider died or
+    was replaced, would wait for ever; so the status says it in the provider's place.
+
+    Args:
+        connection: by which goals go in.
+        give: takes a status in the framework.
+    """
+
+    def __init__(self, connection: Any, give: Callable[[Message], None]) -> None:
+        self._connection = connection
+        self._give = give
+        # Held while a status is given: one is told at a time, and none of a goal after its end.
+        self._lock = threading.RLock()
+        self._unanswered: deque[object] = deque()
+        self._running: dict[str, object] = {}
+
+    def send(self, message: Message) -> None:
+        """Hand a goal to the provider of now; one that is refused is told as rejected."""
+        # Read before the goal goes in: one that meets a change of provider is lost, never kept.
+        provider = self._provider()
+        with self._lock:
+            self._unanswered.append(provider)
+        try:
+            self._connection.send(message, _GOAL)
+        except BaseException:
+            self._tell("", "rejected")
+            raise
+
+    def tell(self, message: Message) -> None:
+        """Give a status of a provider."""
+        if isinstance(message, Mapping):
+            self._tell(str(message.get("goal_id")), str(message.get("status")), message)
+
+    def look(self) -> None:
+        """Tell of goals whose provider is not the one of now; called after each change."""
+        provider = self._provider()
+        with self._lock:
+            refused = sum(each != provider for each in self._unanswered)
+            for name in [name for name, each in self._running.items() if each != provider]:
+                self._tell(name, "lost")
+            for _ in range(refused):
+                self._tell("", "rejected")
+
+    def _tell(self, name: str, status: str, message: Message = None) -> None:
+        with self._lock:
+            if status == "accepted" and self._unanswered:
+                self._running[name] = self._unanswered.popleft()
+            elif status == "rejected" and self._unanswered:
+                self._unanswered.popleft()
+            elif status in _GOAL_ENDS:
+                self._running.pop(name, None)
+            self._give({"goal_id": name, "status": status} if message is None else message)
+
+    def _provider(self) -> object:
+        """Return what tells the providers of a connection apart, as long as it goes on."""
+        gaps, state = self._connection.gaps, self._connection.state
+        is_waiting = state is ConnectionState.WAITING
+        return len(gaps), gaps[-1].time if gaps else 0.0, is_waiting
+
+
 class OfferedFunction:
     """Opens one offer, and holds all that is open for it. One thread opens and closes it.
 
@@ -95,6 +163,7 @@ class OfferedFunction:
         self._connections: list[Any] = []
         self._channels: list[Channel] = []
         self._routes: list[Route] = []
+        self._goals: _GoalWatch | None = None
         self._proofs: dict[int, tuple[Plan, _ServiceProof]] = {}
 
     @property
@@ -112,6 +181,11 @@ class OfferedFunction:
         return channel in self._channels or any(
             channel.endpoint is one for one in self.offer.endpoints
         )
+
+    def provider_changed(self) -> None:
+        """Take in that a provider behind it died or was replaced."""
+        if self._goals is not None:
+            self._goals.look()
 
     def open(self) -> None:
         """Request the function and open every port; where one fails, nothing stays open.
@@ -173,10 +247,12 @@ class OfferedFunction:
         )  # fmt: skip
         sink = self.bridge.open_sink(port.endpoint, taken, timeout=_OPEN_SECONDS)
         self._channels.append(sink)
+        hand: Callable[[Message], None] = sink.send
+        if output == _STATUS and any(one.name == _GOAL for one in self.offer.inputs):
+            self._goals = _GoalWatch(self._connections[0], sink.send)
+            hand = self._goals.tell
         queue = port.queue or (sink.default_queue if sink.blocking else None)
-        route = Route(
-            connection.id, place, sink.send, clock=self._clock, transfer=adapted, queue=queue
-        )
+        route = Route(connection.id, place, hand, clock=self._clock, transfer=adapted, queue=queue)
         self._routes.append(route)
         connection.subscribe(route.deliver)
 
@@ -201,6 +277,9 @@ class OfferedFunction:
 
         def send(message: Message) -> None:
             connection.send(message, name)
+
+        if name == _GOAL and self._goals is not None:
+            send = self._goals.send
 
         place = f"{self.offer.name}.{port.name}"
         route = Route(place, connection.id, send, clock=self._clock, transfer=adapted)

@@ -20,6 +20,7 @@ __all__ = ["Offers", "pause"]
 _log = logging.getLogger("uoarm")
 _LEAST_PAUSE, _LONGEST_PAUSE = 0.1, 30.0
 _CLOSE_SECONDS = 5.0
+_CONNECTION_CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 
 
 def pause(failures: int) -> float:
@@ -99,6 +100,7 @@ class _Keeper:
         """See whether it still is as it should; where it failed, try at once if asked `again`."""
         opened = self._opened
         if opened is not None:
+            opened.provider_changed()
             ended = opened.ended
             if ended is not None:
                 self._break(ended)
@@ -287,7 +289,7 @@ class Offers:
     def _heard(self, event: StatusEvent) -> None:
         """Have offers look again after what may concern them: an end, or something that is well."""
         kind = event.subject.partition(" ")[0]
-        wanted = {"failed", "closed"} if kind == "connection" else {Health.OK.value}
+        wanted = _CONNECTION_CHANGES if kind == "connection" else {Health.OK.value}
         if kind in {"connection", "component", "bridge"} and event.change in wanted:
             for keeper in self._keepers:
                 keeper.look(again=kind != "connection")

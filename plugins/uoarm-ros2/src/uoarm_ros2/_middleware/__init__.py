@@ -5,9 +5,18 @@ signal handlers, its logging and its global executor are left to the application
 """
 
 from uoarm_ros2._middleware._environment import environment
+from uoarm_ros2._middleware._goal_server import GoalRequest, GoalServer
 from uoarm_ros2._middleware._participant import Participant
 from uoarm_ros2._middleware._peer import Peer
 from uoarm_ros2._middleware._station import Station
 from uoarm_ros2._middleware._type_support import untyped_class
 
-__all__ = ["Participant", "Peer", "Station", "environment", "untyped_class"]
+__all__ = [
+    "GoalRequest",
+    "GoalServer",
+    "Participant",
+    "Peer",
+    "Station",
+    "environment",
+    "untyped_class",
+]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -39,6 +40,7 @@ class WaitLoop:
         with context.handle:
             self._guard = _rclpy.GuardCondition(context.handle)
         self._lock = threading.Lock()
+        self._soon: deque[Callable[[], None]] = deque()
         self._entities: tuple[Entity, ...] = ()
         self._changed = True
         self._everything: WaitSet | None = None
@@ -67,8 +69,15 @@ class WaitLoop:
         with suppress(InvalidHandle), self._guard:
             self._guard.trigger_guard_condition()
 
+    def call_soon(self, act: Callable[[], None]) -> None:
+        """Have something done in the thread that makes the turns; from any thread."""
+        self._soon.append(act)
+        self.wake()
+
     def turn(self, seconds: float) -> None:
         """Wait no longer than that for anything, and hand on all that is there."""
+        while self._soon:
+            self._soon.popleft()()
         if self._changed:
             self._build()
         now = time.monotonic()

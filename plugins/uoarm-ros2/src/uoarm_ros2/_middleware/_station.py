@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
+from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
 from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
 from uoarm_ros2._middleware._profile import new_profile
@@ -80,6 +81,10 @@ class Station:
         self._thread = threading.Thread(target=self._run, name=f"ros2 {name}", daemon=True)
         self._thread.start()
 
+    def call_soon(self, act: Callable[[], None]) -> None:
+        """Have something done in this station's thread, after what it is at; from any thread."""
+        self._loop.call_soon(act)
+
     def stop(self, limit: float) -> bool:
         """End the thread; whether it ended within `limit` seconds."""
         self._stopping = True
@@ -111,6 +116,9 @@ class Station:
     def _put_away(self) -> None:
         try:
             self._loop.close()
+            for native in self._entities:
+                if isinstance(native, GoalServer):  # of which the node knows nothing
+                    native.destroy()
             self.node.destroy_node()
         except Exception:  # noqa: BLE001 - the context must go all the same
             _log.exception("putting away a ROS 2 node failed")
@@ -125,9 +133,11 @@ class Station:
         return native
 
     def discard(self, native: Any) -> None:
-        """Destroy a publisher, subscription or service; waits for no thread that is held up."""
+        """Destroy what was made here; waits for no thread that is held up."""
         self._loop.remove(*self._entities.pop(native, ()))
-        if isinstance(native, Publisher):
+        if isinstance(native, GoalServer):
+            native.destroy()
+        elif isinstance(native, Publisher):
             self.node.destroy_publisher(native)
         elif isinstance(native, Service):
             self.node.destroy_service(native)
@@ -196,6 +206,20 @@ class Station:
         """
         service = self.node.create_service(native, name, _nothing_with)
         return self._wait_for(service, RequestEntity(service, answer))
+
+    def goal_server(
+        self,
+        native: type,
+        name: str,
+        ask: Callable[[GoalRequest], None],
+        *,
+        may_cancel: Callable[[bytes], bool],
+        cancel: Callable[[bytes], None],
+    ) -> GoalServer:
+        """Create an action server, whose goals and cancellations come in this station's thread."""
+        server = GoalServer(self.node, native, name, ask, may_cancel, cancel)
+        self._wait_for(server, GoalEntity(server))
+        return server
 
     def publishers(self, topic: str) -> tuple[Peer, ...]:
         """Return the publishers of a topic that are on the graph now."""

@@ -1,0 +1,246 @@
+"""Functions of another framework that are ROS 2 actions, with an unmodified client of rclpy."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from peers import DOMAIN, Peer
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.config import loads
+from uoarm.model import Endpoint, OfferState, Role
+from uoarm.testing import MemoryBridge, patience, wait
+
+numbers = itertools.count()
+FIBONACCI = "test_msgs/action/Fibonacci"
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+CANCEL_REJECTED = 1
+
+
+def record(**members: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": members,
+        "required": list(members),
+        "additionalProperties": False,
+    }
+
+
+INTEGER = {"type": "integer", "minimum": -(2**31), "maximum": 2**31 - 1}
+TEXT = {"type": "string"}
+SEQUENCE = record(sequence={"type": "array", "items": INTEGER})
+STATES = {"type": "string", "enum": ["accepted", "rejected", "succeeded", "canceled", "aborted"]}
+PORTS = {
+    "goal": record(order=INTEGER),
+    "cancel": record(goal_id=TEXT),
+    "status": record(goal_id=TEXT, status=STATES),
+    "feedback": record(goal_id=TEXT, feedback=SEQUENCE),
+    "result": record(goal_id=TEXT, status=STATES, result=SEQUENCE),
+}
+INPUTS = ("goal", "cancel")
+ROBOT = """
+version: 1
+bridges: {{ros: {{plugin: ros2}}, one: {{plugin: memory}}}}
+functions:
+  count:
+    components:
+      - name: best
+        bridge: one
+        priority: 2
+        inputs: {{goal: {{endpoint: [best_goal]}}, cancel: {{endpoint: [best_cancel]}}}}
+        outputs: {{status: {{endpoint: [best_status]}}, feedback: {{endpoint: [best_feedback]}},
+                  result: {{endpoint: [best_result]}}}}
+      - name: next
+        bridge: one
+        priority: 1
+        inputs: {{goal: {{endpoint: [next_goal]}}, cancel: {{endpoint: [next_cancel]}}}}
+        outputs: {{status: {{endpoint: [next_status]}}, feedback: {{endpoint: [next_feedback]}},
+                  result: {{endpoint: [next_result]}}}}
+offer:
+  ros:
+    count:
+      inputs: {{goal: &at {{endpoint: [{name}, test_msgs/action/Fibonacci]}}{cancel}}}
+      outputs: {{status: *at, feedback: *at, result: *at}}
+"""
+
+
+class Counter:
+    """A component that counts as its goals ask, when and as the test says."""
+
+    def __init__(self, bridge: MemoryBridge, name: str) -> None:
+        self._bridge = bridge
+        self._name = name
+        self.made = False
+        self.make()
+
+    def make(self) -> None:
+        self._outputs: dict[str, Any] = {}
+        self._inputs: dict[str, Any] = {}
+        for port, schema in PORTS.items():
+            made = self._bridge.taker if port in INPUTS else self._bridge.emitter
+            ports = self._inputs if port in INPUTS else self._outputs
+            ports[port] = made(f"{self._name}_{port}", schema)
+
+    def die(self) -> None:
+        for port in PORTS:
+            self._bridge.die(f"{self._name}_{port}")
+
+    def took(self, port: str, count: int) -> Any:
+        return self._inputs[port].taken.wait(count)[count - 1]
+
+    def status(self, name: str, status: str) -> None:
+        self._outputs["status"].emit({"goal_id": name, "status": status})
+
+    def feed(self, name: str, *numbers: int) -> None:
+        told = {"goal_id": name, "feedback": {"sequence": list(numbers)}}
+        self._outputs["feedback"].emit(told)
+
+    def end(self, name: str, status: str, *numbers: int) -> None:
+        result = {"sequence": list(numbers)}
+        self._outputs["result"].emit({"goal_id": name, "status": status, "result": result})
+        self.status(name, status)
+
+
+class Stage:
+    """A robot that offers `count`, and an ordinary client of the action."""
+
+    def __init__(self, ros: Bridge, client: Peer, *, cancel: bool = True) -> None:
+        memory = MemoryBridge("one")
+        self.best, self.next = Counter(memory, "best"), Counter(memory, "next")
+        self.name = f"/count_{next(numbers)}"  # its own: the client has met those before
+        text = ROBOT.format(name=self.name, cancel=", cancel: *at" if cancel else "")
+        self.robot = RobotManager(loads(text), bridges={"ros": ros, "one": memory})
+        self.client = client
+        self.robot.offer()
+        wait(lambda: self.state() is OfferState.OPEN)
+
+    def state(self) -> OfferState:
+        return self.robot.status().offers[0].state
+
+    def pursue(self, counter: Counter, name: str, count: int = 1, order: int = 5) -> int:
+        """Have the client send its goal, and the counter accept it under a name of its own."""
+        self.client.start("pursue", name=self.name, order=order)
+        assert counter.took("goal", count) == {"order": order}
+        counter.status(name, "accepted")
+        answer = self.client.answer()
+        assert answer["accepted"]
+        goal: int = answer["goal"]
+        return goal
+
+    def outcome(self, goal: int) -> tuple[int, list[int]]:
+        answer = self.client.do("outcome", goal=goal)
+        return answer["status"], answer["sequence"]
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Peer]:
+    started = Peer("client", {"ROS_DOMAIN_ID": str(DOMAIN)}, "threads")
+    yield started
+    started.end()
+
+
+@pytest.fixture
+def stage(make_bridge: Callable[..., Bridge], client: Peer) -> Iterator[Callable[..., Stage]]:
+    made: list[Stage] = []
+
+    def make(**how: Any) -> Stage:
+        made.append(Stage(make_bridge(), client, **how))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.robot.close()
+
+
+def test_goals_run_side_by_side_with_feedback_and_each_has_its_result(
+    stage: Callable[..., Stage],
+) -> None:
+    there = stage()
+    goals = [there.pursue(there.best, f"goal {number}", number) for number in (1, 2)]
+    for number in (1, 2):
+        there.best.feed(f"goal {number}", number)
+        there.best.feed(f"goal {number}", number, number)
+    for number, goal in enumerate(goals, 1):
+        steps = there.client.do("feedback", goal=goal, expected=2)["steps"]
+        assert steps == [[number], [number, number]]
+    there.best.end("goal 2", "succeeded", 2, 2, 2)
+    there.best.end("goal 1", "aborted", 1)
+    assert there.outcome(goals[1]) == (SUCCEEDED, [2, 2, 2])
+    assert there.outcome(goals[0]) == (ABORTED, [1])
+
+
+def test_a_goal_is_rejected_or_cancelled(stage: Callable[..., Stage]) -> None:
+    there = stage()
+    there.client.start("pursue", name=there.name, order=-1)
+    there.best.took("goal", 1)
+    there.best.status("goal 1", "rejected")
+    assert not there.client.answer()["accepted"]
+    goal = there.pursue(there.best, "goal 2", 2)
+    assert there.client.do("give_up", goal=goal) == {"canceling": 1, "code": 0}
+    assert there.best.took("cancel", 1) == {"goal_id": "goal 2"}
+    there.best.end("goal 2", "canceled", 7)
+    assert there.outcome(goal) == (CANCELED, [7])
+
+
+def test_a_function_may_cancel_a_goal_by_itself(stage: Callable[..., Stage]) -> None:
+    there = stage(cancel=False)
+    goal = there.pursue(there.best, "goal")
+    refused = {"canceling": 0, "code": CANCEL_REJECTED}
+    assert there.client.do("give_up", goal=goal) == refused
+    there.best.end("goal", "canceled")
+    assert there.outcome(goal) == (CANCELED, [])
+
+
+def test_goals_of_a_provider_that_dies_are_aborted_and_the_next_one_takes_others(
+    stage: Callable[..., Stage],
+) -> None:
+    there = stage()
+    goal = there.pursue(there.best, "goal")
+    there.client.start("pursue", name=there.name, order=5)
+    there.best.took("goal", 2)
+    there.best.die()
+    assert not there.client.answer()["accepted"]
+    assert there.outcome(goal) == (ABORTED, [])
+    goal = there.pursue(there.next, "goal")
+    there.next.end("goal", "succeeded", 1)
+    assert there.outcome(goal) == (SUCCEEDED, [1])
+
+
+def test_goals_are_aborted_when_nobody_provides_them_any_more(stage: Callable[..., Stage]) -> None:
+    there = stage()
+    there.next.die()
+    goal = there.pursue(there.best, "goal")
+    there.best.die()
+    assert there.outcome(goal) == (ABORTED, [])
+    wait(lambda: there.state() is not OfferState.OPEN)
+
+
+def test_a_service_is_an_action_without_feedback(bridge: Bridge, client: Peer) -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def count(goal: Any) -> Any:
+        entered.set()
+        assert leave.wait(patience())
+        if goal["order"] < 0:
+            raise ValueError("cannot count backwards")
+        return {"sequence": list(range(goal["order"]))}
+
+    at = Endpoint("ros", "offer", Role.SERVICE, ("/served", FIBONACCI), is_offered=True)
+    channel = bridge.serve(at, count)
+    first = client.do("pursue", name="/served", order=3)
+    assert entered.wait(patience())
+    refused = {"canceling": 0, "code": CANCEL_REJECTED}
+    assert client.do("give_up", goal=first["goal"]) == refused
+    leave.set()
+    second = client.do("pursue", name="/served", order=-1)
+    ends = [client.do("outcome", goal=each["goal"]) for each in (first, second)]
+    assert ends == [
+        {"status": SUCCEEDED, "sequence": [0, 1, 2]},
+        {"status": ABORTED, "sequence": []},
+    ]
+    assert channel.facts() == {"requests": 2, "waiting": 0, "failures": 1}
