@@ -13,7 +13,7 @@ from uoarm.testing import MemoryBridge, wait
 
 SPEED = {
     "type": "object",
-    "properties": {"v": {"type": "number"}, "note": {"type": "string"}},
+    "properties": {"v": {"type": "number", "x-unit": "m/s"}, "note": {"type": "string"}},
     "required": ["v"],
 }
 STOP, GO = {"v": 0.0}, {"v": 0.5}
@@ -97,6 +97,29 @@ def test_what_cannot_stop_or_be_limited_is_no_candidate(
     memory.taker("base", SPEED)
     with robot(memory, settings) as manager, pytest.raises(ResolutionError, match=told):
         manager.request("drive")
+
+
+@pytest.mark.parametrize(
+    ("unit", "more", "told"),
+    [
+        ({}, "", None),
+        ({}, ", meaning: stated", "rests on shape alone: v"),
+        ({"x-unit": "m/s"}, "", "strict: both sides state what every number means"),
+    ],
+)
+def test_what_moves_is_fed_only_what_says_what_it_means(
+    memory: MemoryBridge, unit: dict[str, str], more: str, told: str | None
+) -> None:
+    fields = {"v": {"type": "number", **unit}, "note": {"type": "string"}}
+    memory.emitter("planner", {**SPEED, "properties": fields})
+    memory.taker("base", SPEED)
+    settings = f"from: plan, lifetime: 0.1, stop: {{message: {{v: 0.0}}}}{more}"
+    with robot(memory, settings) as manager:
+        if told is None:
+            with pytest.raises(ResolutionError, match="v: not both sides say what it means"):
+                manager.resolve("drive")
+        else:
+            assert told in str(manager.resolve("drive"))
 
 
 def test_a_lifetime_shorter_than_the_senders_period_is_warned_of_with_both(

@@ -138,7 +138,10 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
         for one in found.differences
     ]
     if meaning.level is MeaningLevel.STRICT:
-        sentence = "nothing says what it means on both sides, which meaning: strict demands"
+        sentence = (
+            "not both sides say what it means, as `meaning: strict` demands, which is what inputs "
+            "that move something have: state it (`x-unit`), or say `meaning: stated` there"
+        )
         reasons += [Reason(sentence, path) for path in unstated]
     if reasons:
         return EdgeVerdict(False, tuple(reasons), unstated=unstated, differences=found.differences)

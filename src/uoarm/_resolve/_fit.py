@@ -7,7 +7,16 @@ from collections.abc import Mapping
 from attrs import field, frozen
 
 from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
-from uoarm.model import Component, Edge, Input, Meaning, MessageStructure, Output, Reason
+from uoarm.model import (
+    Component,
+    Edge,
+    Input,
+    Meaning,
+    MeaningLevel,
+    MessageStructure,
+    Output,
+    Reason,
+)
 
 __all__ = ["Fit"]
 
@@ -91,6 +100,7 @@ class Fit:
                 for one in judged.warnings
             ),
             unstated=tuple(judged.unstated),
+            strict=port.meaning.level is MeaningLevel.STRICT,
         )
 
     def _judge(self, key: _Key) -> Judgement:

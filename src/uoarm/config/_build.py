@@ -181,6 +181,8 @@ def _component(function: str, value: Mapping[str, Any], meaning: Meaning) -> Com
 
 
 def _input(port: str, value: Mapping[str, Any], endpoint: Endpoint, meaning: Meaning) -> Input:
+    if endpoint.command is not None:
+        meaning = evolve(meaning, level=MeaningLevel.STRICT)
     return Input(
         name=port,
         endpoint=endpoint,

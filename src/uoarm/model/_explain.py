@@ -52,6 +52,8 @@ def tell_plan(plan: Plan) -> str:
         how = " through a map" if edge.mapping is not None else ""
         lines.append(f"  {edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}{how}")
         lines.extend(f"      allowed loss: {loss}" for loss in edge.losses)
+        if edge.strict:
+            lines.append("      strict: both sides state what every number means")
         if edge.unstated:
             shown = [one or "the whole message" for one in edge.unstated[:_MAX_PATHS]]
             more = len(edge.unstated) - len(shown)

@@ -54,7 +54,7 @@ class Edge:
     """A checked connection from one component's output to another's input.
 
     `unstated` has the paths of numbers and octets that fit in shape and of whose meaning one side
-    says nothing.
+    says nothing; `strict` says that there may be none.
     """
 
     producer: str
@@ -67,6 +67,7 @@ class Edge:
     losses: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     unstated: tuple[str, ...] = ()
+    strict: bool = False
 
 
 @frozen
