@@ -1,0 +1,60 @@
+"""A simulated base, as any ROS 2 node: drives as /cmd_vel says, and tells /odom where it is.
+
+Like many a real one it has no timeout of its own: it goes on until it is told to stop.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+_SECONDS = 0.05
+
+
+class Base(Node):  # type: ignore[misc]  # rclpy has no types
+    """A base that does at once what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__("base")
+        self._told = Twist()
+        self._x = self._y = self._heading = 0.0
+        self._odometry = self.create_publisher(Odometry, "/odom", 10)
+        self.create_subscription(Twist, "/cmd_vel", self._take, 10)
+        self.create_timer(_SECONDS, self._move)
+
+    def _take(self, twist: Twist) -> None:
+        if twist != self._told:
+            speed, turn = twist.linear.x, twist.angular.z
+            text = f"driving at {speed:.2f} m/s, turning at {turn:.2f} rad/s"
+            print(text if speed or turn else "standing still", flush=True)
+        self._told = twist
+
+    def _move(self) -> None:
+        self._heading += _SECONDS * self._told.angular.z
+        self._x += _SECONDS * self._told.linear.x * cos(self._heading)
+        self._y += _SECONDS * self._told.linear.x * sin(self._heading)
+        told = Odometry()
+        told.pose.pose.position.x, told.pose.pose.position.y = self._x, self._y
+        told.pose.pose.orientation.z = sin(self._heading / 2)
+        told.pose.pose.orientation.w = cos(self._heading / 2)
+        told.twist.twist = self._told
+        self._odometry.publish(told)
+
+
+def main() -> None:
+    """Drive until interrupted."""
+    rclpy.init()
+    print("standing still", flush=True)
+    try:
+        rclpy.spin(Base())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""The base of examples/drive: a page drives it while a button is held, and so does a terminal."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.server.browser import Browser, find_chromium
+
+from uoarm.testing import patience, wait
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "drive"
+DOMAIN = str(64 + os.getpid() % 38)
+pytestmark = [pytest.mark.needs("chromium", "ros2"), pytest.mark.long]
+
+
+class Drive:
+    """The example as a user starts it."""
+
+    def __init__(self, folder: Path) -> None:
+        self._output = folder / "out"
+        ports = ["--robot-port", "0", "--page-port", "0"]
+        self.environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": DOMAIN,
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "XDG_STATE_HOME": str(folder),
+        }
+        with self._output.open("wb") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, str(EXAMPLE / "drive.py"), *ports],
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                env={**self.environment, "PYTHONUNBUFFERED": "1"},
+            )
+
+    @property
+    def told(self) -> str:
+        return self._output.read_text()
+
+    def address(self, pattern: str) -> str:
+        wait(lambda: re.search(pattern, self.told) is not None or self.process.poll() is not None)
+        found = re.search(pattern, self.told)
+        assert found is not None, self.told
+        return found[1]
+
+    def moves(self) -> list[str]:
+        """What the base said that it does, in order."""
+        return re.findall(r"standing still|driving at [-.\d]+ m/s", self.told)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Iterator[Drive]:
+    drive = Drive(tmp_path)
+    yield drive
+    drive.process.send_signal(signal.SIGINT)
+    assert drive.process.wait(patience()) == 0, drive.told
+
+
+def test_the_base_drives_while_a_button_is_held(drive: Drive) -> None:
+    robot = drive.address(r"serving (ws://\S+?/)")
+    page = drive.address(r"open (http://\S+?/)")
+    program = find_chromium()
+    assert program is not None
+    with Browser(program) as browser:
+        browser.show(400, 700)
+        browser.go(f"{page}?robot={robot}")
+        browser.until("document.getElementById('place').textContent.includes('m/s')")
+        middle = (
+            "const {x, y, width, height} = document.querySelector('button').getBoundingClientRect()"
+        )
+        place = browser.js(
+            f"(() => {{ {middle}; return {{x: x + width / 2, y: y + height / 2}}; }})()"
+        )
+        press = {"button": "left", "clickCount": 1, **place}
+        browser.tell("Input.dispatchMouseEvent", type="mousePressed", **press)
+        wait(lambda: drive.moves()[-1] == "driving at 0.30 m/s")
+        browser.until("document.getElementById('place').textContent.includes('at 0.30 m/s')")
+        terminal = [sys.executable, str(EXAMPLE / "terminal.py"), "--url", robot]
+        refused = subprocess.run(terminal, capture_output=True, text=True, check=False)
+        assert refused.returncode == 1
+        assert "holds its lease" in refused.stderr
+        assert drive.moves() == ["standing still", "driving at 0.30 m/s"]
+        browser.tell("Input.dispatchMouseEvent", type="mouseReleased", **press)
+        wait(lambda: drive.moves() == ["standing still", "driving at 0.30 m/s", "standing still"])
+        assert browser.js("document.getElementById('told').textContent") == ""
+    driven = subprocess.run([*terminal, "--seconds", "0.5"], check=False)
+    assert driven.returncode == 0
+    wait(lambda: drive.moves()[-2:] == ["driving at 0.20 m/s", "standing still"])
