@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm.model import OverflowPolicy, QueuePolicy
+from uoarm.server.streams._memory import Memory
 from uoarm.server.streams._outbox import Lane, Outbox
 
 
@@ -26,7 +27,7 @@ def lane(length: int = 100, policy: OverflowPolicy = OverflowPolicy.DROP_OLDEST)
 async def drain(outbox: Outbox) -> list[bytes]:
     frames = []
     while not outbox.empty:
-        frames.append((await outbox.next())[0])
+        frames.append((await outbox.next())[0][0])
     return frames
 
 
@@ -183,6 +184,23 @@ def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
     run(work())
 
 
+def test_small_frames_are_taken_together_and_held_until_they_are_written() -> None:
+    async def work() -> None:
+        account = Memory(10_000, 10_000).open()
+        outbox = Outbox(1000, 10, account)
+        many = lane(10)
+        for number in range(4):
+            outbox.put(many, b"%d" % number * 10)
+        outbox.tell(b"reply", text=True)
+        frames = await outbox.next(26)  # the reply, two whole messages, and one that passes it
+        assert [frame[:1] for frame, _ in frames] == [b"r", b"0", b"1", b"2"]
+        assert (many.sent, account.held) == (3, 45)
+        assert [frame[:1] for frame, _ in await outbox.next(26)] == [b"3"]
+        assert account.held == 10
+
+    run(work())
+
+
 def test_it_is_emptied_once_more_for_what_came_since() -> None:
     async def work() -> None:
         outbox = Outbox(1000, 10)
@@ -190,7 +208,7 @@ def test_it_is_emptied_once_more_for_what_came_since() -> None:
 
         async def take() -> None:
             while True:
-                taken.append((await outbox.next())[0])
+                taken.append((await outbox.next())[0][0])
 
         taking = asyncio.ensure_future(take())
         for frame in (b"first", b"second"):
@@ -227,7 +245,8 @@ def test_every_message_is_sent_waits_or_is_counted(plan: list[tuple[str, int]]) 
             elif step == "reply":
                 outbox.tell(b"r", text=False)
             elif not outbox.empty:
-                await outbox.next()
+                frames = await outbox.next(number)
+                assert sum(len(frame) for frame, _ in frames[:-1]) < number
         for count, one in zip(put, lanes, strict=True):
             assert count == one.sent + one.dropped + len(one.waiting)
         waiting = [len(frame) for one in lanes for _, frames in one.waiting for frame in frames]

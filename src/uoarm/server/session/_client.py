@@ -25,6 +25,8 @@ __all__ = ["Client", "Session"]
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
+_WRITE_OCTETS = 2**16
+"""Written in one go: small frames cost a third of the time then; a reply waits for no more."""
 
 
 class Session(Protocol):
@@ -208,12 +210,12 @@ class Client:
 
     async def _write(self) -> None:
         while True:
-            frame, text = await self.outbox.next()
+            frames = await self.outbox.next(_WRITE_OCTETS)
             self._writing_since = time.monotonic()
-            await self._socket.send(frame, text=text)
+            await self._socket.send_frames(frames)
             self._writing_since = None
-            self.sent += 1
-            self.sent_bytes += len(frame)
+            self.sent += len(frames)
+            self.sent_bytes += sum(len(frame) for frame, _ in frames)
 
 
 def _is_drop(error: ConnectionClosed) -> bool:

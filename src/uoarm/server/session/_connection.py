@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
@@ -63,6 +64,29 @@ class TurnConnection(ServerConnection):
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
+
+    async def send_frames(self, frames: Iterable[tuple[bytes, bool]]) -> None:
+        """Send messages, each with whether it is text, with one write to the socket.
+
+        Waits until the socket takes more. Only one task may send.
+
+        Raises:
+            ConnectionClosed: the connection is closed.
+        """
+        async with self.send_context():
+            for frame, text in frames:
+                if text:
+                    self.protocol.send_text(frame)
+                else:
+                    self.protocol.send_binary(frame)
+
+    def send_data(self) -> None:
+        """Write what the protocol has to send; see `websockets.asyncio.connection.Connection`."""
+        waiting = self.protocol.writes
+        if len(waiting) > 1 and b"" not in waiting:  # which stands for the end of the stream
+            self.transport.writelines(self.protocol.data_to_send())
+        else:
+            super().send_data()
 
     @property
     def unread_octets(self) -> int:

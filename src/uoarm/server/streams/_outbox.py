@@ -68,7 +68,7 @@ class Lane:
 class Outbox:
     """Frames for one client, all in the loop's thread.
 
-    A reply never waits behind data, save for the one frame that is being written. Streams take
+    A reply never waits behind data, save for what is being written. Streams take
     turns. When too much waits the oldest of the fullest stream is dropped and counted, but not the
     only message of a stream as long as there is room for it. Replies and the last messages of
     streams are never dropped: with too many of them `overflowed` is set, and the client must be cut
@@ -101,7 +101,7 @@ class Outbox:
         self._bytes = 0
         self._last_bytes = 0
         self._reply_bytes = 0
-        self._written: tuple[Charge, int] = (self._replies_held, 0)
+        self._written: dict[Charge, int] = {}
         self._filled = asyncio.Event()
         self._emptied = asyncio.Event()
         self.overflowed = False
@@ -174,18 +174,33 @@ class Outbox:
         if lane in self._turns:
             self._turns.remove(lane)
 
-    async def next(self) -> tuple[bytes, bool]:
-        """Wait for the next frame; returns it and whether it is text.
+    async def next(self, octets: int = 1) -> list[tuple[bytes, bool]]:
+        """Wait for frames to write; returns each and whether it is text.
 
-        Its memory counts as held until the next one is asked for: then it has been written.
+        One, and those that wait behind it until they are this many octets together. Their memory
+        counts as held until the next are asked for: then they have been written.
         """
-        held, size = self._written
-        _grow(held, -size)
-        self._written = (held, 0)
+        for held, size in self._written.items():
+            _grow(held, -size)
+        self._written.clear()
         while self.empty:
             self._filled.clear()
             self._emptied.set()
             await self._filled.wait()
+        frames: list[tuple[bytes, bool]] = []
+        while octets > 0 and not self.empty:
+            frame, text = self._take_frame()
+            octets -= len(frame)
+            frames.append((frame, text))
+        return frames
+
+    async def emptied(self) -> None:
+        """Wait until nothing waits."""
+        if not self.empty:
+            self._emptied.clear()
+            await self._emptied.wait()
+
+    def _take_frame(self) -> tuple[bytes, bool]:
         held = self._data_held
         if self._replies:
             frame, text = self._replies.popleft()
@@ -195,14 +210,8 @@ class Outbox:
             if not self._pieces:
                 self._begin_message()
             frame, text = self._pieces.popleft()
-        self._written = (held, len(frame))
+        self._written[held] = self._written.get(held, 0) + len(frame)
         return frame, text
-
-    async def emptied(self) -> None:
-        """Wait until nothing waits."""
-        if not self.empty:
-            self._emptied.clear()
-            await self._emptied.wait()
 
     def _begin_message(self) -> None:
         lane = self._turns.popleft()
