@@ -104,6 +104,12 @@ def resident(process: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def busy_seconds(process: int) -> float:
+    """Return the processor time that a process has taken."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 async def round_trips(url: str, *, binary: bool) -> tuple[Row, Row]:
     form = "CBOR" if binary else "JSON"
     async with native(url, binary=binary) as speaker:
@@ -206,8 +212,10 @@ async def measure_own(clients: int) -> None:
             ("hz4000", "4,000 Hz of 1 KB"),
             ("flood", "as fast as they come, 1 KB"),
         ):
+            before = busy_seconds(process)
             rate, lost = await flow(url, source, binary=False)
-            rates.append((what, f"{rate:,.0f}", f"{lost:.1%} lost"))
+            each = (busy_seconds(process) - before) / (rate * SECONDS) * 1e6
+            rates.append((what, f"{rate:,.0f}", f"{lost:.1%} lost, {each:.0f} us CPU each"))
         for binary in (False, True):
             rate, _ = await flow(url, "pictures", binary=binary, parse=False)
             rates.append(
