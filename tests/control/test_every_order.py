@@ -9,7 +9,7 @@ from functools import partial
 import pytest
 from hypothesis import note, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 from tests.control.world import FACE, NAME, OTHERS, Plans, World, discovered
 
 from uoarm.model import ConnectionState, FailoverPolicy
@@ -178,3 +178,77 @@ class Walk(RuleBasedStateMachine):
 
 TestWalk = Walk.TestCase
 TestWalk.settings = settings(stateful_step_count=60, max_examples=40)
+
+
+def running(world: World) -> list[object]:
+    """Return what the connections of a world have open, whatever numbers its parts have."""
+    names = {number: one.name for number, one in world.state.components.items()}
+    told: list[object] = []
+    for record in world.state.connections.values():
+        placed = record.placement
+        edges = [world.state.edges[number] for number in placed.edges]
+        told.append(
+            (
+                str(record.wanted),
+                sorted(names[number] for number in placed.components.values()),
+                sorted((one.key, names[one.producer], str(one.edge)) for one in edges),
+            )
+        )
+    return told
+
+
+class Changes(RuleBasedStateMachine):
+    """Requests, kills and changes of configuration in any order, finished or not."""
+
+    @initialize(robot=st.sampled_from(sorted(PLANS)))
+    def begin(self, robot: str) -> None:
+        self.world = World(PLANS[robot], POLICIES["failover"])
+
+    @rule(choice=st.integers(0, 10_000))
+    def work(self, choice: int) -> None:
+        there = [
+            move
+            for name, move in self.world.moves()
+            if name.startswith(("do ", "late ")) and "fail" not in name
+        ]
+        if there:
+            there[choice % len(there)](self.world)
+
+    @precondition(lambda self: len(self.world.state.connections) < 4)
+    @rule(function=st.sampled_from(FUNCTIONS))
+    def ask(self, function: str) -> None:
+        world = self.world
+        if function in world.plans.robot.functions:
+            world.request(f"c{len(world.asked)}", function)
+
+    @precondition(lambda self: len(self.world.state.connections) > 2)
+    @rule(choice=st.integers(0, 2))
+    def kill(self, choice: int) -> None:
+        self.world.kill(sorted(self.world.state.connections)[choice])
+
+    @rule(change=st.sampled_from([*CHANGED, "back"]), is_awaited=st.booleans())
+    def configure(self, change: str, *, is_awaited: bool) -> None:
+        first = self.world.first
+        self.world.configure(first if change == "back" else CHANGED[change][first.text])
+        if is_awaited:
+            self.compare()
+
+    def compare(self) -> None:
+        """Let all that is under way end, and compare what is open with a fresh start."""
+        world = self.world
+        world.settle()
+        world.check_at_rest()
+        fresh = World(world.plans, POLICIES["failover"])
+        for record in world.state.connections.values():
+            fresh.request(record.id, record.wanted.function)
+        fresh.settle()
+        assert running(world) == running(fresh)
+        assert len(world.open) == len(fresh.open)
+
+    def teardown(self) -> None:
+        if hasattr(self, "world"):
+            self.compare()
+
+
+TestChanges = Changes.TestCase
+TestChanges.settings = settings(stateful_step_count=20, max_examples=30)

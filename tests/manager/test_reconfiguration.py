@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from attrs import evolve
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
 from tests.manager import stage
 
 from uoarm import RobotManager
@@ -267,3 +269,49 @@ def test_what_can_be_open_only_once_is_closed_before_it_is_opened_anew(
     wait(lambda: device.gaps)
     stage.script.put({"value": 1})
     assert device.get(timeout=patience()) == {"value": 6}
+
+
+STEPS = {
+    "better": OTHER_CAMERA,
+    "as it was": ROBOT,
+    "spare first": ROBOT.replace("priority: 2", "priority: 0"),
+    "finder of the other": ROBOT.replace(
+        "{name: finder, bridge: two", "{name: finder, bridge: one"
+    ),
+}
+
+
+def running(robot: RobotManager, lab: Lab) -> object:
+    """Return what is open, as connections and bridges have it."""
+    plans = sorted(str(one.plan) for one in robot.connections())
+    components = sorted((one.name, len(one.users)) for one in robot.status().components)
+    return plans, components, {name: one.open_channels for name, one in lab.bridges.items()}
+
+
+@settings(max_examples=10, phases=[Phase.generate])  # an example that fails takes long
+@given(st.lists(st.sampled_from([*STEPS, "face", "camera", "kill"]), min_size=4, max_size=8))
+def test_any_sequence_of_changes_ends_in_what_a_fresh_start_would_open(steps: list[str]) -> None:
+    lab, heard = Lab("one", "two"), list[object]()
+    last = ROBOT
+    with RobotManager(loads(ROBOT), bridges=lab.bridges) as robot:
+        robot.request("lamp", on_message=heard.append)
+        others = [robot.request("face"), robot.request("camera")]
+        for number, step in enumerate(steps):
+            lab.emit("two.light", number)
+            if step in STEPS:
+                last = STEPS[step]
+                robot.apply(loads(last))
+            elif step != "kill":
+                others.append(robot.request(step))
+            elif len(others) > 1:
+                others.pop(0).kill()
+            lab.emit("two.light", -1 - number)
+        fresh_lab = Lab("one", "two")
+        with RobotManager(loads(last), bridges=fresh_lab.bridges) as fresh:
+            for connection in robot.connections():
+                fresh.request(connection.plan.function)
+            expected = running(fresh, fresh_lab)
+            wait(lambda: running(robot, lab) == expected)
+        sent = [one for number in range(len(steps)) for one in (number, -1 - number)]
+        wait(lambda: len(heard) == len(sent))
+        assert heard == sent
