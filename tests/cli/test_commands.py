@@ -131,6 +131,15 @@ def test_resolve_explains(robot: str) -> None:
     assert [step["component"]["name"] for step in plan["steps"]] == ["counter", "doubler"]
 
 
+def test_resolve_shows_where_a_function_is_offered(robot: str) -> None:
+    with Path(robot).open("a") as file:
+        file.write("offer: {python: {count: {output: {endpoint: ['cli_counting:keep']}}}}\n")
+    told = run("resolve", "count", "-f", robot, "--explain").output
+    assert told.endswith("offered in python at cli_counting:keep\n")
+    plan = json.loads(run("resolve", "count", "-f", robot, "--json").output)
+    assert plan["offers"] == [{"bridge": "python", "endpoints": [["cli_counting:keep"]]}]
+
+
 def test_a_refusal_exits_with_one_and_shows_the_counterexample(robot: str) -> None:
     result = run("resolve", "misfit", "-f", robot)
     assert result.exit_code == 1

@@ -30,6 +30,10 @@ def take(message: int) -> None:
     pass
 
 
+def few() -> Iterator[int]:
+    yield from range(3)
+
+
 def narrow(message: str) -> None:
     pass
 """
@@ -65,6 +69,16 @@ def test_what_cannot_be_offered_is_a_failure_with_its_cause(tmp_path: Path) -> N
     status = json.loads(output)
     assert (code, status["state"]) == (4, "failed")
     assert "does not fit ['parts:narrow']" in status["cause"]
+
+
+def test_it_ends_when_all_that_is_offered_has_finished(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    offers = "offer: {python: {count: {output: {endpoint: ['parts:take']}}}}"
+    text = ROBOT.format(offers).replace("Numbers", "few")
+    (tmp_path / "robot.yaml").write_text(text)
+    done = CliRunner().invoke(main, ["offer", "-f", str(tmp_path / "robot.yaml")])
+    assert done.exit_code == 0, done.output
+    assert "python:count" in done.output
 
 
 def test_a_file_without_offers_is_no_use(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from uoarm import RobotManager
-from uoarm._control.offers.offers import pause
+from uoarm._control.offers.offer_machine import OfferMachine, Work, pause
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, MessageError, ResolutionError
 from uoarm.model import Endpoint, Health, OfferState, OfferStatus, Role
@@ -260,8 +260,86 @@ def test_closing_leaves_nothing(stage: Callable[[str], Stage]) -> None:
     assert there.robot.status().offers[0].state is OfferState.CLOSED
 
 
+def test_a_source_that_has_finished_is_told_and_not_played_again(
+    stage: Callable[[str], Stage],
+) -> None:
+    there = stage(f"{CAMERA[:-2]}, arm: {{input: {{endpoint: [wish]}}}}}}}}")
+    told: list[str] = []
+    there.robot.listen(
+        lambda event: told.append(event.change) if event.subject == "offer net:camera" else None
+    )
+    there.robot.offer(timeout=patience())
+    there.best.emit(1)
+    assert there.seen.taken.wait(1)[-1] == 1
+    there.one.report(Health.FINISHED, "the film is over", component="best")
+    wait(lambda: there.state() is OfferState.FINISHED, "the end was never told")
+    status = there.robot.status().offers[0]
+    assert (status.cause, status.connections) == ("component 'best' finished", ())
+    assert not there.seen.channels()
+    there.one.report(Health.OK, "all is well")  # upon which what failed would be opened again
+    wait(lambda: told == ["open", "finished"])
+    there.apply("")
+    assert there.robot.status().offers == ()
+
+
+@pytest.mark.parametrize(
+    ("robot", "function", "port", "fits"),
+    [
+        ("", "", "", True),
+        ("meaning: strict", "", "", False),
+        ("meaning: strict", "", ", meaning: stated", True),
+        ("", "meaning: strict,", "", False),
+        ("", "", ", meaning: strict", False),
+    ],
+)
+def test_an_offer_is_judged_by_meaning_as_robot_function_and_port_say(
+    robot: str, function: str, port: str, *, fits: bool
+) -> None:
+    one, net = MemoryBridge("one"), MemoryBridge("net")
+    one.emitter("gyro", {**NUMBER, "x-unit": "deg"})
+    net.taker("angle", NUMBER)
+    text = f"""
+version: 1
+{robot}
+bridges: {{one: {{plugin: memory}}, net: {{plugin: memory}}}}
+functions:
+  turn: {{{function} components: [{{name: gyro, bridge: one, output: {{endpoint: [gyro]}}}}]}}
+offer: {{net: {{turn: {{output: {{endpoint: [angle]{port}}}}}}}}}
+"""
+    with RobotManager(loads(text), bridges={"one": one, "net": net}) as manager:
+        (status,) = manager.offer(timeout=patience())
+    assert (status.state is OfferState.OPEN) is fits, status.cause
+    assert fits or "meaning: strict demands" in status.cause
+
+
 def test_pauses_grow_to_half_a_minute() -> None:
     assert [pause(failures) for failures in (1, 2, 3, 6, 100)] == [1, 2, 4, 30, 30]
+
+
+def test_what_breaks_again_and_again_is_opened_with_pauses() -> None:
+    machine, opened = OfferMachine(), []
+    for now in range(20):
+        if machine.begin(now) is Work.OPEN:
+            opened.append(now)
+            machine.opened()
+            machine.broke("it fell over")
+            assert machine.begin(now) is Work.CLOSE
+            assert machine.begin(now) is None  # it is under way
+            machine.closed(now)
+    assert opened == [0, 1, 2, 4, 8, 16]
+    machine.retry(18)
+    assert machine.begin(18) is Work.OPEN
+
+
+def test_what_is_ended_while_it_opens_is_closed() -> None:
+    machine = OfferMachine()
+    assert machine.begin(0) is Work.OPEN
+    machine.end()
+    assert machine.begin(0) is None
+    machine.opened()
+    assert machine.begin(0) is Work.CLOSE
+    machine.closed(0)
+    assert (machine.begin(0), machine.due, machine.state) == (None, None, OfferState.CLOSED)
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, source, stamped
+from endpoints import Inbox, endpoint, sink, source, stamped
 from peers import Peer
 from plain import plain
 
@@ -79,6 +80,15 @@ GOAL = {
     "required": ["joint"],
     "additionalProperties": False,
 }
+ASKED = {
+    "type": "object",
+    "properties": {"words": {"type": "string"}},
+    "required": ["words"],
+    "additionalProperties": False,
+}
+ANSWERED = {**ASKED, "properties": {"return": {"type": "string"}}, "required": ["return"]}
+LOUD = "  loud: {components: [{name: loud, bridge: one, service: {endpoint: [loud]}}]}\n"
+LOUD_OFFER = 'loud: {service: {endpoint: [self, helper, "Mover::echo"]}}'
 UNTYPED = """
 version: 1
 bridges: {rtm: {}, one: {plugin: memory}}
@@ -187,3 +197,31 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
         assert talker.connect(nameserver, "Robot.rtc", "goal", wish) == "RTC_OK"
         talker.write({"joint": -5})
         assert goal.taken.wait(1) == [{"joint": -5}]
+
+
+def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
+    make_bridge: Make, nameserver: str
+) -> None:
+    one = MemoryBridge("one")
+    pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
+    one.emitter("loose", POSE)
+    one.service("loud", ASKED, ANSWERED, lambda asked: {"return": asked["words"].upper()})
+    options = {"nameserver": nameserver, "component": "Far", "idl": IDL, "call_timeout": 60}
+    text = UNTYPED.replace("rtm: {}", f"rtm: {{options: {json.dumps(options)}, host: true}}")
+    text = text.replace("loose: {output: {endpoint: [self, loose]}}", LOUD_OFFER)
+    text = text.replace("offer:", LOUD + "offer:")
+    with RobotManager(loads(text), bridges={"one": one}) as robot:
+        for status in robot.offer(timeout=patience()):
+            assert status.state is OfferState.OPEN, status.cause
+        theirs: Any = make_bridge("other", idl=IDL)
+        ports = {port.name: port for port in theirs._directory.peer("Far.rtc").ports}
+        idl = [ports[name].properties["uoarm.idl"] for name in ("pose", "goal")]
+        theirs = make_bridge("typed", idl=[IDL, *idl])
+        inbox = Inbox()
+        source(theirs, endpoint(Role.OUTPUT, "Far.rtc", "pose"), inbox)
+        pose.emit(POSED)
+        assert plain(inbox.wait_for(1)[0]) == plain(POSED)
+        sink(theirs, endpoint(Role.INPUT, "Far.rtc", "goal")).send({"joint": -5})
+        assert goal.taken.wait(1) == [{"joint": -5}]
+        asked = endpoint(Role.SERVICE, "Far.rtc", "helper", "Mover::echo", timeout=patience())
+        assert theirs.call(asked, {"words": "hi"}, timeout=patience()) == {"return": "HI"}

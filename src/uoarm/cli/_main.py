@@ -38,6 +38,7 @@ from uoarm.cli._status import status
 from uoarm.cli._stop import stop
 from uoarm.cli._types import types
 from uoarm.config import inspect, load
+from uoarm.model import to_json
 from uoarm.schema._command import schema
 
 __all__ = ["main"]
@@ -115,10 +116,18 @@ def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
                 told = {"function": error.function, "error": str(error)}
                 print_json({**told, "rejected": error.rejections})
             raise
+        offers = [one for one in robot.config.offers if one.function == plan.function]
     if as_json:
-        print_json(plan)
+        places = [
+            {"bridge": one.bridge, "endpoints": [each.address for each in one.endpoints]}
+            for one in offers
+        ]
+        print_json({**to_json(plan), "offers": to_json(places)})
     elif explain:
         click.echo(plan)
+        for one in offers:
+            where = ", ".join(" ".join(each.address) for each in one.endpoints)
+            click.echo(f"offered in {one.bridge} at {where}")
     else:
         click.echo(" -> ".join(step.component.name for step in plan.steps))
 

@@ -14,6 +14,7 @@ from uoarm.model import OfferState, OfferStatus, StatusEvent, to_json
 __all__ = ["offer"]
 
 _COLOURS = {OfferState.OPEN: "green", OfferState.FAILED: "red"}
+_FINE = {OfferState.OPEN, OfferState.FINISHED}
 
 
 @click.command()
@@ -22,6 +23,8 @@ _COLOURS = {OfferState.OPEN: "green", OfferState.FAILED: "red"}
 @click.option("--once", is_flag=True, help="Try each offer once, close it again, and end.")
 def offer(file: str, *, as_json: bool, once: bool) -> None:
     """Offer functions in frameworks, as `offer:` says, until Ctrl-C or SIGTERM.
+
+    It ends by itself when the sources of all that is offered have finished.
 
     One line for each offer, and for each change after that. What cannot be opened is tried again.
     With --once the exit code is 4 where one could not be opened.
@@ -34,9 +37,17 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
         for status in statuses:
             click.echo(json.dumps(to_json(status)) if as_json else _line(status))
         if not once:
-            robot.listen(lambda event: _tell(event, as_json=as_json))
-            threading.Event().wait()
-    if any(status.state is not OfferState.OPEN for status in statuses):
+            over = threading.Event()
+
+            def heard(event: StatusEvent) -> None:
+                _tell(event, as_json=as_json)
+                if _is_over(robot.status().offers):
+                    over.set()
+
+            robot.listen(heard)
+            if not _is_over(robot.status().offers):  # before anybody listened
+                over.wait()
+    if any(status.state not in _FINE for status in statuses):
         sys.exit(BRIDGE)
 
 
@@ -44,6 +55,10 @@ def _line(status: OfferStatus) -> str:
     state = click.style(status.state.value, fg=_COLOURS.get(status.state))
     where = ", ".join(" ".join(one) for one in status.endpoints)
     return f"{status.name} {state} at {where}" + (f": {status.cause}" if status.cause else "")
+
+
+def _is_over(statuses: tuple[OfferStatus, ...]) -> bool:
+    return all(status.state is OfferState.FINISHED for status in statuses)
 
 
 def _tell(event: StatusEvent, *, as_json: bool) -> None:

@@ -52,7 +52,7 @@ def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> R
     failover = _failover(value.get("failover", {}))
     hosts = _listening(value["hosts"], origin) if "hosts" in value else None
     offers = tuple(
-        _offer(bridge, function, one)
+        _offer(bridge, function, one, _at_level(value["functions"][function], meaning))
         for bridge, offered in value.get("offer", {}).items()
         for function, one in offered.items()
     )
@@ -211,7 +211,7 @@ def _lease(value: Mapping[str, Any]) -> LeasePolicy:
     return LeasePolicy(value["duration"], tuple(value.get("priorities", {}).items()))
 
 
-def _offer(bridge: str, function: str, value: Mapping[str, Any]) -> Offer:
+def _offer(bridge: str, function: str, value: Mapping[str, Any], meaning: Meaning) -> Offer:
     offer = Offer(bridge, function)
 
     def endpoint(port: str, settings: Mapping[str, Any], role: Role) -> Endpoint:
@@ -227,6 +227,7 @@ def _offer(bridge: str, function: str, value: Mapping[str, Any]) -> Offer:
                 tuple(settings.get("allow_loss", ())),
                 _structure(settings, "structure"),
                 _queue(settings["queue"]) if "queue" in settings else None,
+                _at_level(settings, meaning),
             )
             for port, settings in _ports(value, one, several).items()
         )
@@ -236,11 +237,13 @@ def _offer(bridge: str, function: str, value: Mapping[str, Any]) -> Offer:
         offer,
         outputs=ports("output", "outputs", Role.INPUT),
         inputs=ports("input", "inputs", Role.OUTPUT),
-        service=None if service is None else _offered_service(service, endpoint),
+        service=None if service is None else _offered_service(service, endpoint, meaning),
     )
 
 
-def _offered_service(value: Mapping[str, Any], endpoint: Callable[..., Endpoint]) -> OfferedService:
+def _offered_service(
+    value: Mapping[str, Any], endpoint: Callable[..., Endpoint], meaning: Meaning
+) -> OfferedService:
     maps, losses = value.get("map", {}), value.get("allow_loss", {})
     return OfferedService(
         endpoint("default", value, Role.SERVICE),
@@ -251,6 +254,7 @@ def _offered_service(value: Mapping[str, Any], endpoint: Callable[..., Endpoint]
         tuple(losses.get("request", ())),
         tuple(losses.get("reply", ())),
         float(value.get("timeout", 10)),
+        _at_level(value, meaning),
     )
 
 

@@ -7,11 +7,13 @@ from enum import Enum
 
 from attrs import field, frozen
 
-from uoarm.model._component import Endpoint
+from uoarm.model._component import Endpoint, Meaning
 from uoarm.model._queue import QueuePolicy
 from uoarm.model._structure import MessageStructure
 
 __all__ = ["Offer", "OfferState", "OfferStatus", "OfferedPort", "OfferedService"]
+
+_STATED = Meaning()
 
 
 @frozen
@@ -27,6 +29,7 @@ class OfferedPort:
         allow_loss: fields that may be dropped on the way, by path.
         declared: the structure in the framework, where the configuration says it.
         queue: of an output, what to do when the framework is slower; None: the default.
+        meaning: how the meaning of what passes is judged.
     """
 
     name: str
@@ -35,6 +38,7 @@ class OfferedPort:
     allow_loss: tuple[str, ...] = ()
     declared: MessageStructure | None = None
     queue: QueuePolicy | None = None
+    meaning: Meaning = _STATED
 
 
 @frozen
@@ -50,6 +54,7 @@ class OfferedService:
         request_losses: fields of a caller's request that may be dropped, by path.
         reply_losses: fields of the function's reply that may be dropped, by path.
         timeout: seconds that one call may take.
+        meaning: how the meaning of both messages is judged.
     """
 
     endpoint: Endpoint
@@ -60,6 +65,7 @@ class OfferedService:
     request_losses: tuple[str, ...] = ()
     reply_losses: tuple[str, ...] = ()
     timeout: float = 10.0
+    meaning: Meaning = _STATED
 
 
 @frozen
@@ -85,11 +91,15 @@ class Offer:
 
 
 class OfferState(Enum):
-    """Whether a function is there for a framework; one that failed is tried again."""
+    """Whether a function is there for a framework; one that failed is tried again.
+
+    FINISHED is an orderly end: its source has nothing more to say, and is not played again.
+    """
 
     OPENING = "opening"
     OPEN = "open"
     FAILED = "failed"
+    FINISHED = "finished"
     CLOSED = "closed"
 
 

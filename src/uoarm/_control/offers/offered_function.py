@@ -15,6 +15,7 @@ from uoarm.errors import BridgeError, ResolutionError
 from uoarm.model import (
     ConnectionState,
     Edge,
+    Meaning,
     Message,
     MessageStructure,
     Offer,
@@ -66,11 +67,13 @@ class _ServiceProof:
             "what callers ask does not fit the service",
             Edge(offer.name, "request", offer.function, "request", asked, given["request"],
                  service.request_mapping, service.request_losses),
+            service.meaning,
         )  # fmt: skip
         self.reply = _proven(
             "what the service replies does not fit what callers get",
             Edge(offer.function, "reply", offer.name, "reply", given["reply"], answered,
                  service.reply_mapping, service.reply_losses),
+            service.meaning,
         )  # fmt: skip
 
 
@@ -172,9 +175,18 @@ class OfferedFunction:
         return tuple(one.id for one in self._connections)
 
     @property
-    def ended(self) -> str | None:
-        """Why a connection behind it has ended, None while all go on."""
-        return next((one.cause or "killed" for one in self._connections if one.ended), None)
+    def broken(self) -> str | None:
+        """Why a connection behind it has ended that should not have; None while there is none."""
+        for one in self._connections:
+            if one.ended and (one.state is ConnectionState.FAILED or not one.cause):
+                return str(one.cause or "its connection was killed")
+        return None
+
+    @property
+    def finished(self) -> str | None:
+        """Why nothing more will come: the sources of all its connections have finished."""
+        ended = [one.cause for one in self._connections if one.ended]
+        return str(ended[-1]) if ended and len(ended) == len(self._connections) else None
 
     def owns(self, channel: Channel) -> bool:
         """Say whether a channel is one of its own."""
@@ -244,6 +256,7 @@ class OfferedFunction:
             f"output {output!r} does not fit {list(port.endpoint.address)}",
             Edge(step.component.name, output, self.offer.name, port.name, given, taken,
                  port.mapping, port.allow_loss),
+            port.meaning,
         )  # fmt: skip
         sink = self.bridge.open_sink(port.endpoint, taken, timeout=_OPEN_SECONDS)
         self._channels.append(sink)
@@ -273,6 +286,7 @@ class OfferedFunction:
             f"{list(port.endpoint.address)} does not fit the input {name!r}",
             Edge(self.offer.name, port.name, step.component.name, name, given, taken,
                  port.mapping, port.allow_loss),
+            port.meaning,
         )  # fmt: skip
 
         def send(message: Message) -> None:
@@ -356,14 +370,15 @@ def _settled(
     return known or ours
 
 
-def _proven(what: str, edge: Edge) -> Transfer | None:
+def _proven(what: str, edge: Edge, meaning: Meaning) -> Transfer | None:
     """Return the adapter of an edge, None where messages pass unchanged.
 
     Raises:
-        ResolutionError: not every message fits; the text says why, and what would mend it.
+        ResolutionError: not every message fits, or means something else; the text says why, and
+            what would mend it.
     """
     verdict = check_edge(
-        edge.producer_structure, edge.consumer_structure, edge.mapping, edge.losses
+        edge.producer_structure, edge.consumer_structure, edge.mapping, edge.losses, meaning
     )
     if not verdict.compatible:
         reasons = [line for reason in verdict.reasons for line in tell_reason(reason)]

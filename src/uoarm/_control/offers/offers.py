@@ -1,4 +1,4 @@
-"""What the configuration offers: kept open, each offer by a thread of its own."""
+"""What the configuration offers: kept open by worker threads, as `OfferMachine` says."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ import time
 from collections.abc import Callable
 
 from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.offers.offer_machine import OfferMachine, Work
 from uoarm._control.offers.offered_function import Functions, OfferedFunction
 from uoarm._control.runtime.event_dispatcher import EventDispatcher
+from uoarm._control.runtime.timer import Timer
 from uoarm._dataplane import Clock
+from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
 
-__all__ = ["Offers", "pause"]
+__all__ = ["Offers"]
 
 _log = logging.getLogger("uoarm")
-_LEAST_PAUSE, _LONGEST_PAUSE = 0.1, 30.0
 _CLOSE_SECONDS = 5.0
 _CONNECTION_CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
 
 
-def pause(failures: int) -> float:
-    """Return how many seconds to wait after so many failures in a row: 1, 2, 4, up to 30."""
-    return float(min(_LONGEST_PAUSE, 2 ** min(failures - 1, 8)))
-
-
 class _Keeper:
-    """Keeps one offer open until it is told to end: opens it, and again when something broke.
+    """Keeps one offer open until it is told to end.
+
+    No thread waits for it: `drive` has a worker thread do what is due, and has the timer call it
+    when something will be.
 
     Attributes:
         tried: set once the first attempt is through, whatever it came to.
@@ -42,6 +42,8 @@ class _Keeper:
         bridges: BridgeSet,
         events: EventDispatcher,
         clock: Clock,
+        start: Callable[[Callable[[], None]], object],
+        timer: Timer,
     ) -> None:
         self.offer = offer
         self.tried = threading.Event()
@@ -49,28 +51,30 @@ class _Keeper:
         self._bridges = bridges
         self._events = events
         self._clock = clock
-        self._changed = threading.Condition()
-        self._state, self._cause = OfferState.OPENING, ""
+        self._start = start
+        self._timer = timer
+        self._lock = threading.Lock()
+        self._machine = OfferMachine()
+        self._told = self._machine.state, ""
         self._opened: OfferedFunction | None = None
-        self._broken: str | None = None
-        self._is_over = self._is_asked = False
-        name = f"uoarm-offer-{offer.name}"
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
+        self._worker: threading.Thread | None = None
+        self._ended = threading.Event()
 
     def status(self) -> OfferStatus:
         """Return what the status map shows."""
         opened = self._opened
+        with self._lock:
+            state, cause = self._machine.state, self._machine.cause
         return OfferStatus(
             name=self.offer.name,
             function=self.offer.function,
             bridge=self.offer.bridge,
-            state=self._state,
+            state=state,
             endpoints=tuple(one.address for one in self.offer.endpoints),
             connections=() if opened is None else opened.connections,
             calls=0 if opened is None else opened.calls,
             failed=0 if opened is None else opened.failed,
-            cause=self._cause,
+            cause=cause,
         )
 
     def routes(self) -> tuple[RouteStatus, ...]:
@@ -89,10 +93,13 @@ class _Keeper:
             return False
         if channel is not None and channel.closed:
             return True
-        if event.health in {Health.LOST, Health.FINISHED}:
-            self._break(event.cause)
+        if event.health is Health.LOST:
+            self._tell(lambda machine: machine.broke(event.cause))
+        elif event.health is Health.FINISHED:
+            self._tell(lambda machine: machine.finished(event.cause))
         elif not is_whole:
-            self._cause = event.cause if event.health is Health.DEGRADED else ""
+            cause = event.cause if event.health is Health.DEGRADED else ""
+            self._tell(lambda machine: machine.degraded(cause))
             self._events.post(f"offer {self.offer.name}", event.health.value, event.cause)
         return not is_whole
 
@@ -101,95 +108,101 @@ class _Keeper:
         opened = self._opened
         if opened is not None:
             opened.provider_changed()
-            ended = opened.ended
-            if ended is not None:
-                self._break(ended)
-            elif not self._bridges.is_in_use(opened.bridge):
-                self._break(f"bridge {self.offer.bridge!r} is another one")
-        with self._changed:
-            self._is_asked = self._is_asked or again
-            self._changed.notify_all()
+            self._judge(opened)
+            if not self._bridges.is_in_use(opened.bridge):
+                cause = f"bridge {self.offer.bridge!r} is another one"
+                with self._lock:
+                    self._machine.broke(cause)
+        if again:
+            with self._lock:
+                self._machine.retry(self._clock())
+        self.drive()
 
     def end(self) -> None:
         """Have it close what is open, and end. Returns at once; `join` waits."""
-        with self._changed:
-            self._is_over = True
-            self._changed.notify_all()
+        self._tell(lambda machine: machine.end())
 
     def join(self, timeout: float) -> None:
-        """Wait until it has ended."""
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout)
+        """Wait until it has ended; not in the thread that is to end it."""
+        if self._worker is not threading.current_thread():
+            self._ended.wait(timeout)
 
-    def _break(self, cause: str) -> None:
-        with self._changed:
-            if self._broken is None:
-                self._broken = cause
-                self._changed.notify_all()
+    def drive(self) -> None:
+        """Have a worker thread do what is due, if nothing is under way. Waits for nothing."""
+        work = self._next()
+        if work is None:
+            return
+        try:
+            self._start(lambda: self._do(work))
+        except RuntimeError as error:  # the system gives no more threads
+            with self._lock:
+                self._machine.failed(str(error), self._clock())
+                self._timer.wake_at(self._clock() + 1)
 
-    def _run(self) -> None:
-        failures = 0
-        while not self._is_over:
-            begun = self._clock()
-            with self._changed:
-                self._broken, self._is_asked = None, False
+    def _tell(self, told: Callable[[OfferMachine], None]) -> None:
+        with self._lock:
+            told(self._machine)
+        self.drive()
+
+    def _next(self) -> Work | None:
+        """Return what is to be done now, and tell of what has changed."""
+        with self._lock:
+            machine = self._machine
+            work = machine.begin(self._clock())
+            now = machine.state, "" if machine.state is OfferState.OPEN else machine.cause
+            if now != self._told:  # under the lock, so that events come in order
+                self._told = now
+                self._events.post(f"offer {self.offer.name}", now[0].value, now[1])
+            if work is None and machine.due is not None:
+                self._timer.wake_at(machine.due)
+        if machine.is_tried or machine.state is OfferState.CLOSED:
+            self.tried.set()
+        if machine.state is OfferState.CLOSED:
+            self._ended.set()
+        return work
+
+    def _do(self, first: Work) -> None:
+        """Do what is to be done, and what follows from it."""
+        self._worker = own = threading.current_thread()
+        work: Work | None = first
+        while work is not None:
             try:
-                self._open()
+                if work is Work.OPEN:
+                    self._open()
+                else:
+                    self._close()
             except Exception as error:  # noqa: BLE001 - the status shows it whatever it is
                 if not isinstance(error, UoarmError):
                     _log.exception("offering %s failed", self.offer.name)
-                self._fail(str(error) or type(error).__name__)
-                failures += 1
-                self.tried.set()
-                self._rest(pause(failures))
-                continue
-            self.tried.set()
-            self._wait_for_the_end()
-            self._close()
-            # What broke is opened at once; what breaks again and again, as a source that has
-            # nothing more to say, is not opened as often as the processor can.
-            failures = failures + 1 if self._clock() - begun < _LONGEST_PAUSE else 0
-            if failures > 1:
-                self._rest(pause(failures - 1))
-        self._turn(OfferState.CLOSED, "")
-        self.tried.set()
+                self._opened = None
+                with self._lock:
+                    self._machine.failed(str(error) or type(error).__name__, self._clock())
+            work = self._next()
+        if self._worker is own:
+            self._worker = None
 
     def _open(self) -> None:
         bridge = self._bridges.get(self.offer.bridge)
         opened = OfferedFunction(self.offer, self._functions, bridge, self._clock)
         self._opened = opened  # before it opens: a channel may report at once
         opened.open()
-        ended = opened.ended
-        if ended is not None:  # before anybody could know whose connection it was
-            self._break(ended)
-        self._turn(OfferState.OPEN, "")
+        with self._lock:
+            self._machine.opened()
+        self._judge(opened)  # what ended before anybody could know whose connection it was
 
-    def _fail(self, cause: str) -> None:
-        self._opened = None
-        if self._state is not OfferState.FAILED or cause != self._cause:
-            self._turn(OfferState.FAILED, cause)
-
-    def _wait_for_the_end(self) -> None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_over or self._broken is not None)
-            cause = self._broken
-        if cause is not None and not self._is_over:
-            self._turn(OfferState.OPENING, cause)
-
-    def _rest(self, seconds: float) -> None:
-        """Wait until the time is up, or something is well again, but a tenth of a second."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_over, _LEAST_PAUSE)
-            self._changed.wait_for(lambda: self._is_over or self._is_asked, seconds)
+    def _judge(self, opened: OfferedFunction) -> None:
+        with self._lock:
+            if opened.broken is not None:
+                self._machine.broke(opened.broken)
+            elif opened.finished is not None:
+                self._machine.finished(opened.finished)
 
     def _close(self) -> None:
         opened, self._opened = self._opened, None
         if opened is not None:
             opened.close()
-
-    def _turn(self, state: OfferState, cause: str) -> None:
-        self._state, self._cause = state, cause
-        self._events.post(f"offer {self.offer.name}", state.value, cause)
+        with self._lock:
+            self._machine.closed(self._clock())
 
 
 class Offers:
@@ -218,6 +231,8 @@ class Offers:
         self._clock = clock
         self._lock = threading.Lock()
         self._keepers: tuple[_Keeper, ...] = ()
+        self._workers = WorkerPool("uoarm-offer")
+        self._timer = Timer(clock, self._time_reached)
         self._has_begun = False
         self._stop_listening: Callable[[], None] | None = None
         self._closed = threading.Event()
@@ -249,7 +264,7 @@ class Offers:
                 return
             kept = {one.offer.name: one for one in self._keepers if one not in gone}
             self._keepers = tuple(kept.get(one.name) or self._keeper(one) for one in wanted)
-        for keeper in kept.values():
+        for keeper in self._keepers:
             keeper.look()
 
     def reported(self, event: HealthEvent) -> bool:
@@ -282,9 +297,23 @@ class Offers:
         deadline = time.monotonic() + _CLOSE_SECONDS
         for keeper in keepers:
             keeper.join(max(0.0, deadline - time.monotonic()))
+        self._timer.close()
+        self._workers.close(drop=False)
 
     def _keeper(self, offer: Offer) -> _Keeper:
-        return _Keeper(offer, self._functions, self._bridges, self._events, self._clock)
+        return _Keeper(
+            offer,
+            self._functions,
+            self._bridges,
+            self._events,
+            self._clock,
+            self._workers.submit,
+            self._timer,
+        )
+
+    def _time_reached(self) -> None:
+        for keeper in self._keepers:
+            keeper.drive()
 
     def _heard(self, event: StatusEvent) -> None:
         """Have offers look again after what may concern them: an end, or something that is well."""
