@@ -25,7 +25,7 @@ autodoc_typehints = "signature"
 _OPTIONAL = (
     *("cbor2", "hypothesis", "msgpack", "omniORB", "orjson", "prometheus_client", "pybase64"),
     *("CosNaming", "PortableServer", "_omnipy", "defusedxml", "numpy", "pytest", "serial"),
-    *("cryptography", "websockets", "zenoh"),
+    *("cryptography", "paho", "websockets", "zenoh"),
 )
 sys.path += map(str, Path(__file__).parents[1].glob("plugins/*/src"))
 autodoc_mock_imports = [name for name in _OPTIONAL if find_spec(name) is None]

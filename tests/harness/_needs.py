@@ -66,6 +66,10 @@ NEEDS = {
     "mqtt": Need(
         "pip install -e 'plugins/uoarm-mqtt[dev]'", packages=("uoarm_mqtt", "paho", "trustme")
     ),
+    "vda5050": Need(
+        "pip install -e 'plugins/uoarm-mqtt[dev]' -e 'plugins/uoarm-vda5050[dev]'",
+        packages=("uoarm_vda5050", "paho", "trustme"),
+    ),
     "mosquitto": Need("apt install mosquitto", programs=("mosquitto", "/usr/sbin/mosquitto")),
     "mosquitto-clients": Need("apt install mosquitto-clients", programs=("mosquitto_sub",)),
     "rosbridge": Need(
@@ -91,6 +95,7 @@ MODULES = {
     "plugins/uoarm-rtm/tests/*": ("rtm",),
     "plugins/uoarm-rocos/tests/*": ("rocos",),
     "plugins/uoarm-mqtt/tests/*": ("mqtt", "mosquitto"),
+    "plugins/uoarm-vda5050/tests/*": ("vda5050", "mosquitto"),
     "plugins/uoarm-rosbridge/tests/*": ("rosbridge",),
 }
 """What a whole module needs, also for being imported."""

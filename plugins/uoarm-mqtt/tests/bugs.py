@@ -187,7 +187,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "tells the break with each attempt to connect",
-        _link.Link,
+        _link.BrokerConnection,
         "_down",
         told_twice,
         Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
@@ -203,7 +203,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "says nothing of a broker that is killed",
-        _link.Link,
+        _link.BrokerConnection,
         "_down",
         nothing,
         Breaking.test_a_break_is_told_with_its_cause_and_so_is_its_end,
@@ -319,7 +319,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "does not ask for what is retained",
-        _link.Link,
+        _link.BrokerConnection,
         "_subscribe",
         without_retained,
         Flow.test_a_retained_message_comes_first,
@@ -343,7 +343,7 @@ BUGS: tuple[Bug, ...] = (
     ),
     Bug(
         "leaves the connection open when it is closed",
-        _link.Link,
+        _link.BrokerConnection,
         "close",
         nothing,
         Ending.test_no_thread_and_no_descriptor_stays_behind,

@@ -47,7 +47,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
         return noted
 
-    for owner in (_link.Link, _channels.Backlog):
+    for owner in (_link.BrokerConnection, _channels.Backlog):
         monkeypatch.setattr(owner, "__init__", noting(owner.__init__))
     yield
     for one in opened:

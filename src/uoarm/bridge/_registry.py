@@ -26,6 +26,7 @@ _KNOWN = {
     "rtm": ("uoarm-rtm", ""),
     "rocos": ("uoarm-rocos", ""),
     "mqtt": ("uoarm-mqtt", ""),
+    "vda5050": ("uoarm-vda5050", ""),
 }
 
 

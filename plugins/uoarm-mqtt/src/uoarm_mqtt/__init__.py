@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
-from uoarm_mqtt._options import BRIDGE_OPTIONS, mistake
+from uoarm_mqtt._options import BRIDGE_OPTIONS, CONNECTION_OPTIONS, mistake
 
-__all__ = ["uoarm_bridge_types"]
+__all__ = ["CONNECTION_OPTIONS", "uoarm_bridge_types"]
 
 
 def _create(name: str, options: Options) -> Bridge:

@@ -24,7 +24,7 @@ from uoarm.model import Deliver, Endpoint, Message, MessageStructure, Options, R
 from uoarm_mqtt._channels import TopicSink, TopicSource
 from uoarm_mqtt._codec import STRUCTURES, Codec, with_topic
 from uoarm_mqtt._known import Components, read_schema
-from uoarm_mqtt._link import Link
+from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import Port, mistake, settings_of
 from uoarm_mqtt._services import Calls, ServedTopic
 from uoarm_mqtt._subscriptions import Incoming, Receiver
@@ -40,7 +40,7 @@ class MqttBridge(Bridge):
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         self._given: dict[str, Any] = dict(options)
-        self._broker = Link(name, settings_of(name, options), self.report)
+        self._broker = BrokerConnection(name, settings_of(name, options), self.report)
         self._components = Components(
             self._broker,
             self._given.get("retained_wait", 0.2),
@@ -67,14 +67,15 @@ class MqttBridge(Bridge):
         schema: Any = structure.schema
         inner = MessageStructure(schema) if not port.with_topic else _inner(schema)
         codec = Codec.of(port.content, inner, self._broker.settings.budget)
-        return TopicSource(endpoint, port, codec, self._broker, deliver, self._tell)
+        topic = endpoint.address[0]
+        return TopicSource(endpoint, topic, port, codec, self._broker, deliver, self._tell)
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
         port = self._port(endpoint)
         self._require_there(endpoint, port)
         codec = Codec(port.content, self._broker.settings.budget)
-        return TopicSink(endpoint, port, codec, self._broker, self._tell)
+        return TopicSink(endpoint, endpoint.address[0], port, codec, self._broker, self._tell)
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float

@@ -11,7 +11,7 @@ from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message
 from uoarm_mqtt._codec import CONTENT_TYPES, Codec
-from uoarm_mqtt._link import Link, Outcome
+from uoarm_mqtt._link import BrokerConnection, Outcome
 from uoarm_mqtt._options import Port
 from uoarm_mqtt._subscriptions import Incoming, Receiver
 
@@ -81,13 +81,14 @@ class TopicSource(Source):
     def __init__(
         self,
         endpoint: Endpoint,
+        topic: str,
         port: Port,
         codec: Codec,
-        link: Link,
+        link: BrokerConnection,
         deliver: Deliver,
         report: Report,
     ) -> None:
-        has_one_topic = not {"+", "#"} & set(endpoint.address[0].split("/"))
+        has_one_topic = not {"+", "#"} & set(topic.split("/"))
         super().__init__(endpoint, latched=port.retain and has_one_topic)
         self._port, self._codec, self._link = port, codec, link
         self._deliver, self._report = deliver, report
@@ -96,8 +97,7 @@ class TopicSource(Source):
         self._is_degraded = False
         budget = codec.budget
         most, octets = link.settings.backlog, 8 * budget.octets
-        self._backlog = Backlog(f"uoarm-mqtt-{endpoint.address[0]}", self._take, most, octets)
-        topic = endpoint.address[0]
+        self._backlog = Backlog(f"uoarm-mqtt-{topic}", self._take, most, octets)
         self._receiver = Receiver(
             f"$share/{port.share}/{topic}" if port.share else topic,
             self._backlog.put,
@@ -149,11 +149,17 @@ class TopicSink(Sink):
     blocking = False
 
     def __init__(
-        self, endpoint: Endpoint, port: Port, codec: Codec, link: Link, report: Report
+        self,
+        endpoint: Endpoint,
+        topic: str,
+        port: Port,
+        codec: Codec,
+        link: BrokerConnection,
+        report: Report,
     ) -> None:
         super().__init__(endpoint)
         self._port, self._codec, self._link, self._report = port, codec, link, report
-        self._topic = endpoint.address[0]
+        self._topic = topic
         self._changed = threading.Condition()
         self._under_way = self._lost = self._refused = self._unheard = 0
         self._is_degraded = False

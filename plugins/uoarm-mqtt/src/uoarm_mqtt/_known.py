@@ -12,7 +12,7 @@ from jsonschema import Draft202012Validator, SchemaError
 from uoarm.errors import BridgeError, ControlMessageError, FailureReason, MessageError
 from uoarm.model import Budget, Health
 from uoarm_mqtt._codec import Codec
-from uoarm_mqtt._link import Link
+from uoarm_mqtt._link import BrokerConnection
 from uoarm_mqtt._options import Presence
 from uoarm_mqtt._subscriptions import Incoming, Receiver
 
@@ -25,7 +25,9 @@ _NOTHING = b""
 class Watched:
     """The last message of one topic, kept up to date until the connection is closed."""
 
-    def __init__(self, link: Link, topic: str, changed: Callable[[bytes], None]) -> None:
+    def __init__(
+        self, link: BrokerConnection, topic: str, changed: Callable[[bytes], None]
+    ) -> None:
         self.payload = _NOTHING
         self._changed = changed
         self._came = threading.Event()
@@ -57,7 +59,9 @@ class Components:
         told: is called with a component's name, health and cause when it comes or goes.
     """
 
-    def __init__(self, link: Link, wait: float, told: Callable[[str, Health, str], object]) -> None:
+    def __init__(
+        self, link: BrokerConnection, wait: float, told: Callable[[str, Health, str], object]
+    ) -> None:
         self._link, self._wait, self._told = link, wait, told
         self._lock = threading.Lock()
         self._watched: dict[object, Watched] = {}

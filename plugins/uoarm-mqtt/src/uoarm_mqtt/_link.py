@@ -25,7 +25,7 @@ from uoarm_mqtt._options import Settings
 from uoarm_mqtt._outage import Outage
 from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
 
-__all__ = ["Link", "Outcome", "properties"]
+__all__ = ["BrokerConnection", "Outcome", "properties"]
 
 _STEP_SECONDS = 4.0
 """How long one step waits for the broker: less than the manager does, so that the cause is told."""
@@ -95,7 +95,7 @@ class _Client(Client):
 
 
 @define(eq=False)
-class Link:
+class BrokerConnection:
     """Connects at the first use, again after each break, and to nothing once it is closed.
 
     Callbacks of paho run in its thread; no lock of ours is held while paho is called, since paho
@@ -147,8 +147,8 @@ class Link:
             client.username_pw_set(*mine.login())
         if mine.context is not None:
             client.tls_set_context(mine.context)
-        if mine.presence is not None:
-            client.will_set(mine.presence.topic, mine.offline, qos=1, retain=True)
+        if mine.announcement is not None:
+            client.will_set(mine.announcement.topic, mine.announcement.will, qos=1, retain=True)
 
     def require_up(self) -> None:
         """Return when the link is up; the first call connects.
@@ -240,8 +240,9 @@ class Link:
         with self._changed:
             self._closed = True
             was_up = self._up
-        if was_up and self.settings.presence is not None:
-            self._announce(self.settings.offline)
+        said = self.settings.announcement
+        if was_up and said is not None:
+            self._announce(said.topic, said.offline())
         self._client.disconnect(properties=properties("DISCONNECT", SessionExpiryInterval=0))
         with self._changed:
             self._changed.wait_for(lambda: not self._up, _GOODBYE_SECONDS)
@@ -268,9 +269,7 @@ class Link:
                 self._running = False
                 self._cause = "the attempt before is still ending"
 
-    def _announce(self, payload: str) -> None:
-        assert self.settings.presence is not None
-        topic = self.settings.presence.topic
+    def _announce(self, topic: str, payload: str) -> None:
         info = self._client.publish(topic, payload, 1, retain=True)
         self._note(("p", info.mid), _Pending(_ignore, survives=True))
 
@@ -348,8 +347,8 @@ class Link:
         self._client.keep_within(getattr(more, "ReceiveMaximum", _IN_FLIGHT))
         with self._changed:
             receivers = [(one, self._subscriptions.add(one)) for one in self._subscriptions]
-        if self.settings.presence is not None:
-            self._announce(self.settings.presence.online)
+        if (said := self.settings.announcement) is not None:
+            self._announce(said.topic, said.online())
         left = len(receivers)
 
         def ready() -> None:

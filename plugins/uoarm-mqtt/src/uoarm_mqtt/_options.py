@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import os
 import ssl
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -16,7 +16,16 @@ from jsonschema import Draft202012Validator
 from uoarm.errors import ConfigurationError
 from uoarm.model import Budget, Options, Schema
 
-__all__ = ["BRIDGE_OPTIONS", "Port", "Presence", "Settings", "mistake", "settings_of"]
+__all__ = [
+    "BRIDGE_OPTIONS",
+    "CONNECTION_OPTIONS",
+    "Announcement",
+    "Port",
+    "Presence",
+    "Settings",
+    "mistake",
+    "settings_of",
+]
 
 _TEXT: Schema = {"type": "string", "minLength": 1}
 _SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
@@ -33,17 +42,26 @@ def _closed(properties: Mapping[str, Any], *required: str) -> Schema:
     }
 
 
+CONNECTION_OPTIONS: Mapping[str, Any] = {
+    "url": {"type": "string", "pattern": r"^mqtts?://[^/@?#\s]+$"},
+    "client_id": _TEXT,
+    "user": _TEXT,
+    "password_env": _TEXT,
+    "password_file": _TEXT,
+    "plain_password": {"const": True},
+    "tls": _closed({"ca": _TEXT, "certificate": _TEXT, "key": _TEXT}),
+    "keepalive": {"type": "integer", "minimum": 1, "maximum": 65535},
+    "grace": _SECONDS,
+    "backlog": _COUNT,
+    "max_octets": _COUNT,
+    "max_values": _COUNT,
+    "max_depth": {"type": "integer", "minimum": 1, "maximum": 200},
+}
+"""JSON Schemas of the options that `settings_of` reads, by name; `url` must be given."""
+
 BRIDGE_OPTIONS: Schema = _closed(
     {
-        "url": {"type": "string", "pattern": r"^mqtts?://[^/@?#\s]+$"},
-        "client_id": _TEXT,
-        "user": _TEXT,
-        "password_env": _TEXT,
-        "password_file": _TEXT,
-        "plain_password": {"const": True},
-        "tls": _closed({"ca": _TEXT, "certificate": _TEXT, "key": _TEXT}),
-        "keepalive": {"type": "integer", "minimum": 1, "maximum": 65535},
-        "grace": _SECONDS,
+        **CONNECTION_OPTIONS,
         "presence": _closed({"topic": _TEXT, "online": _TEXT, "offline": _TEXT}, "topic"),
         "structures": {"type": "object", "additionalProperties": _STRUCTURE},
         "services": {
@@ -56,10 +74,6 @@ BRIDGE_OPTIONS: Schema = _closed(
         "discover": _closed(
             {"topics": {"type": "array", "items": _TEXT}, "seconds": _SECONDS, "most": _COUNT}
         ),
-        "backlog": _COUNT,
-        "max_octets": _COUNT,
-        "max_values": _COUNT,
-        "max_depth": {"type": "integer", "minimum": 1, "maximum": 200},
     },
     "url",
 )
@@ -155,18 +169,47 @@ def wrong_filter(topic: str) -> str:
 
 
 @frozen
+class Announcement:
+    """What a client says of itself on a topic, retained.
+
+    Attributes:
+        topic: that it says it on.
+        will: what the broker says for it when it ends without a word.
+        online: returns what it says each time that it has connected.
+        offline: returns what it says before it ends in order.
+    """
+
+    topic: str
+    will: str
+    online: Callable[[], str]
+    offline: Callable[[], str]
+
+
+@frozen
 class Settings:
-    """The options of a bridge, with what they name read. The password is in no text of it."""
+    """How to connect to a broker, read from options. The password is in no text of it.
+
+    Attributes:
+        host: of the broker.
+        port: of the broker.
+        client_id: two clients with the same one end each other's connection.
+        login: of paho: user and password, or None; behind a closure, so that no repr shows it.
+        context: for TLS; None without it.
+        keepalive: seconds after which a broker that says nothing is asked whether it lives.
+        grace: seconds that a break may last before it is a loss.
+        announcement: what the client says of itself; None for nothing.
+        budget: what one payload may cost.
+        backlog: messages of one channel that may wait.
+    """
 
     host: str
     port: int
     client_id: str
-    login: Any  # of paho: user and password, or None; behind a closure, so that no repr shows it
+    login: Any
     context: ssl.SSLContext | None
     keepalive: int
     grace: float
-    presence: Presence | None
-    offline: str
+    announcement: Announcement | None
     budget: Budget
     backlog: int
 
@@ -192,7 +235,6 @@ def settings_of(name: str, options: Options) -> Settings:
     if password and not (encrypted or _is_loopback(host) or given.get("plain_password")):
         text = "the password would cross the network unencrypted: mqtts://, or `plain_password`"
         raise _wrong(name, f"{text}: true where the network is your own")
-    says = given.get("presence", {})
     return Settings(
         host=host,
         port=port,
@@ -201,8 +243,7 @@ def settings_of(name: str, options: Options) -> Settings:
         context=_context(name, given.get("tls", {})) if encrypted else None,
         keepalive=given.get("keepalive", 15),
         grace=given.get("grace", 30.0),
-        presence=Presence(says["topic"], online=says.get("online", "online")) if says else None,
-        offline=says.get("offline", "offline"),
+        announcement=_announcement(given["presence"]) if "presence" in given else None,
         budget=Budget(
             octets=given.get("max_octets", 1_048_576),
             elements=given.get("max_values", 100_000),
@@ -210,6 +251,11 @@ def settings_of(name: str, options: Options) -> Settings:
         ),
         backlog=given.get("backlog", 1000),
     )
+
+
+def _announcement(says: Mapping[str, str]) -> Announcement:
+    online, offline = says.get("online", "online"), says.get("offline", "offline")
+    return Announcement(says["topic"], offline, lambda: online, lambda: offline)
 
 
 def _password(name: str, given: Mapping[str, Any]) -> str | None:

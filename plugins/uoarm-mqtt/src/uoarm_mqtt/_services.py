@@ -13,7 +13,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, Message
 from uoarm.model import Endpoint, Message
 from uoarm_mqtt._channels import Backlog, content_type
 from uoarm_mqtt._codec import CONTENT_TYPES, Codec
-from uoarm_mqtt._link import Link, Outcome
+from uoarm_mqtt._link import BrokerConnection, Outcome
 from uoarm_mqtt._options import Port
 from uoarm_mqtt._subscriptions import Incoming, Receiver
 
@@ -41,7 +41,7 @@ class Calls:
     Correlation data are letters and digits, so that a peer in a shell can give them back.
     """
 
-    def __init__(self, link: Link, topic: str) -> None:
+    def __init__(self, link: BrokerConnection, topic: str) -> None:
         self._link = link
         self._receiver = Receiver(f"{topic}/{link.settings.client_id}", self._take)
         self._opening = threading.Lock()
@@ -114,7 +114,7 @@ class ServedTopic(Channel):
         port: Port,
         structures: ServiceStructures,
         handler: Handler,
-        link: Link,
+        link: BrokerConnection,
     ) -> None:
         super().__init__(endpoint)
         self._port, self._handler, self._link = port, handler, link

@@ -1,0 +1,179 @@
+"""One vehicle that is in use: its states, its health, and its transport orders."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from uoarm_mqtt.connection import BrokerConnection, Incoming, Outcome, Receiver
+
+from uoarm.errors import BridgeError, MessageError
+from uoarm.model import Health
+from uoarm_vda5050._health_state import VehicleHealth
+from uoarm_vda5050._inbox import Inbox
+from uoarm_vda5050._messages import VdaCodec
+from uoarm_vda5050._transport_state import Action, Ended, Feedback, Send, Status, TransportState
+
+__all__ = ["Follower", "News"]
+
+_MOST_STATES = 1000
+
+News = Status | Feedback | Ended
+_Event = Incoming | tuple[bool, str]
+
+
+class Follower:
+    """Follows one vehicle in a thread of its own, from its opening on.
+
+    Args:
+        link: to the broker.
+        topic: of the vehicle's, up to the last level.
+        transport: what becomes of its orders; touched under the lock only.
+        health: what is to be told of it; touched by the thread only.
+        codecs: of `order`, `instantActions` and `state`.
+        told: is called with health and cause.
+    """
+
+    def __init__(
+        self,
+        link: BrokerConnection,
+        topic: str,
+        transport: TransportState,
+        health: VehicleHealth,
+        codecs: Mapping[str, VdaCodec],
+        told: Callable[[Health, str], object],
+    ) -> None:
+        self._link, self._topic, self._codecs, self._told = link, topic, codecs, told
+        self._transport, self._health = transport, health
+        self._lock = threading.Lock()
+        self._listeners: tuple[Callable[[News], object], ...] = ()
+        self.unreadable = self.missed = 0
+        self._last_id: int | None = None
+        health.connected(time.monotonic())
+        self._inbox: Inbox[_Event] = Inbox(
+            f"uoarm-vda5050-{topic}", self._take, _MOST_STATES, self._wake
+        )
+        self._receiver = Receiver(f"{topic}/state", self._inbox.put, qos=0)
+
+    def open(self) -> None:
+        """Subscribe to its states."""
+        try:
+            self._link.subscribe(self._receiver)
+        except BaseException:
+            self._inbox.close()
+            raise
+
+    def close(self) -> None:
+        """Follow no more; nothing is sent."""
+        self._link.unsubscribe(self._receiver)
+        self._inbox.close()
+
+    def connection(self, online: bool, why: str) -> None:  # noqa: FBT001
+        """Take the news that it came or went; returns at once."""
+        self._inbox.put((online, why))
+
+    def goal(self, goal: Mapping[str, Any]) -> str:
+        """Take a goal; return its identifier. What becomes of it is told to who listens.
+
+        Raises:
+            MessageError: it can be no order.
+            BridgeError: the vehicle or the broker is away.
+        """
+        self._link.require_up()
+        with self._lock:
+            goal_id, actions = self._transport.goal(goal, time.monotonic())
+            self._do(actions)
+        self._inbox.poke()
+        return goal_id
+
+    def cancel(self, goal_id: str) -> None:
+        """Cancel a goal, or whichever is under way where the identifier is empty."""
+        with self._lock:
+            self._do(self._transport.cancel(goal_id, time.monotonic()))
+        self._inbox.poke()
+
+    def join(self, listener: Callable[[News], object]) -> None:
+        """Have news of goals told to a listener, which must return at once."""
+        with self._lock:
+            self._listeners += (listener,)
+
+    def leave(self, listener: Callable[[News], object]) -> None:
+        """Tell a listener nothing more."""
+        with self._lock:
+            self._listeners = tuple(one for one in self._listeners if one != listener)
+
+    def _take(self, event: _Event) -> None:
+        now = time.monotonic()
+        if isinstance(event, tuple):
+            online, why = event
+            self._last_id = None
+            if online:
+                self._health.connected(now)
+            else:
+                self._health.gone()
+            with self._lock:
+                self._do(self._transport.connection(online, why))
+            return
+        try:
+            header, body = self._codecs["state"].split(event.payload)
+        except MessageError as error:
+            self.unreadable += 1
+            self._tell(self._health.unreadable(str(error)))
+            return
+        if not self._is_next(header.get("headerId")):
+            return
+        state: Any = body
+        fatal = [
+            f"{one['errorType']}: {one.get('errorDescription', '')}".rstrip(": ")
+            for one in state["errors"]
+            if one["errorLevel"] == "FATAL"
+        ]
+        self._tell(self._health.state(fatal, now))
+        with self._lock:
+            self._do(self._transport.state(state, now))
+
+    def _is_next(self, header_id: object) -> bool:
+        """Count what is missing by the header; say whether it is no older than the one before."""
+        if not isinstance(header_id, int):
+            return True
+        step = 1 if self._last_id is None else (header_id - self._last_id) % 2**32
+        self._last_id = header_id
+        if 1 < step < 2**31:
+            self.missed += step - 1
+        return True
+
+    def _wake(self) -> float | None:
+        now = time.monotonic()
+        self._tell(self._health.tick(now))
+        with self._lock:
+            due = self._transport.wake_at()
+            if due is not None and now >= due:
+                self._do(self._transport.tick(now))
+            times = [self._transport.wake_at(), self._health.wake_at()]
+        return min((one for one in times if one is not None), default=None)
+
+    def _tell(self, news: tuple[Health, str] | None) -> None:
+        if news is not None:
+            self._told(*news)
+
+    def _do(self, actions: Sequence[Action]) -> None:
+        """Do what is to be done, under the lock, so that news keeps its order."""
+        for action in actions:
+            if not isinstance(action, Send):
+                for listener in self._listeners:
+                    listener(action)
+                continue
+            try:
+                payload = self._codecs[action.topic].encode(action.body)
+                self._link.publish(f"{self._topic}/{action.topic}", payload, _ignore, qos=0)
+            except MessageError as error:
+                if action.topic == "order":
+                    self._do(self._transport.unsendable(str(error)))
+            except BridgeError:
+                continue  # the broker is away, which is told; it is sent again
+
+
+def _ignore(_: Outcome) -> None:
+    """A state says whether it was taken."""

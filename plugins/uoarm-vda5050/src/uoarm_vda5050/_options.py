@@ -1,0 +1,145 @@
+"""What a configuration may say of a bridge and of a port, checked before anything runs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from attrs import frozen
+from uoarm_mqtt import CONNECTION_OPTIONS
+
+from uoarm.model import Options, Role, Schema
+from uoarm_vda5050._releases import RELEASES, TOPICS, Release
+from uoarm_vda5050._structures import TRANSPORT_PARTS
+
+__all__ = ["BRIDGE_OPTIONS", "Place", "mistake", "place_of", "prefix_of", "release_of"]
+
+_SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
+
+BRIDGE_OPTIONS: Schema = {
+    "type": "object",
+    "properties": {
+        **CONNECTION_OPTIONS,
+        "release": {"enum": list(RELEASES)},
+        "interface": {"type": "string", "pattern": r"^[^/+#$\s]+$"},
+        "schemas": {"type": "string", "minLength": 1},
+        "retained_wait": {"type": "number", "minimum": 0, "maximum": 4},
+        "state_timeout": _SECONDS,
+        "repeat": _SECONDS,
+        "accept_timeout": _SECONDS,
+        "max_nodes": {"type": "integer", "minimum": 1, "maximum": 10_000},
+        "max_vehicles": {"type": "integer", "minimum": 1, "maximum": 10_000},
+    },
+    "required": ["url"],
+    "additionalProperties": False,
+}
+
+TRANSPORT = "transport"
+_ID = re.compile(r"^[^/+#$\0]{1,200}$")
+_OUTPUTS = {"status", "feedback", "result"}
+
+
+def release_of(options: Mapping[str, Any]) -> Release:
+    """Return the release that the options of a bridge name."""
+    return RELEASES[options.get("release", "2.1")]
+
+
+def prefix_of(options: Mapping[str, Any]) -> str:
+    """Return the first two levels of every topic."""
+    release = release_of(options)
+    return f"{options.get('interface', release.interface)}/v{release.major}"
+
+
+@frozen
+class Place:
+    """What an address stands for.
+
+    Attributes:
+        manufacturer: of the vehicle.
+        serial_number: of the vehicle.
+        topic: one of the standard, or `transport`.
+        part: of a transport order; empty for a call of it, and for a topic.
+        header: whether messages keep their header.
+    """
+
+    manufacturer: str
+    serial_number: str
+    topic: str
+    part: str = ""
+    header: bool = False
+
+    @property
+    def vehicle(self) -> tuple[str, str]:
+        """Manufacturer and serial number."""
+        return self.manufacturer, self.serial_number
+
+    def check_role(self, role: Role) -> None:
+        """Hold the place against a role.
+
+        Raises:
+            ValueError: it cannot have it; the text says what it can be.
+        """
+        if self.topic == TRANSPORT and not self.part:
+            can = {Role.SERVICE}
+        elif self.topic == TRANSPORT:
+            can = {Role.OUTPUT if self.part in _OUTPUTS else Role.INPUT}
+        elif self.topic in {"order", "instantActions"}:
+            can = {Role.INPUT, Role.OUTPUT}
+        else:
+            can = {Role.OUTPUT}
+        if role not in can:
+            what = f"{self.topic} {self.part}".strip()
+            allowed = " or ".join(sorted(one.value for one in can))
+            raise ValueError(f"{what} is an {allowed}, not a {role.value}")
+        if self.header and (role is not Role.OUTPUT or self.topic == TRANSPORT):
+            raise ValueError("`header` is for outputs of topics: the bridge makes headers itself")
+
+
+def place_of(address: tuple[str, ...], options: Options, port: str = "") -> Place:
+    """Read an address and the options of its port.
+
+    Args:
+        address: manufacturer, serial number, topic, and the part of a transport order.
+        options: of the port.
+        port: its name, which stands for the topic or part that the address leaves out.
+
+    Raises:
+        ValueError: it cannot be read; the text says what was expected.
+    """
+    given: dict[str, Any] = dict(options)
+    header = given.pop("header", False)
+    if given or not isinstance(header, bool):
+        raise ValueError(f"options: expected `header: true` or nothing, got {dict(options)}")
+    parts = list(address)
+    if len(parts) == 2 and port in TOPICS:  # noqa: PLR2004 - manufacturer and serial number
+        parts.append(port)
+    if len(parts) == 3 and parts[2] == TRANSPORT and port in TRANSPORT_PARTS:  # noqa: PLR2004
+        parts.append(port)
+    expected = "expected [MANUFACTURER, SERIAL_NUMBER, TOPIC]"
+    topics = f"{', '.join(TOPICS)}, or {TRANSPORT}"
+    if not 3 <= len(parts) <= 4:  # noqa: PLR2004
+        raise ValueError(f"{expected} with a topic of {topics}, got {list(address)}")
+    for one in parts[:2]:
+        if not _ID.match(one):
+            text = f"{one[:80]!r}: a manufacturer or serial number is no level of a topic with"
+            raise ValueError(f"{text} / + # or $, and not empty")
+    if parts[2] not in {*TOPICS, TRANSPORT}:
+        raise ValueError(f"there is no topic {parts[2]!r}: {topics}")
+    if len(parts) == 4 and (parts[2] != TRANSPORT or parts[3] not in TRANSPORT_PARTS):  # noqa: PLR2004
+        allowed = ", ".join(TRANSPORT_PARTS)
+        raise ValueError(f"{parts[3]!r}: only {TRANSPORT} has parts: {allowed}")
+    manufacturer, serial_number, topic, part = (*parts, "")[:4]
+    return Place(manufacturer, serial_number, topic, part, header)
+
+
+def mistake(address: tuple[str, ...], options: Options) -> str:
+    """Say what is wrong with an address and its options, "" where nothing is."""
+    last = address[-1] if address else ""
+    if len(address) == 2:  # noqa: PLR2004 - the topic is the port's name, which is not known here
+        last = "state"
+    try:
+        place_of(address, options, last)
+    except ValueError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,120 @@
+"""Transport orders, health and discovery, against a real Mosquitto and real vehicles."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+import pytest
+from brokers import Broker
+from fleet import bridge_to, driven, endpoint, goal, heard, until
+from uoarm_vda5050.vehicle import Vehicle
+
+from uoarm.errors import BridgeError
+from uoarm.model import Health, MessageStructure
+from uoarm.testing import Collector, patience
+
+ANYTHING = MessageStructure(True)
+RELEASES = ("2.0", "2.1", "3.0")
+
+
+@pytest.mark.parametrize("release", RELEASES)
+def test_a_transport_order_is_a_call(broker: Broker, release: str) -> None:
+    serial = f"call{release}"
+    with (
+        driven(broker, serial, release=release) as driver,
+        bridge_to(broker, release=release) as bridge,
+    ):
+        result = bridge.call(
+            endpoint(serial, "transport"),
+            goal("a", "b", "c", b="pick", c="drop"),
+            timeout=patience(),
+        )
+        assert driver.done == ["b", "pick", "c", "drop"]
+        assert isinstance(result, dict)
+        assert result["lastNodeId"] == "c"
+        assert [one["actionStatus"] for one in result["actions"]] == ["FINISHED", "FINISHED"]
+
+
+def test_streams_tell_what_becomes_of_a_goal(broker: Broker) -> None:
+    with driven(broker, "streams", "b") as driver, bridge_to(broker) as bridge:
+        told = {part: Collector() for part in ("status", "feedback", "result")}
+        for part, collector in told.items():
+            place = endpoint("streams", "transport", part)
+            bridge.open_source(place, ANYTHING, collector.deliver)
+        sink = bridge.open_sink(endpoint("streams", "transport", "goal"), ANYTHING)
+        sink.send(goal("a", "b", order="one"))
+        assert told["status"].wait(1, patience()) == [{"goal_id": "one", "status": "accepted"}]
+        driver.let("b")
+        (ended,) = told["result"].wait(1, patience())
+        assert ended["status"] == "succeeded"
+        assert told["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
+        assert told["feedback"].messages[0]["feedback"]["lastNodeId"] == "a"
+
+
+def test_a_goal_is_cancelled(broker: Broker) -> None:
+    with driven(broker, "cancelled", "b") as driver, bridge_to(broker) as bridge:
+        status = Collector()
+        bridge.open_source(endpoint("cancelled", "transport", "status"), ANYTHING, status.deliver)
+        sink = bridge.open_sink(endpoint("cancelled", "transport", "goal"), ANYTHING)
+        cancel = bridge.open_sink(endpoint("cancelled", "transport", "cancel"), ANYTHING)
+        sink.send(goal("a", "b", "c", order="long"))
+        status.wait(1, patience())
+        cancel.send({"goal_id": "long"})
+        assert status.wait(2, patience())[1] == {"goal_id": "long", "status": "canceled"}
+        assert driver.vehicle.is_idle
+        assert driver.done == []
+
+
+def test_what_the_vehicle_refuses_is_told(broker: Broker) -> None:
+    place, order = endpoint("refusing", "transport"), goal("a", "b", b="dance")
+    refusal = pytest.raises(BridgeError, match=r"rejected: .*orderError.*no such actions: dance")
+    with driven(broker, "refusing"), bridge_to(broker) as bridge, refusal:
+        bridge.call(place, order, timeout=patience())
+
+
+def test_a_vehicle_that_dies_is_lost_at_once(broker: Broker) -> None:
+    with driven(broker, "dying", "b") as driver, bridge_to(broker) as bridge:
+        events, status = heard(bridge), Collector()
+        bridge.open_source(endpoint("dying", "transport", "status"), ANYTHING, status.deliver)
+        sink = bridge.open_sink(endpoint("dying", "transport", "goal"), ANYTHING)
+        sink.send(goal("a", "b", order="half"))
+        status.wait(1, patience())
+        _die(driver.vehicle)
+        assert status.wait(2, patience())[1] == {"goal_id": "half", "status": "lost"}
+        lost = until(events, Health.LOST)
+        assert lost.component == "dying"
+        assert "CONNECTIONBROKEN" in lost.cause
+
+
+def test_a_fatal_error_is_told_and_its_end(broker: Broker) -> None:
+    with driven(broker, "ailing") as driver, bridge_to(broker) as bridge:
+        events = heard(bridge)
+        bridge.open_sink(endpoint("ailing", "transport", "goal"), ANYTHING)
+        driver.vehicle.raise_error("wheelBroken", "the left one", fatal=True)
+        degraded = until(events, Health.DEGRADED)
+        assert (degraded.component, degraded.cause) == (
+            "ailing",
+            "fatal: wheelBroken: the left one",
+        )
+        driver.vehicle.clear_error("wheelBroken")
+        assert until(events, Health.OK).component == "ailing"
+
+
+def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
+    sheet = {"typeSpecification": {"seriesName": "mouse", "maxLoadMass": 12.5}}
+    with (
+        driven(broker, "found", interface="other", factsheet=sheet),
+        bridge_to(broker, interface="other") as bridge,
+    ):
+        (found,) = bridge.discover()
+        assert (found.name, found.detail) == ("uoa/found", "mouse, 12.5 kg")
+        for place, description in found.endpoints:
+            assert bridge.describe(place) == description
+
+
+def _die(vehicle: Vehicle) -> None:
+    """End its connection without a word, so that the broker publishes its last will."""
+    client: Any = vehicle._broker._client
+    client.on_disconnect = lambda client, *_: client.disconnect()
+    client.socket().shutdown(socket.SHUT_RDWR)
