@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import pytest
@@ -151,6 +152,24 @@ def test_equal_types_say_what_is_within() -> None:
     assert "has version 1, the consumer's 2" in verdict.warnings[0]
 
 
+def test_constants_of_one_type_have_one_value_and_new_ones_are_noted() -> None:
+    def marker(name: str = "Marker", **constants: int) -> dict[str, Any]:
+        return {**named(name, kind={"type": "integer"}), "x-constants": constants}
+
+    older, newer = marker(ARROW=0, CUBE=1), marker(ARROW=0, CUBE=1, STRIP=2)
+    assert edge(older, newer).warnings == ()
+    assert edge(newer, older).compatible
+    (warning,) = edge(newer, older).warnings
+    assert "constants that the consumer's has not: STRIP=2" in warning
+    verdict = edge(record(marker=older), record(marker=marker(ARROW=1, CUBE=0)))
+    assert not verdict.compatible
+    assert [one.path for one in verdict.reasons] == ["marker", "marker"]
+    assert "ARROW of Marker is 0 for the producer and 1 for the" in verdict.reasons[0].sentence
+    other = marker("visualization_msgs/msg/Marker", ARROW=1)
+    alike = Meaning(alike=(frozenset({"Marker", other["x-type"]}),))
+    assert edge(older, other, meaning=alike).compatible
+
+
 def test_types_are_alike_by_declaration_or_by_the_built_in_table() -> None:
     one, other = named("my/Point", x=unit("m")), named("their::Point", x=unit("m"))
     declared = Meaning(alike=(frozenset({"my/Point", "their::Point"}),))
@@ -266,9 +285,26 @@ structures = st.recursive(
 )
 
 
-@given(structures)
+choices = st.builds(lambda one, other: record(a={"anyOf": [one, other]}), structures, structures)
+
+
+@given(structures | choices)
 def test_judging_is_reflexive(one: Any) -> None:
-    assert not judge(one, one).differences
+    equal = judge(one, deepcopy(one))
+    assert not equal.differences
+    # What is not equal, though only for people, is compared side by side.
+    assert equal == judge(one, {**one, "title": "another"})
+
+
+def test_structures_nested_deeper_than_python_recurses_are_judged() -> None:
+    def deep() -> Any:
+        schema: Any = unit("m")
+        for _ in range(100_000):
+            schema = {"type": "array", "items": schema}
+        return schema
+
+    found = judge(deep(), deep())
+    assert (found.differences, len(found.unstated)) == ((), 1)
 
 
 @given(structures, structures, st.lists(st.frozensets(st.sampled_from(["a/A", "b/B", "c/C"]))))

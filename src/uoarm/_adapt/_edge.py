@@ -145,7 +145,14 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
         reasons += [Reason(sentence, path) for path in unstated]
     if reasons:
         return EdgeVerdict(False, tuple(reasons), unstated=unstated, differences=found.differences)
-    return evolve(verdict, warnings=(*verdict.warnings, *found.notes), unstated=unstated)
+    if not found.notes and not unstated:
+        return verdict
+    return EdgeVerdict(
+        True,
+        losses=verdict.losses,
+        warnings=(*verdict.warnings, *found.notes),
+        unstated=unstated,
+    )
 
 
 def _with_losses(

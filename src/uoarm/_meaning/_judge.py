@@ -6,7 +6,7 @@ or octets of which one side says nothing rests on shape alone, and is named.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from typing import Any, TypeAlias
 
@@ -26,17 +26,21 @@ _MOST_PAIRS = 50_000
 _MOST_DEPTH = 100
 _MOST_VIEWS = 32
 _MOST_TOLD = 200
+_MOST_SHOWN = 8
 _NUMBERS = frozenset({"number", "integer"})
 # How exact the factor of a map must be: what people write, 57.3 or 0.01745, will do.
 _TOLERANCE = 1e-3
 _NOTHING: Said = {}
-_MEASURES = ("x-unit", "x-quantity", "x-time")
+_MEASURES = frozenset({"x-unit", "x-quantity", "x-time"})
+_PARTS = frozenset({"properties", "additionalProperties", "items", "prefixItems"})
 _WORDS_SAID = frozenset(VOCABULARY)
+_INHERITED = frozenset(INHERITED)
 _CHOICES = frozenset({"$ref", "allOf", "anyOf", "oneOf"})
 _WORDS = {
     "x-quantity": "quantities", "x-frame": "frames", "x-encoding": "encodings",
     "x-time": "kinds of time",
 }  # fmt: skip
+_WORDS_COMPARED = frozenset(_WORDS)
 
 
 @frozen
@@ -83,12 +87,22 @@ def judge(producer: Any, consumer: Any, alike: tuple[frozenset[str], ...] = ()) 
     """
     walk = _Walk(producer, consumer, alike)
     found = _Found()
-    walk.compare(producer, consumer, (), _NOTHING, _NOTHING, False, found)
+    if _are_equal(producer, consumer):
+        walk.find_unstated(producer, (), _NOTHING, found)
+    else:
+        walk.compare(producer, consumer, (), _NOTHING, _NOTHING, False, found)
     return Meanings(
         tuple(found.differences[:_MOST_TOLD]),
         tuple(dict.fromkeys(found.unstated[:_MOST_TOLD])),
         tuple(found.notes[:_MOST_TOLD]),
     )
+
+
+def _are_equal(one: Any, other: Any) -> bool:
+    try:
+        return bool(one == other)
+    except RecursionError:  # nested deeper than anything is looked at
+        return False
 
 
 @define
@@ -117,6 +131,29 @@ class _Walk:
     alike: tuple[frozenset[str], ...]
     pairs: int = 0
     referred: set[tuple[int, int, str]] = field(factory=set)
+
+    def find_unstated(self, schema: Any, path: Path, said: Said, found: _Found) -> None:
+        """Find what rests on shape alone in a schema of both sides, where nothing can differ."""
+        if not (schema.__class__ is dict or isinstance(schema, Mapping)):
+            return
+        self.pairs += 1
+        if self.pairs > _MOST_PAIRS or len(path) > _MOST_DEPTH:
+            found.unstated.append(path)
+        elif not _CHOICES.isdisjoint(schema):
+            self.compare(schema, schema, path, said, said, False, found)
+        elif "x-type" in schema and name_of_type(schema["x-type"]):
+            return
+        elif "x-octets" in schema:
+            if "x-encoding" not in schema:
+                found.unstated.append(path)
+        else:
+            if not _INHERITED.isdisjoint(schema):
+                said = _with_own(said, schema)
+            if not _PARTS.isdisjoint(schema):
+                for name, child, _ in (*_fields(schema, schema), *_items(schema, schema)):
+                    self.find_unstated(child, (*path, name), said, found)
+            if _is_number(schema) and _MEASURES.isdisjoint(said):
+                found.unstated.append(path)
 
     def compare(
         self,
@@ -176,19 +213,16 @@ class _Walk:
         found: _Found,
     ) -> None:
         if not (_WORDS_SAID.isdisjoint(one) and _WORDS_SAID.isdisjoint(other)):
-            said_here = one.keys() & _WORDS_SAID, other.keys() & _WORDS_SAID
-            known = self._compare_types(one, other, path, found)
-            if known is False:
-                return
-            covered = covered or known is True
-            if not said_here[0].isdisjoint(INHERITED):
-                mine = {**mine, **{key: one[key] for key in INHERITED if key in one}}
-            if not said_here[1].isdisjoint(INHERITED):
-                theirs = {**theirs, **{key: other[key] for key in INHERITED if key in other}}
-            stated = said_here[0] | said_here[1]
-            if "x-unit" in stated:
+            if "x-type" in one and "x-type" in other:
+                known = self._compare_types(one, other, path, found)
+                if known is False:
+                    return
+                covered = covered or known is True
+            mine, theirs = _with_own(mine, one), _with_own(theirs, other)
+            if "x-unit" in one or "x-unit" in other:
                 _compare_units(one, path, mine.get("x-unit"), theirs.get("x-unit"), found)
-            _compare_words(stated, {**one, **mine}, {**other, **theirs}, path, found)
+            if not (_WORDS_COMPARED.isdisjoint(one) and _WORDS_COMPARED.isdisjoint(other)):
+                _compare_words({**one, **mine}, {**other, **theirs}, one, other, path, found)
         if "x-octets" in one or "x-octets" in other:
             if not covered and not ("x-encoding" in one and "x-encoding" in other):
                 found.unstated.append(path)
@@ -221,6 +255,8 @@ class _Walk:
                 found.notes.append(
                     f"{where}: the producer's {mine} has {key} {said[0]}, the consumer's {said[1]}"
                 )
+        if mine == theirs and "x-constants" in one and "x-constants" in other:
+            _compare_constants(one["x-constants"], other["x-constants"], mine, path, found)
         return True
 
     def _views(self, schema: Any, root: Any, depth: int = 0) -> list[Said]:
@@ -252,11 +288,40 @@ class _Walk:
         return bases
 
 
+def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Found) -> None:
+    """Compare the names that two definitions of one type have for values."""
+    if one == other or not (isinstance(one, Mapping) and isinstance(other, Mapping)):
+        return
+    for key, value in one.items():
+        if key in other and repr(other[key]) != repr(value):
+            sentence = (
+                f"the constant {key} of {name} is {value!r} for the producer and {other[key]!r} "
+                "for the consumer"
+            )
+            told = f"{key}={value!r}", f"{key}={other[key]!r}"
+            found.differences.append(Difference(path, sentence, *told))
+    more = [f"{key}={value!r}" for key, value in one.items() if key not in other]
+    if more:
+        where = write_places(path) or "message"
+        found.notes.append(
+            f"{where}: the producer's {name} has constants that the consumer's has not: "
+            + ", ".join(more[:_MOST_SHOWN])
+        )
+
+
+def _with_own(around: Said, schema: Said) -> Said:
+    """Return what is said of values within a schema: by what is around it, or by itself."""
+    if _INHERITED.isdisjoint(schema):
+        return around
+    return {**around, **{key: schema[key] for key in INHERITED if key in schema}}
+
+
 def _compare_words(
-    stated: Collection[str], one: Said, other: Said, path: Path, found: _Found
+    one: Said, other: Said, here: Said, there: Said, path: Path, found: _Found
 ) -> None:
+    """Compare words, which are plain texts, where one of the schemas itself says one."""
     for keyword, words in _WORDS.items():
-        if keyword not in stated:
+        if keyword not in here and keyword not in there:
             continue
         mine, theirs = one.get(keyword), other.get(keyword)
         if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
