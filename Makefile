@@ -18,7 +18,7 @@ WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
   sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
 
 .DELETE_ON_ERROR:
-.PHONY: attack demo live healthbot healthbot-tables plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
+.PHONY: attack demo live healthbot healthbot-tables warehouse plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py $(ARGS)
@@ -31,6 +31,9 @@ healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two ap
 
 healthbot-tables: $(VENV)/.healthbot  ## the paper's evaluation as tables; takes about eight minutes
 	$(BIN)/python examples/healthbot/experiments/every.py --record $(FIGURES)
+
+warehouse: $(VENV)/.warehouse  ## another domain: mobile robots of several frameworks carry boxes
+	$(BIN)/python examples/warehouse/warehouse.py $(ARGS)
 
 plots: $(VENV)/.healthbot  ## plots of the figures that healthbot-tables recorded
 	$(BIN)/python -m pip install --quiet -e '.[plots]'
@@ -109,6 +112,13 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	$(BIN)/python -m pip install --progress-bar on \
 	  -e '.[vision-lbph,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
 	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]' -e plugins/uoarm-rosbridge
+	@touch $@
+
+$(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
+	$(WANTS_ROS)
+	@echo "Installing uoarm and its bridges into $(VENV) (once) ..."
+	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' \
+	  -e 'plugins/uoarm-ros2[jazzy]' ros-jazzy-test-msgs -e plugins/uoarm-rtm -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.core: pyproject.toml | $(BIN)/python

@@ -14,13 +14,34 @@ from types import TracebackType
 from attrs import frozen
 from typing_extensions import Self
 
-from healthbot_scene.parts import Part
-
-__all__ = ["Crew", "PartError", "Running"]
+__all__ = ["Crew", "Part", "PartError", "Running"]
 
 _LOOK_SECONDS = 0.1
 _STOP_SECONDS = 8.0
 _LAST_LINES = 5
+
+
+@frozen
+class Part:
+    """One process of the scene.
+
+    Attributes:
+        name: for people and for the name of its log.
+        what: what it stands for, in a few words.
+        framework: whose program it is.
+        command: the program, by its path, and its arguments.
+        ready: whether it is ready, given its log.
+        seconds: within which it must be.
+        vital: whether the scene ends with it; the robot goes on without the others.
+    """
+
+    name: str
+    what: str
+    framework: str
+    command: tuple[str, ...]
+    ready: Callable[[Path], bool]
+    seconds: float = 60.0
+    vital: bool = False
 
 
 class PartError(Exception):

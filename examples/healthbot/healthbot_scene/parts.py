@@ -6,39 +6,16 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from attrs import frozen
 from uoarm_rtm.nameserver import nameserver_command
 from vision_demo.ports import listens
 
+from healthbot_scene.crew import Part
 from healthbot_scene.places import Places
 
-__all__ = ["Part", "parts_of"]
+__all__ = ["parts_of"]
 
 _PYTHON = sys.executable
 _DEVICES = ("uoarm-rocos", "simulate")
-
-
-@frozen
-class Part:
-    """One process of the scene.
-
-    Attributes:
-        name: for people and for the name of its log.
-        what: what it stands for, in a few words.
-        framework: whose program it is.
-        command: the program, by its path, and its arguments.
-        ready: whether it is ready, given its log.
-        seconds: within which it must be.
-        vital: whether the scene ends with it; the robot goes on without the others.
-    """
-
-    name: str
-    what: str
-    framework: str
-    command: tuple[str, ...]
-    ready: Callable[[Path], bool]
-    seconds: float = 60.0
-    vital: bool = False
 
 
 def parts_of(places: Places, robot: Path, page: Path) -> list[Part]:

@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import importlib
 import os
-import random
-import socket
 import string
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 
 from attrs import frozen
 from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
-from vision_demo.ports import listens
+from vision_demo.ports import free_domain, free_ports, listens
 
 from healthbot_scene.separate import HOSTS
 
-__all__ = ["EXAMPLE", "Places", "free_domain", "make_places"]
+__all__ = ["EXAMPLE", "Places", "make_places"]
 
 EXAMPLE = Path(__file__).resolve().parents[1]
 _RECOGNISERS = ("resnet", "lbph")
-# Domains whose UDP ports lie below Linux's range of short-lived ones.
-_DOMAINS = range(1, 101)
-_FIRST_PORT, _PORTS_OF_A_DOMAIN, _UNICAST = 7400, 250, 10
 
 
 @frozen
@@ -148,32 +142,7 @@ def make_places(
             recogniser.enrol(photos_in(footage.photos), gallery)
         except ValueError as error:
             tell(f"The {name} recogniser knows nobody: {error}")
-    chosen = ports or _free_ports()
-    return Places(run.resolve(), footage.folder.resolve(), free_domain(), *chosen)
-
-
-def free_domain() -> int:
-    """Return a ROS 2 domain in which nobody on this machine seems to be."""
-    for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        first = _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain
-        if _is_free(first) and _is_free(first + _UNICAST):
-            return domain
-    return random.choice(_DOMAINS)  # noqa: S311 - no secret; all are taken, so one is shared
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", port))
-        except OSError:
-            return False
-    return True
-
-
-def _free_ports() -> tuple[int, int, int, int]:
-    with ExitStack() as kept:
-        sockets = [kept.enter_context(socket.socket()) for _ in range(4)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        first, second, third, fourth = (each.getsockname()[1] for each in sockets)
-    return first, second, third, fourth
+    first, second, third, fourth = ports or free_ports(4)
+    return Places(
+        run.resolve(), footage.folder.resolve(), free_domain(), first, second, third, fourth
+    )

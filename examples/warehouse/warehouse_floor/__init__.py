@@ -1,0 +1,1 @@
+"""The floor: where everything stands, and a simulator of the vehicles' bodies."""

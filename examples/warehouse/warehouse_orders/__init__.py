@@ -1,0 +1,1 @@
+"""The application: it takes transport orders, and has whichever vehicle is fit carry them out."""

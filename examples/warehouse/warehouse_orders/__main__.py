@@ -1,0 +1,210 @@
+"""The application: orders in, commands out, the floor shown; it may die and be started again.
+
+`python -m warehouse_orders URL FOLDER` until interrupted. FOLDER has the journals. It knows a robot
+behind an address, and vehicles as functions whose name begins with `transport` and which have an
+output `state` and an input `command`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from warehouse_floor.layout import NODES
+
+from uoarm.client import Client, connect
+from uoarm.errors import UoarmError
+from warehouse_orders.coordinator import Command, Coordinator, Report
+from warehouse_orders.orders import Journal, Order, Status, read_lines, replay
+
+_PREFIX: Final = "transport"
+_TICK_SECONDS: Final = 0.2
+_LOOK_SECONDS: Final = 3.0
+_AGAIN_SECONDS: Final = 1.0
+_LATEST_DONE: Final = 5
+
+
+class Application:
+    """The coordinator with its journal and its connections.
+
+    Args:
+        folder: of the journals.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._placed = folder / "placed.jsonl"
+        self._offset = 0
+        noted = folder / "noted.jsonl"
+        orders = replay(self._read(), [entry for entry, _ in read_lines(noted)])
+        self._journal = Journal(noted)
+        self._coordinator = Coordinator(orders, first_leg=int(time.time()))
+        self._streams: dict[str, Any] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._said: dict[str, str] = {}
+
+    def _read(self) -> list[Mapping[str, Any]]:
+        """Return the orders that were placed since this was called last."""
+        lines = list(read_lines(self._placed, self._offset))
+        if lines:
+            self._offset = lines[-1][1]
+        return [entry for entry, _ in lines]
+
+    async def run(self, url: str) -> None:
+        """Go on until cancelled; a robot that is not there is waited for."""
+        while True:
+            try:
+                async with connect(url, resume=False) as robot:
+                    await self._with(robot)
+            except (UoarmError, OSError, TimeoutError) as error:
+                print(f"no robot: {error}", flush=True)
+            await asyncio.sleep(_AGAIN_SECONDS)
+
+    async def _with(self, robot: Client) -> None:
+        """Go on until the robot is gone."""
+        shown = await robot.request("floor", receive=False)
+        try:
+            print("ready", flush=True)
+            looked = float("-inf")
+            while True:
+                now = time.monotonic()
+                if now - looked > _LOOK_SECONDS:
+                    looked = now
+                    await self._look(robot)
+                for entry in self._read():
+                    self._coordinator.place(Order.placed(entry))
+                commands = self._coordinator.tick(now)
+                await self._write()
+                for command in commands:
+                    await self._send(command)
+                await shown.send(self._picture())
+                await asyncio.sleep(_TICK_SECONDS)
+        finally:
+            for task in self._tasks.values():
+                task.cancel()
+            await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+            self._tasks.clear()
+
+    async def _look(self, robot: Client) -> None:
+        """Open every vehicle that there is, and what takes its commands to its framework."""
+        functions = await robot.functions()
+        vehicles = [
+            one["name"]
+            for one in functions
+            if one["name"] != _PREFIX and one["name"].startswith(_PREFIX)
+        ]
+        for one in functions:
+            uses = {name for component in one["components"] for name in component["uses"]}
+            if uses.intersection(vehicles):
+                self._keep(one["name"], self._hold(robot, one["name"]))
+        for name in vehicles:
+            self._keep(name, self._hear(robot, name))
+
+    def _keep(self, name: str, work: Any) -> None:
+        task = self._tasks.get(name)
+        if task is None or task.done():
+            self._tasks[name] = asyncio.create_task(work)
+        else:
+            work.close()
+
+    async def _hold(self, robot: Client, name: str) -> None:
+        """Keep a function open of which nothing is read."""
+        try:
+            stream = await robot.request(name, receive=False, wait=_LOOK_SECONDS)
+            async for _ in stream:
+                pass
+        except UoarmError as error:
+            self._tell(name, error)
+
+    async def _hear(self, robot: Client, name: str) -> None:
+        """Take what a vehicle says, as long as it can be had."""
+        try:
+            async with await robot.request(f"{name}.state", wait=_LOOK_SECONDS) as stream:
+                self._streams[name] = stream
+                try:
+                    async for state in stream:
+                        self._coordinator.report(name, Report(**state), time.monotonic())
+                finally:
+                    self._streams.pop(name, None)
+        except UoarmError as error:
+            self._tell(name, error)
+
+    def _tell(self, name: str, error: UoarmError) -> None:
+        """Say why a function cannot be had, once for each reason."""
+        if self._said.get(name) != str(error):
+            self._said[name] = str(error)
+            print(f"{name}: {error}", flush=True)
+
+    async def _write(self) -> None:
+        """Have the journal on the disk before anybody is told."""
+        notes = self._coordinator.notes()
+        if notes:
+            await asyncio.to_thread(self._journal.write, [note.line() for note in notes])
+
+    async def _send(self, command: Command) -> None:
+        stream = self._streams.get(command.vehicle)
+        if stream is None:
+            return
+        points = [{"node": node, "x": NODES[node][0], "y": NODES[node][1]} for node in command.way]
+        message = {"leg": command.leg, "points": points, "carry": command.carry}
+        with suppress(UoarmError):  # it is silent soon, and then its order goes to another
+            await stream.send(message, "command")
+
+    def _picture(self) -> dict[str, Any]:
+        orders = list(self._coordinator.orders.values())
+        done = [order for order in orders if order.status is Status.DONE]
+        shown = [order for order in orders if order.status is not Status.DONE]
+        return {
+            "vehicles": list(self._seen()),
+            "orders": [self._listed(order) for order in (*shown, *done[-_LATEST_DONE:])],
+            "done": len(done),
+        }
+
+    def _seen(self) -> Iterator[dict[str, Any]]:
+        for vehicle in self._coordinator.vehicles.values():
+            report = vehicle.report
+            condition = (
+                "dead" if not vehicle.is_alive
+                else "lost" if not report.is_localised
+                else "blocked" if report.is_blocked
+                else "charging" if vehicle.is_charging
+                else "driving" if vehicle.target
+                else "free"
+            )  # fmt: skip
+            yield {
+                "name": vehicle.name,
+                "x": report.x,
+                "y": report.y,
+                "heading": report.heading,
+                "battery": report.battery,
+                "payload": report.payload,
+                "load": report.load,
+                "order": vehicle.order,
+                "way": list(vehicle.held),
+                "condition": condition,
+            }
+
+    def _listed(self, order: Order) -> dict[str, Any]:
+        why = ""
+        if order.status is Status.WAITING:
+            vehicles = self._coordinator.vehicles.values()
+            reasons = [(one.name, self._coordinator.unfit(one, order)) for one in vehicles]
+            why = "; ".join(f"{name} {reason}" for name, reason in reasons if reason)
+        return {
+            "order": order.name,
+            "source": order.source,
+            "target": order.target,
+            "load": order.load,
+            "status": order.status.value,
+            "vehicle": order.vehicle,
+            "why": why,
+        }
+
+
+if __name__ == "__main__":
+    with suppress(KeyboardInterrupt):
+        asyncio.run(Application(Path(sys.argv[2])).run(sys.argv[1]))

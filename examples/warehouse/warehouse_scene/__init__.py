@@ -1,0 +1,1 @@
+"""The parts of the warehouse's scene: which program each is, and what they need."""

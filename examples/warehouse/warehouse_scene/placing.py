@@ -1,0 +1,57 @@
+"""Places orders as any client does, and follows them until they are done."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from warehouse_floor.layout import SHELVES
+
+from uoarm.client import connect
+
+__all__ = ["orders", "place_and_wait"]
+
+
+def orders(name: str) -> Iterator[dict[str, Any]]:
+    """Yield orders without an end: from every shelf, some light and some heavy."""
+    for number, source in enumerate(itertools.cycle(SHELVES), 1):
+        load = 5.0 if number % 2 else 30.0
+        yield {"order": f"{name}{number}", "source": source, "target": "", "load": load}
+
+
+async def place_and_wait(url: str, count: int, limit: float, tell: Callable[[str], None]) -> bool:
+    """Place orders and return whether all of them are done in time.
+
+    Args:
+        url: of the robot.
+        count: how many.
+        limit: seconds.
+        tell: told each change of an order.
+    """
+    try:
+        await asyncio.wait_for(_follow(url, count, tell), limit if limit < float("inf") else None)
+    except asyncio.TimeoutError:
+        tell(f"not done within {limit:g} s")
+        return False
+    return True
+
+
+async def _follow(url: str, count: int, tell: Callable[[str], None]) -> None:
+    begun = time.monotonic()
+    told: dict[str, str] = {}
+    async with connect(url) as robot:
+        pictures = await robot.request("floor")
+        for order in itertools.islice(orders(f"{int(time.time())}-"), count):
+            await robot.call("transport", order)
+        async for picture in pictures:
+            for order in picture["orders"]:
+                now = f"{order['status']} {order['vehicle']}".strip()
+                if told.get(order["order"]) != now:
+                    told[order["order"]] = now
+                    seconds = time.monotonic() - begun
+                    tell(f"{seconds:6.1f} s  {order['order']}: {now} {order['why']}".rstrip())
+            if picture["done"] >= count:
+                return

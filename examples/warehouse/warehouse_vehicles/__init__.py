@@ -1,0 +1,1 @@
+"""The programs of the vehicles, each with its framework's own library; none knows of uoarm."""
