@@ -230,20 +230,63 @@ class Doer:
         )
         return {}
 
+    def within(self, act: Any) -> Any:
+        """Do something in the executor's thread: an action client drops answers that come sooner.
+
+        It notes that it waits for one after it has sent what is answered.
+        """
+        return done(self.node.executor.create_task(act))
+
+    def meet(self, name: str) -> dict[str, Any]:
+        """Make a client of an action, and see its server."""
+        client = ActionClient(self.node, Fibonacci, name, callback_group=self.group)
+        self.clients[name] = client
+        return {"met": client.wait_for_server(PATIENCE)}
+
     def pursue(self, name: str, order: int) -> dict[str, Any]:
         """Send a goal, as an ordinary action client does, and wait for its answer."""
-        if name not in self.clients:
-            self.clients[name] = ActionClient(self.node, Fibonacci, name, callback_group=self.group)
         client, steps = self.clients[name], list[list[int]]()
-        assert client.wait_for_server(PATIENCE)
 
         def hear(message: Any) -> None:
             steps.append(list(message.feedback.sequence))
 
-        handle = done(client.send_goal_async(Fibonacci.Goal(order=order), hear))
+        goal = Fibonacci.Goal(order=order)
+        handle = done(self.within(lambda: client.send_goal_async(goal, hear)))
         self.goals.append(handle)
         self.steps.append(steps)
         return {"goal": len(self.goals) - 1, "accepted": handle.accepted}
+
+    def pursue_many(self, name: str, count: int, at_once: int) -> dict[str, Any]:
+        """Send many goals, some at a time, of which every fifth is cancelled; count their ends."""
+        client, ends, orders = self.clients[name], list[int](), iter(range(count))
+        over = threading.Event()
+
+        def send() -> None:
+            order = next(orders, None)
+            if order is not None:
+                goal = Fibonacci.Goal(order=order)
+                sent = client.send_goal_async(goal)
+                sent.add_done_callback(lambda each: answered(order, each.result()))
+
+        def answered(order: int, handle: Any) -> None:
+            if not handle.accepted:
+                ended(0)
+                return
+            result = handle.get_result_async()
+            result.add_done_callback(lambda each: ended(each.result().status))
+            if order % 5 == 4:
+                handle.cancel_goal_async()
+
+        def ended(status: int) -> None:
+            ends.append(status)
+            if len(ends) == count:
+                over.set()
+            send()
+
+        for _ in range(at_once):
+            self.within(send)
+        assert over.wait(PATIENCE), f"{len(ends)} of {count} goals ended"
+        return {"ends": {str(status): ends.count(status) for status in set(ends)}}
 
     def feedback(self, goal: int, expected: int) -> dict[str, Any]:
         deadline = time.monotonic() + PATIENCE
@@ -253,12 +296,12 @@ class Doer:
 
     def give_up(self, goal: int) -> dict[str, Any]:
         """Ask for the end of a goal."""
-        reply = done(self.goals[goal].cancel_goal_async())
+        reply = done(self.within(self.goals[goal].cancel_goal_async))
         return {"canceling": len(reply.goals_canceling), "code": reply.return_code}
 
     def outcome(self, goal: int) -> dict[str, Any]:
         """Wait for the result of a goal."""
-        reply = done(self.goals[goal].get_result_async())
+        reply = done(self.within(self.goals[goal].get_result_async))
         return {"status": reply.status, "sequence": list(reply.result.sequence)}
 
     def goal_ends(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.config import loads
 from uoarm.model import Endpoint, OfferState, Role
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 numbers = itertools.count()
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -61,6 +62,7 @@ functions:
         inputs: {{goal: {{endpoint: [next_goal]}}, cancel: {{endpoint: [next_cancel]}}}}
         outputs: {{status: {{endpoint: [next_status]}}, feedback: {{endpoint: [next_feedback]}},
                   result: {{endpoint: [next_result]}}}}
+failover: {{limit: 1000}}
 offer:
   ros:
     count:
@@ -75,10 +77,10 @@ class Counter:
     def __init__(self, bridge: MemoryBridge, name: str) -> None:
         self._bridge = bridge
         self._name = name
-        self.made = False
         self.make()
 
     def make(self) -> None:
+        self.begun = self.cancelled = 0
         self._outputs: dict[str, Any] = {}
         self._inputs: dict[str, Any] = {}
         for port, schema in PORTS.items():
@@ -89,6 +91,10 @@ class Counter:
     def die(self) -> None:
         for port in PORTS:
             self._bridge.die(f"{self._name}_{port}")
+
+    def taken(self, port: str) -> list[Any]:
+        messages: list[Any] = self._inputs[port].taken.messages
+        return messages
 
     def took(self, port: str, count: int) -> Any:
         return self._inputs[port].taken.wait(count)[count - 1]
@@ -106,6 +112,15 @@ class Counter:
         self.status(name, status)
 
 
+def meet(ros: Any, client: Peer, name: str) -> None:
+    """Have a client meet a server, and the server the client: else its first answers are lost."""
+    assert client.do("meet", name=name)["met"]
+    node = ros._station.node
+    for service in ("send_goal", "cancel_goal", "get_result"):
+        topic = f"rr{name}/_action/{service}Reply"
+        wait(partial(node.get_subscriptions_info_by_topic, topic, no_mangle=True))
+
+
 class Stage:
     """A robot that offers `count`, and an ordinary client of the action."""
 
@@ -118,6 +133,7 @@ class Stage:
         self.client = client
         self.robot.offer()
         wait(lambda: self.state() is OfferState.OPEN)
+        meet(ros, client, self.name)
 
     def state(self) -> OfferState:
         return self.robot.status().offers[0].state
@@ -139,7 +155,7 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Peer]:
-    started = Peer("client", {"ROS_DOMAIN_ID": str(DOMAIN)}, "threads")
+    started = Peer("client", {"ROS_DOMAIN_ID": str(DOMAIN)})
     yield started
     started.end()
 
@@ -220,6 +236,60 @@ def test_goals_are_aborted_when_nobody_provides_them_any_more(stage: Callable[..
     wait(lambda: there.state() is not OfferState.OPEN)
 
 
+class Work:
+    """Works on all goals as they come, and has their provider die with what it has in hand."""
+
+    def __init__(self, counters: tuple[Counter, Counter], goals_in_a_life: int) -> None:
+        self.deaths = 0
+        self._counters = counters
+        self._life = goals_in_a_life
+        self._over = threading.Event()
+        self._thread = Background(self._run)
+
+    def end(self) -> None:
+        self._over.set()
+        self._thread.result(patience())
+
+    def _run(self) -> None:
+        taken = 0
+        while not self._over.wait(0.001):
+            for counter in self._counters:
+                goals, cancels = counter.taken("goal"), counter.taken("cancel")
+                for number in range(counter.begun, len(goals)):
+                    taken += 1
+                    self._begin(counter, number, goals[number]["order"])
+                counter.begun = len(goals)
+                for each in cancels[counter.cancelled :]:
+                    counter.end(each["goal_id"], "canceled")
+                counter.cancelled = len(cancels)
+                if taken >= self._life:
+                    taken = 0
+                    self.deaths += 1
+                    counter.die()
+                    counter.make()
+
+    def _begin(self, counter: Counter, number: int, order: int) -> None:
+        name = f"goal {self.deaths}.{number}"
+        counter.status(name, "rejected" if order % 50 == 7 else "accepted")
+        if order % 50 != 7 and order % 5 != 4:
+            counter.feed(name, order)
+            counter.end(name, "aborted" if order % 50 == 8 else "succeeded", order)
+
+
+@pytest.mark.long
+def test_each_of_a_thousand_goals_ends_whatever_dies(stage: Callable[..., Stage]) -> None:
+    there = stage()
+    work = Work((there.best, there.next), goals_in_a_life=40)
+    try:
+        ends = there.client.do("pursue_many", name=there.name, count=1000, at_once=8)["ends"]
+    finally:
+        work.end()
+    assert sum(ends.values()) == 1000
+    assert work.deaths >= 20
+    assert ends[str(SUCCEEDED)] > 500
+    assert {"0", str(CANCELED), str(ABORTED)} <= set(ends)
+
+
 def test_a_service_is_an_action_without_feedback(bridge: Bridge, client: Peer) -> None:
     entered, leave = threading.Event(), threading.Event()
 
@@ -232,6 +302,7 @@ def test_a_service_is_an_action_without_feedback(bridge: Bridge, client: Peer) -
 
     at = Endpoint("ros", "offer", Role.SERVICE, ("/served", FIBONACCI), is_offered=True)
     channel = bridge.serve(at, count)
+    meet(bridge, client, "/served")
     first = client.do("pursue", name="/served", order=3)
     assert entered.wait(patience())
     refused = {"canceling": 0, "code": CANCEL_REJECTED}

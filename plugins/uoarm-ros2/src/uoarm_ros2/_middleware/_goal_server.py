@@ -9,15 +9,12 @@ from typing import Any
 
 from attrs import field, frozen
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.qos import (
-    QoSProfile,
-    qos_profile_action_status_default,
-    qos_profile_services_default,
-)
+from rclpy.qos import QoSProfile, qos_profile_action_status_default
 from rclpy.type_support import check_for_type_support
 from rclpy.waitable import NumberOfEntities
 from typing_extensions import Self
 
+from uoarm_ros2._middleware._profile import server_profile
 from uoarm_ros2._middleware._wait_set import Entity
 
 __all__ = ["GoalEntity", "GoalRequest", "GoalServer"]
@@ -88,7 +85,7 @@ class GoalServer:
         self._results: dict[bytes, Any] = {}
         self._waiting: dict[bytes, list[Any]] = {}
         self._unread: set[bytes] = set()
-        services = qos_profile_services_default.get_c_qos_profile()
+        services = server_profile().get_c_qos_profile()
         feedback = QoSProfile(depth=_FEEDBACK_DEPTH).get_c_qos_profile()
         status = qos_profile_action_status_default.get_c_qos_profile()
         with node.handle, self._clock.handle:

@@ -15,9 +15,25 @@ from rclpy.qos import (
 
 from uoarm_ros2._qos import Policies
 
-__all__ = ["new_profile", "read_profile"]
+__all__ = ["new_profile", "read_profile", "server_profile"]
 
 _NANOSECONDS = 1_000_000_000
+
+
+_MOST_REQUESTS = 256
+
+
+def server_profile() -> Any:
+    """Return the profile of a service of ours.
+
+    That of ROS 2 keeps ten requests: of more that come at once, the rest is lost, and nobody told.
+    """
+    return QoSProfile(
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=_MOST_REQUESTS,
+    )
 
 
 def new_profile(policies: Policies) -> Any:

@@ -21,7 +21,7 @@ from rclpy.service import Service
 from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
 from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
-from uoarm_ros2._middleware._profile import new_profile
+from uoarm_ros2._middleware._profile import new_profile, server_profile
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
@@ -204,7 +204,9 @@ class Station:
 
         It is given the request and a function that sends the reply, from any thread.
         """
-        service = self.node.create_service(native, name, _nothing_with)
+        service = self.node.create_service(
+            native, name, _nothing_with, qos_profile=server_profile()
+        )
         return self._wait_for(service, RequestEntity(service, answer))
 
     def goal_server(
