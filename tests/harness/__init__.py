@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import none
-from tests.harness import _leaks, _needs, _places
+from tests.harness import _leaks, _limits, _needs, _places
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
@@ -100,11 +100,13 @@ def pytest_runtest_setup_of_needs(item: pytest.Item) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what collecting made out of every later collection of garbage, as it stays anyway.
+    """Lengthen the limits of what the tests have imported, and freeze what collecting made.
 
+    That is left out of every later collection of garbage, as it stays anyway.
     With its first example Hypothesis looks for what holds its random numbers, and would not see it
     among what is left out.
     """
+    _limits.lengthen(patience())
     settings(max_examples=1, database=None)(given(none())(lambda _: None))()
     gc.collect()
     gc.freeze()

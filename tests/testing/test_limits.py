@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 
 import pytest
+from tests.harness._limits import lengthen
 
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
@@ -32,3 +33,15 @@ def test_in_all_tests_it_is_as_long_as_the_machine_is_slow(call: object) -> None
     with default_limits(1.0):
         assert inspect.signature(call).parameters["timeout"].default == 1.0  # type: ignore[arg-type]
     assert inspect.signature(call).parameters["timeout"].default == patience()  # type: ignore[arg-type]
+
+
+def test_nor_is_a_client_or_a_server_that_is_late_taken_for_gone() -> None:
+    server, client = pytest.importorskip("uoarm.server"), pytest.importorskip("uoarm.client")
+    asyncio_client = pytest.importorskip("websockets.asyncio.client")
+    lengthen(patience())  # again, should no other test that is run have imported them
+    assert server.Limits().stall_seconds == patience()
+    assert server.Limits().ping_seconds < patience()
+    assert server.Limits(stall_seconds=1.0).stall_seconds == 1.0
+    assert inspect.signature(client.connect).parameters["timeout"].default == patience()
+    defaults = inspect.signature(asyncio_client.connect.__init__).parameters
+    assert defaults["ping_timeout"].default == patience()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from messages import default_of
-from peers import DOMAIN, Peer
+from peers import DOMAIN, MORTAL, Peer
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge, Registry
@@ -81,12 +81,12 @@ class RosWorld(World):
         return [large_image()] if kind == "image" else []
 
     def victim(self) -> Victim:
-        talker = self._start("victim")
+        talker = self._start("victim", **MORTAL)
         talker.do("advertise", topic="/mortal")
         return Victim(at(Role.OUTPUT, "/mortal", "std_msgs/msg/Int64"), talker.kill)
 
     def served(self) -> Served:
-        mortal = self._start("failing")
+        mortal = self._start("failing", **MORTAL)
         mortal.do("fail", name="/failing")
         native: Any = import_type(SERVICE)
         request = {**default_of(native.Request), "int64_value": 2**62, "string_value": "abc"}

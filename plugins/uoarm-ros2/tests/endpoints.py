@@ -17,15 +17,15 @@ def endpoint(role: Role, *address: str, port: str = "default", **options: Any) -
 
 
 def source(bridge: Bridge, at: Endpoint, take: Any) -> Source:
-    structure = bridge.describe(at).message
+    structure = bridge.describe(at, timeout=patience()).message
     assert structure is not None
-    return bridge.open_source(at, structure, take)
+    return bridge.open_source(at, structure, take, timeout=patience())
 
 
 def sink(bridge: Bridge, at: Endpoint) -> Any:
-    structure = bridge.describe(at).message
+    structure = bridge.describe(at, timeout=patience()).message
     assert structure is not None
-    return bridge.open_sink(at, structure)
+    return bridge.open_sink(at, structure, timeout=patience())
 
 
 def known(bridge: Bridge, *nodes: str, bare: bool = False) -> None:

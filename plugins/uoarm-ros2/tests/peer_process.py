@@ -84,6 +84,7 @@ class Doer:
     def __init__(self, node: Any) -> None:
         self.node = node
         self.publishers: dict[str, Any] = {}
+        self.latched: set[str] = set()
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
         self.ends: list[str] = []
@@ -94,6 +95,8 @@ class Doer:
     def advertise(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
         native = {"Int64": Int64, "Image": Image, "String": String}[kind]
         self.publishers[topic] = self.node.create_publisher(native, topic, profile(**qos))
+        if qos.get("durability") == "transient_local":
+            self.latched.add(topic)
         return {}
 
     def redefine(self, kind: str = "Int64") -> dict[str, Any]:
@@ -106,9 +109,25 @@ class Doer:
         return {}
 
     def publish(
-        self, topic: str, count: int, first: int = 1, period: float = 0.0, size: int = 0
+        self,
+        topic: str,
+        count: int,
+        first: int = 1,
+        period: float = 0.0,
+        size: int = 0,
+        unmatched: bool = False,
     ) -> dict[str, Any]:
+        """Publish numbered messages, to a matched subscription unless they are latched.
+
+        A subscription that has matched this publisher may be unknown to it for long on a busy
+        machine; what is published until then never reaches it.
+        """
         publisher = self.publishers[topic]
+        if not unmatched and topic not in self.latched:
+            deadline = time.monotonic() + PATIENCE
+            while not publisher.get_subscription_count():
+                assert time.monotonic() < deadline, f"nobody subscribes to {topic}"
+                time.sleep(0.001)
         payload = bytes(size)
         for number in range(first, first + count):
             if publisher.msg_type is Image:

@@ -16,6 +16,8 @@ from typing import Any
 
 from uoarm.testing import patience
 
+HERE = Path(__file__).parent
+
 
 def _reserved_domain() -> int:
     """A domain that, with the next one, no other process of tests on this machine uses.
@@ -38,12 +40,20 @@ def _reserved_domain() -> int:
 DOMAIN = _reserved_domain()
 
 
+MORTAL = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(HERE / "mortal.xml")}
+"""Others notice within a second or two that a process was killed."""
+
+
 class Peer:
-    """A ROS 2 node in a process of its own, whose loss others notice within a second or two."""
+    """A ROS 2 node in a process of its own; for one that is killed `environment` has `MORTAL`.
+
+    Others forget a process that stands still for the lease that it announces, and meet it again;
+    what is published meanwhile never arrives. So only who is killed announces a short one.
+    """
 
     def __init__(self, name: str, environment: dict[str, str], *words: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("peer_process.py")), name, *words],
+            [sys.executable, str(HERE / "peer_process.py"), name, *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -86,7 +96,7 @@ class Peer:
         self._process.send_signal(signal.SIGCONT)
 
     def end(self) -> None:
-        """End it, with a farewell if it can: else the next test meets its ghost for a second."""
+        """End it, with a farewell if it can: else the next test meets its ghost for its lease."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self.thaw()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
-from peers import Peer
+from peers import MORTAL, Peer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
@@ -57,7 +57,7 @@ def test_one_that_comes_later_is_an_event_and_so_is_its_end(bridge: Bridge, peer
 def test_a_channel_left_with_strangers_alone_is_lost(bridge: Bridge, peer: Start) -> None:
     events = Inbox()
     bridge.watch(events)
-    talker, stranger = peer("talker"), peer("stranger")
+    talker, stranger = peer("talker", **MORTAL), peer("stranger")
     talker.do("advertise", topic="/replaced")
     source(bridge, endpoint(Role.OUTPUT, "/replaced", INT64), print)
     stranger.do("redefine")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from peers import DOMAIN, Peer
+from peers import DOMAIN, MORTAL, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -59,7 +59,7 @@ OUT = """
 
 
 def test_a_publisher_that_starts_again_is_waited_for(peer: Start) -> None:
-    first = peer("first")
+    first = peer("first", **MORTAL)
     first.do("advertise", topic="/mortal")
     waits = f"failover: {{wait: {patience()}}}"
     with robot(OUT, waits) as manager, manager.request("numbers") as connection:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
-from peers import Peer
+from peers import MORTAL, Peer
 from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
@@ -238,7 +238,7 @@ def test_an_action_is_four_streams(make_bridge: Make, peer: Start) -> None:
 def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
     events, statuses = Inbox(), Inbox()
     bridge.watch(events)
-    server = peer("server", "threads")
+    server = peer("server", "threads", **MORTAL)
     server.do("act", name="/fibonacci")
     channel = source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
     goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
@@ -273,7 +273,7 @@ def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start
 def test_nodes_that_come_and_go_are_events(bridge: Bridge, peer: Start) -> None:
     events = Inbox()
     bridge.watch(events)
-    visitor = peer("visitor")
+    visitor = peer("visitor", **MORTAL)
     assert events.event(Health.OK, "node /visitor appeared").component == "/visitor"
     visitor.kill()
     assert events.event(Health.LOST, "node /visitor left").component == "/visitor"

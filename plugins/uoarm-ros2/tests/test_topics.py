@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
-from peers import Peer
+from peers import MORTAL, Peer
 from uoarm_ros2._middleware import Station
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
-from uoarm.testing import patience, wait
+from uoarm.testing import patience, slowness, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -26,13 +26,14 @@ UNKNOWN = "_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_"
 
 
 def test_no_first_message_is_lost(make_bridge: Make, peer: Start) -> None:
-    bridge, talker = make_bridge(), peer("talker")
-    for attempt in range(5):
+    # Our subscription is known to the talker only some time after the talker's to us.
+    bridge, talker = make_bridge(settle=0.2 * slowness()), peer("talker")
+    for attempt in range(3):
         topic = f"/first_{attempt}"
         talker.do("advertise", topic=topic)
         inbox = Inbox()
         channel = source(bridge, endpoint(Role.OUTPUT, topic, INT64), inbox)
-        talker.do("publish", topic=topic, count=20)
+        talker.do("publish", topic=topic, count=20, unmatched=True)
         inbox.wait_for(20)
         assert inbox.numbers() == list(range(1, 21))
         channel.close()
@@ -321,7 +322,7 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
     bridge = make_bridge()
     events, inbox = Inbox(), Inbox()
     bridge.watch(events)
-    talker = peer("talker")
+    talker = peer("talker", **MORTAL)
     talker.do("advertise", topic="/mortal", history="keep_all")
     whole = {"history": "keep_all"}
     channel = source(bridge, endpoint(Role.OUTPUT, "/mortal", INT64, qos=whole), inbox)
@@ -330,7 +331,7 @@ def test_a_killed_publisher_is_lost_and_its_successor_resumes(
     talker.kill()
     assert events.event(Health.LOST, "the last publisher of /mortal is gone").channel is channel
     before = inbox.numbers()
-    # Each once and in order. A process that stands still for the lease's second, as under load, is
+    # Each once and in order. A process that stands still for its lease's second, as under load, is
     # forgotten and met again, and DDS never brings what was published meanwhile.
     assert before == sorted(set(before))
     successor = peer("successor")
@@ -402,7 +403,7 @@ def test_two_types_on_one_topic_are_reported(bridge: Bridge, peer: Start) -> Non
 def test_a_type_that_joins_later_is_an_event(bridge: Bridge, peer: Start) -> None:
     events = Inbox()
     bridge.watch(events)
-    first, second = peer("first"), peer("second")
+    first, second = peer("first"), peer("second", **MORTAL)
     first.do("advertise", topic="/joined")
     channel = source(bridge, endpoint(Role.OUTPUT, "/joined", INT64), print)
     second.do("subscribe", topic="/joined", kind="String")
@@ -531,7 +532,7 @@ def test_a_native_link_passes_bytes_between_topics(bridge: Bridge, peer: Start) 
 
 
 def test_a_link_of_one_topic_is_only_watched(bridge: Bridge, peer: Start) -> None:
-    talker, listener = peer("talker"), peer("listener")
+    talker, listener = peer("talker", **MORTAL), peer("listener")
     talker.do("advertise", topic="/shared")
     listener.do("subscribe", topic="/shared")
     events = Inbox()
