@@ -62,12 +62,18 @@ class _Job(Generic[T]):
     """One outermost step on its worker thread, and the deadline that holds at this moment."""
 
     def __init__(
-        self, step: str, limit: float, action: Callable[[], T], on_late: Callable[[T], None] | None
+        self,
+        step: str,
+        limit: float,
+        action: Callable[[], T],
+        on_late: Callable[[T], None] | None,
+        on_give_up: Callable[[], object] | None,
     ) -> None:
         self.step = step
         self.limit = limit
         self.deadline = time.monotonic() + limit
         self.given_up = False
+        self.on_give_up = on_give_up
         self._hangs_in = ""
         self._action = action
         self._on_late = on_late
@@ -111,6 +117,8 @@ class _Job(Generic[T]):
                 self.given_up = True
                 self._hangs_in = self.step
                 _hanging.add(self._hangs_in)
+            if self.on_give_up is not None:
+                self.on_give_up()
             raise BridgeTimeoutError(
                 f"{self.step} did not finish within {self.limit:g} s and was given up"
             )
@@ -142,6 +150,7 @@ def run(
     action: Callable[[], T],
     *,
     on_late: Callable[[T], None] | None = None,
+    on_give_up: Callable[[], object] | None = None,
 ) -> T:
     """Run an action under a time limit and return what it returns.
 
@@ -150,6 +159,8 @@ def run(
         limit: seconds.
         action: called once, in another thread unless this is already one of ours.
         on_late: takes a result that came after the step was given up, in the worker's thread.
+        on_give_up: called when the step is given up, in the thread that waits; so that what goes
+            on alone may be told to end.
 
     Raises:
         BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
@@ -160,10 +171,10 @@ def run(
         _hanging.check(step)
     outer = _current.job
     if outer is None or outer.given_up:
-        job = _Job(step, limit, action, on_late)
+        job = _Job(step, limit, action, on_late, on_give_up)
         _workers.submit(job.work)
         return job.wait()
-    return _run_inside(outer, step, limit, action, on_late)
+    return _run_inside(outer, step, limit, action, on_late, on_give_up)
 
 
 def _run_inside(
@@ -172,17 +183,20 @@ def _run_inside(
     limit: float,
     action: Callable[[], T],
     on_late: Callable[[T], None] | None,
+    on_give_up: Callable[[], object] | None,
 ) -> T:
-    before = outer.step, outer.limit, outer.deadline
+    before = outer.step, outer.limit, outer.deadline, outer.on_give_up
     deadline = time.monotonic() + limit
     if deadline < outer.deadline:
         outer.limit, outer.deadline = limit, deadline
     outer.step = step
+    if on_give_up is not None:
+        outer.on_give_up = on_give_up
     try:
         result = action()
     finally:
         if not outer.given_up:
-            outer.step, outer.limit, outer.deadline = before
+            outer.step, outer.limit, outer.deadline, outer.on_give_up = before
     if outer.given_up:
         if on_late is not None:
             on_late(result)

@@ -88,6 +88,7 @@ class Doer:
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
         self.ends: list[str] = []
+        self.begun = threading.Event()
         self.clients: dict[str, Any] = {}
         self.goals: list[Any] = []
         self.steps: list[list[list[int]]] = []
@@ -220,6 +221,7 @@ class Doer:
 
     def act(self, name: str, period: float = 0.05) -> dict[str, Any]:
         def execute(goal: Any) -> Any:
+            self.begun.set()
             sequence = [0, 1]
             for _ in range(1, goal.request.order):
                 if goal.is_cancel_requested:
@@ -322,6 +324,9 @@ class Doer:
         """Wait for the result of a goal."""
         reply = done(self.within(self.goals[goal].get_result_async))
         return {"status": reply.status, "sequence": list(reply.result.sequence)}
+
+    def goal_begun(self) -> dict[str, Any]:
+        return {"begun": self.begun.wait(PATIENCE)}
 
     def goal_ends(self) -> dict[str, Any]:
         deadline = time.monotonic() + PATIENCE

@@ -12,10 +12,13 @@ from messages import default_of
 from peers import MORTAL, Peer
 from uoarm_ros2._types import import_type
 
+from uoarm import RobotManager
 from uoarm.bridge import Bridge
+from uoarm.config import loads
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
+    CommandRefusedError,
     FailureReason,
     MessageError,
 )
@@ -206,6 +209,35 @@ def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) ->
     server.do("act", name="/fibonacci", period=0.05)
     with pytest.raises(BridgeTimeoutError):
         bridge.call(service("/fibonacci", FIBONACCI), {"order": 80}, timeout=0.5)
+    assert server.do("goal_ends")["ends"] == ["canceled"]
+
+
+def test_an_action_that_an_emergency_stop_ends_is_cancelled(make_bridge: Make, peer: Start) -> None:
+    server = peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.05)
+    settings = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
+    text = f"""
+version: 1
+bridges: {{ros: {{plugin: ros2}}}}
+functions:
+  reach: {{components: [{{name: arm, bridge: ros, service: {{{settings}}}}}]}}
+"""
+    came: list[BaseException] = []
+    with RobotManager(loads(text), bridges={"ros": make_bridge()}) as robot:
+
+        def call() -> None:
+            try:
+                robot.call("reach", {"order": 2000}, timeout=2 * patience())
+            except CommandRefusedError as error:
+                came.append(error)
+
+        calling = threading.Thread(target=call)
+        calling.start()
+        server.do("goal_begun")
+        (outcome,) = robot.stop_all(timeout=patience()).inputs
+        calling.join(patience())
+        assert (outcome.component, outcome.stopped) == ("arm", True)
+        assert "the emergency stop cancelled the call" in str(came[0])
     assert server.do("goal_ends")["ends"] == ["canceled"]
 
 

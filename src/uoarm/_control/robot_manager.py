@@ -136,6 +136,7 @@ class RobotManager:
             clock,
             self._executor.judge_service,
             lambda name: name in recently(self._executor.state.avoided, clock()),
+            self._executor.live.emergency_stop,
         )
         self._offers = Offers(lambda: self.config, self, self._bridges, self._events, clock)
         self._staleness = StalenessWatch(
@@ -316,8 +317,10 @@ class RobotManager:
         Raises:
             ResolutionError: no service is available.
             MessageError: the request does not match the structure.
+            CommandRefusedError: the service moves something, and the emergency stop refused or
+                cancelled the call.
             BridgeError: the service failed or is gone, or its reply does not match the structure.
-            BridgeTimeoutError: no reply in time.
+            BridgeTimeoutError: no reply in time, or within the lifetime of a call.
             UsageError: the function is a stream, or a reply may be no `as_type`.
         """
         wanted = None if as_type is None else MessageType(as_type, f"the reply of {name!r}")

@@ -7,12 +7,19 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.failure_watch import FailureWatch
 from uoarm._dataplane import Clock, make_check
 from uoarm._hints.applications import MessageType, as_message
 from uoarm._raised import is_raised
 from uoarm.bridge import Bridge, ServiceStructures
-from uoarm.errors import BridgeError, FailureReason, MessageError, UsageError
+from uoarm.errors import (
+    BridgeError,
+    CommandRefusedError,
+    FailureReason,
+    MessageError,
+    UsageError,
+)
 from uoarm.model import (
     Component,
     ComponentStatus,
@@ -38,6 +45,7 @@ class Services:
         tell: told when the verdict on one changes.
         is_avoided: says whether one that was lost is still avoided; after that it has another
             chance.
+        emergency_stop: refuses and cancels calls of what moves something.
     """
 
     def __init__(
@@ -47,12 +55,14 @@ class Services:
         clock: Clock,
         tell: Callable[[Component, Health, str], None],
         is_avoided: Callable[[str], bool],
+        emergency_stop: EmergencyStop,
     ) -> None:
         self._bridge = bridge
         self._limits = limits
         self._clock = clock
         self._tell = tell
         self._is_avoided = is_avoided
+        self._emergency_stop = emergency_stop
         self._lock = threading.Lock()
         self._watches: dict[str, tuple[Component, FailureWatch]] = {}
 
@@ -75,7 +85,9 @@ class Services:
 
         Raises:
             MessageError: the request does not match the structure.
+            CommandRefusedError: it moves something, and the emergency stop refused or cancelled it.
             BridgeError: the service failed or is gone, or its reply does not match the structure.
+            BridgeTimeoutError: no reply in time, or within the lifetime of a call.
             UsageError: the function is a stream, or a reply may be no `wanted`.
         """
         component = step.component
@@ -87,8 +99,14 @@ class Services:
         message = as_message(message, place)
         _check(message, step.structures["request"], place)
         bridge = self._bridge(component.bridge)
+        endpoint = component.service.endpoint
+        if endpoint.command is not None and endpoint.command.lifetime is not None:
+            timeout = min(timeout, endpoint.command.lifetime)
         try:
-            reply = _answer(bridge, step, component.service.endpoint, message, timeout)
+            with self._emergency_stop.calling(bridge, endpoint, name):
+                reply = _answer(bridge, step, endpoint, message, timeout)
+        except CommandRefusedError:
+            raise  # nobody is to blame
         except Exception as error:
             self._failed(component, error)
             raise

@@ -175,13 +175,14 @@ class RemoteBridge(Bridge):
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
-        return self._ask(
-            "call",
-            endpoint=to_json(endpoint),
-            structures=to_json(structures),
-            message=message,
-            timeout=timeout,
-        )
+        with self.cancelling(lambda: self._ask("cancel_calls", component=endpoint.component)):
+            return self._ask(
+                "call",
+                endpoint=to_json(endpoint),
+                structures=to_json(structures),
+                message=message,
+                timeout=timeout,
+            )
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler

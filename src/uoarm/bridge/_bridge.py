@@ -11,10 +11,12 @@ import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
 from uoarm import _bounded
 from uoarm.bridge._border import translated
+from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
 from uoarm.bridge._channel import Channel, Sink, Source
 from uoarm.bridge._description import (
     Capabilities,
@@ -66,6 +68,7 @@ class Bridge(ABC):
         self._open: set[Channel] = set()
         self._is_closed = False
         self._listener: Callable[[HealthEvent], None] | None = None
+        self._calls = CallsUnderWay()
 
     @final
     @property
@@ -183,11 +186,36 @@ class Bridge(ABC):
             BridgeTimeoutError: no reply within `timeout` seconds.
         """
         self._require(self.capabilities.call, "call services")
+
+        call = CallUnderWay(endpoint.component)
+
+        def begin() -> Message:
+            with self._calls.begun(call):
+                return self._call(endpoint, structures, message, timeout)
+
         return self._step(
-            f"calling {endpoint}",
-            timeout,
-            lambda: self._call(endpoint, structures, message, timeout),
+            f"calling {endpoint}", timeout, begin, on_give_up=lambda: self._calls.cancel(call)
         )
+
+    @final
+    def cancel_calls(self, component: str) -> bool:
+        """Cancel the calls of a service that are under way; for the core.
+
+        Does not wait for their ends. Returns whether the framework could be told of each.
+        """
+        told = [self._calls.cancel(one) for one in self._calls.of(component)]
+        return all(told)
+
+    @final
+    def cancelling(self, cancel: Callable[[], object]) -> AbstractContextManager[None]:
+        """Have `cancel` called when the call that runs in this thread is to end early.
+
+        For `_call` of a bridge whose framework can cancel: for the length of a `with` block, while
+        it waits for the reply. `cancel` is called when the call has timed out or an emergency stop
+        ends it, in another thread, or here at once where that was before; maybe twice. It must
+        return in bounded time. The call then ends as the framework says.
+        """
+        return self._calls.cancelling(cancel)
 
     @final
     def serve(
@@ -372,12 +400,13 @@ class Bridge(ABC):
         timeout: float,
         action: Callable[[], T],
         on_late: Callable[[T], None] | None = None,
+        on_give_up: Callable[[], object] | None = None,
     ) -> T:
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
         step = f"bridge {self.name!r}: {what}"
         with translated(step):
-            return _bounded.run(step, timeout, action, on_late=on_late)
+            return _bounded.run(step, timeout, action, on_late=on_late, on_give_up=on_give_up)
 
     def _opened(
         self,

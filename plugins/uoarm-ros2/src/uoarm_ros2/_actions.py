@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from uoarm.bridge import Channel, Description, Sink, Source
@@ -105,7 +106,13 @@ class Action:
             self._graph.greet(f"{self.name}/_action/send_goal", limit)
         self._was_ready = True
 
-    def call(self, message: Message, timeout: float, wait: float) -> Message:
+    def call(
+        self,
+        message: Message,
+        timeout: float,
+        wait: float,
+        cancelling: Callable[[Callable[[], object]], AbstractContextManager[None]],
+    ) -> Message:
         """Send a goal and return its result; a goal that is given up is cancelled.
 
         Raises:
@@ -121,7 +128,8 @@ class Action:
         if not handle.accepted:
             raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
         try:
-            reply = answered(handle.get_result_async(), deadline, self.ready, what)
+            with cancelling(handle.cancel_goal_async):
+                reply = answered(handle.get_result_async(), deadline, self.ready, what)
         except BridgeTimeoutError:
             handle.cancel_goal_async()
             raise

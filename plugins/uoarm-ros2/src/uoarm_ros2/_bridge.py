@@ -182,6 +182,8 @@ class Ros2Bridge(Bridge):
             action, name, type_name = self._require_server(address, settings, at_most=wait)
             server = (self._action if action else self._caller)(name, type_name)
             self._called[address] = server
+        if isinstance(server, Action):
+            return server.call(message, timeout, wait, self.cancelling)
         return server.call(message, timeout, wait)
 
     def _serve(

@@ -5,26 +5,59 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
 
 from uoarm._control.live.stop_file import StopFile
 from uoarm._dataplane import Clock
 from uoarm._raised import text_of
-from uoarm.bridge import Sink
-from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
-from uoarm.model import CommandPhase, CommandStatus, StopOutcome, StopReport
+from uoarm.bridge import Bridge, Sink
+from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
+from uoarm.model import CommandPhase, CommandStatus, Endpoint, StopOutcome, StopReport
 
 __all__ = ["EmergencyStop"]
 
+T = TypeVar("T")
 _log = logging.getLogger("uoarm.commands")
 _OPENING_SECONDS = 2.0
 _SHARE = 0.8  # of the time, for the answer of an input; the rest is for what it says to get here
 
 
-class EmergencyStop:
-    """Holds the open inputs that move something, and those that open meanwhile. Thread safe.
+class _Call:
+    """A call under way of a service that moves something.
 
-    Each input is stopped in a thread of its own, so that none waits for one that hangs.
+    Args:
+        bridge: in which it runs.
+        endpoint: of the service.
+
+    Attributes:
+        is_cancelled: whether it was cancelled by an emergency stop.
+    """
+
+    closed = False
+
+    def __init__(self, bridge: Bridge, endpoint: Endpoint) -> None:
+        self.endpoint = endpoint
+        self.ended = threading.Event()
+        self.is_cancelled = False
+        self._bridge = bridge
+
+    def hold(self, timeout: float) -> CommandStatus | str:
+        """Cancel it, and wait for its end; say what came of it."""
+        self.is_cancelled = True
+        is_told = self._bridge.cancel_calls(self.endpoint.component)
+        if self.ended.wait(timeout):
+            return CommandStatus(CommandPhase.STOPPED, since=0.0, held=True)
+        if is_told:
+            return "a call of it was cancelled, and has not ended yet"
+        return "a call of it is under way, which its framework cannot cancel"
+
+
+class EmergencyStop:
+    """Holds what moves something: open inputs, calls under way, what begins meanwhile. Thread safe.
+
+    Each is stopped in a thread of its own, so that none waits for one that hangs.
 
     Args:
         clock: seconds.
@@ -36,6 +69,7 @@ class EmergencyStop:
         self._file = file
         self._lock = threading.Lock()
         self._sinks: dict[Sink, str] = {}
+        self._calls: dict[_Call, str] = {}
         self._asked = 0
         self._since = clock() if file is not None and file.is_there() else None
 
@@ -72,28 +106,58 @@ class EmergencyStop:
             text = f"{sink.endpoint}: commands are refused until the emergency stop is released"
             raise CommandRefusedError(text, "held")
 
+    @contextmanager
+    def calling(self, bridge: Bridge, endpoint: Endpoint, function: str) -> Iterator[None]:
+        """Have a call of a service cancelled by a stop, where the service moves something.
+
+        Raises:
+            CommandRefusedError: all is held, or was meanwhile, so that the call was cancelled.
+        """
+        if endpoint.command is None:
+            yield
+            return
+        call = _Call(bridge, endpoint)
+        with self._lock:  # a stop sees it listed, or it sees the stop
+            if self._since is not None:
+                text = f"{endpoint}: calls are refused until the emergency stop is released"
+                raise CommandRefusedError(text, "held")
+            self._calls[call] = function
+        try:
+            yield
+        except UoarmError as error:
+            if call.is_cancelled:
+                text = f"{endpoint}: the emergency stop cancelled the call: {error}"
+                raise CommandRefusedError(text, "held") from error
+            raise
+        finally:
+            with self._lock:
+                del self._calls[call]
+            call.ended.set()
+
     def stop(self, timeout: float) -> StopReport:
         """Stop everything; say what came of it. Blocks for `timeout` seconds at most."""
         with self._lock:
             since = self._since = self._clock() if self._since is None else self._since
             self._asked += 1
-            sinks = dict(self._sinks)
+            listed: Iterable[tuple[Sink | _Call, str]] = (
+                *self._sinks.items(),
+                *self._calls.items(),
+            )
+            moving = dict(listed)
         keeping = self._keep()
         deadline = time.monotonic() + timeout
-        results: dict[Sink, CommandStatus | str] = {}
+        results: dict[Sink | _Call, CommandStatus | str] = {}
 
-        def hold(sink: Sink) -> None:
-            results[sink] = (
-                sink.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
-            )
+        def hold(one: Sink | _Call) -> None:
+            results[one] = one.hold(_SHARE * timeout) or "its bridge host is gone: it was not asked"
 
-        _each(hold, sinks, results, timeout)
+        _each(hold, moving, results, timeout)
         late = f"no answer within {timeout:g} s"
         unkept = keeping(max(0.0, deadline - time.monotonic()))
         outcomes = [
-            _outcome(sink, function, results.get(sink, late))
-            for sink, function in sinks.items()
-            if not sink.closed
+            _outcome(one, function, results.get(one, late))
+            for one, function in moving.items()
+            if not one.closed
         ]
         return StopReport(
             self._clock() - since,
@@ -175,21 +239,22 @@ class EmergencyStop:
 
 
 def _each(
-    act: Callable[[Sink], None],
-    sinks: dict[Sink, str],
-    results: dict[Sink, CommandStatus | str],
+    act: Callable[[T], None],
+    moving: Iterable[T],
+    results: dict[T, CommandStatus | str],
     timeout: float,
 ) -> None:
-    """Do something to every input, in a thread for each; note what it raises."""
+    """Do something to everything that moves, in a thread for each; note what it raises."""
 
-    def one(sink: Sink) -> None:
+    def begin(one: T) -> None:
         try:
-            act(sink)
+            act(one)
         except Exception as error:  # noqa: BLE001 - a bridge may raise anything
-            results[sink] = text_of(error)
+            results[one] = text_of(error)
 
     threads = [
-        threading.Thread(target=one, args=(sink,), name="uoarm-stop", daemon=True) for sink in sinks
+        threading.Thread(target=begin, args=(one,), name="uoarm-stop", daemon=True)
+        for one in moving
     ]
     for thread in threads:
         thread.start()
@@ -198,14 +263,15 @@ def _each(
         thread.join(max(0.0, deadline - time.monotonic()))
 
 
-def _outcome(sink: Sink, function: str, told: CommandStatus | str) -> StopOutcome:
-    component, port = sink.endpoint.component, sink.endpoint.port
+def _outcome(moved: Sink | _Call, function: str, told: CommandStatus | str) -> StopOutcome:
+    endpoint = moved.endpoint
+    component, port = endpoint.component, endpoint.port
     if isinstance(told, str):
         return StopOutcome(function, component, port, stopped=False, cause=told)
     if told.phase is CommandPhase.STOPPED and told.held:
         return StopOutcome(function, component, port, stopped=True, since=told.since)
-    assert sink.endpoint.command is not None, "only those are listed"
-    if sink.endpoint.command.stop is None:
+    assert endpoint.command is not None, "only those are listed"
+    if endpoint.command.stop is None:
         cause = "it has no stop message; commands are refused"
     else:
         cause = told.cause or "it has not taken the stop message yet"

@@ -63,6 +63,7 @@ class RequestDispatcher:
             "source": self._source,
             "sink": self._sink,
             "call": self._call,
+            "cancel_calls": lambda request: self._bridge.cancel_calls(request["component"]),
             "serve": self._serve,
             "link": self._native_link,
             "sent": lambda request: self._flows.sent(request["flow"]),

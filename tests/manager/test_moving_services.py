@@ -1,0 +1,158 @@
+"""Services that move something: a call ends in time, and the emergency stop cancels and refuses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import (
+    Bridge,
+    Capabilities,
+    Description,
+    Registry,
+    ServiceStructures,
+    Sink,
+    Source,
+)
+from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
+from uoarm.config import loads
+from uoarm.errors import BridgeError, BridgeTimeoutError, CommandRefusedError, ConfigurationError
+from uoarm.model import Deliver, Endpoint, Message, MessageStructure
+from uoarm.testing import patience, wait
+
+ROBOT = """
+version: 1
+bridges: {arms: {plugin: python}}
+functions:
+  reach: {components: [{name: arm, bridge: arms, service: {endpoint: [arm], lifetime: 3600}}]}
+  grasp: {components: [{name: hand, bridge: arms, service: {endpoint: [hand], lifetime: 0.05}}]}
+  think: {components: [{name: head, bridge: arms, service: {endpoint: [head]}}]}
+"""
+
+
+class Arms(Bridge):
+    """Services that answer when they are let go; `arm` and `hand` can be cancelled."""
+
+    capabilities = Capabilities(call=True)
+
+    def __init__(self) -> None:
+        super().__init__("arms", {})
+        self.go_on = threading.Event()
+        self.called = {name: threading.Event() for name in ("arm", "hand", "head")}
+        self.cancelled: list[str] = []
+        self.can_cancel = True
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        number = MessageStructure({"type": "number"})
+        return Description(request=number, reply=number)
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        raise NotImplementedError
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        raise NotImplementedError
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        name, over = endpoint.component, threading.Event()
+
+        def cancel() -> None:
+            self.cancelled.append(name)
+            over.set()
+
+        if not self.can_cancel:
+            self.called[name].set()
+            assert self.go_on.wait(patience())
+            return message
+        with self.cancelling(cancel):
+            self.called[name].set()
+            if name != "head":
+                assert over.wait(patience())
+                raise BridgeError("it was cancelled")
+        return message
+
+    def _close(self) -> None:
+        self.go_on.set()
+
+
+@pytest.fixture
+def arms() -> Arms:
+    return Arms()
+
+
+@pytest.fixture
+def robot(arms: Arms) -> Iterator[RobotManager]:
+    with RobotManager(loads(ROBOT), registry=Registry(()), bridges={"arms": arms}) as robot:
+        yield robot
+
+
+@pytest.fixture
+def reaching(robot: RobotManager, arms: Arms) -> Iterator[list[BaseException | float]]:
+    """A call of `reach` that is under way, and what becomes of it."""
+    came: list[BaseException | float] = []
+
+    def call() -> None:
+        try:
+            came.append(robot.call("reach", 1.0, timeout=2 * patience()))
+        except CommandRefusedError as error:
+            came.append(error)
+
+    thread = threading.Thread(target=call)
+    thread.start()
+    arms.called["arm"].wait(patience())
+    yield came
+    arms.go_on.set()
+    thread.join(patience())
+
+
+def test_a_call_under_way_is_cancelled_and_the_next_is_refused(
+    robot: RobotManager, arms: Arms, reaching: list[BaseException | float]
+) -> None:
+    report = robot.stop_all(timeout=patience())
+    assert [(one.component, one.stopped) for one in report.inputs] == [("arm", True)]
+    wait(lambda: len(reaching) == 1)
+    assert "the emergency stop cancelled the call: it was cancelled" in str(reaching[0])
+    with pytest.raises(CommandRefusedError, match="until the emergency stop is released"):
+        robot.call("reach", 1.0)
+    assert robot.call("think", 2.0, timeout=patience()) == 2.0, "it moves nothing"
+    assert robot.status().components == (), "nobody is to blame"
+    robot.release(timeout=patience())
+    with pytest.raises(BridgeTimeoutError):
+        robot.call("grasp", 1.0, timeout=patience())
+    wait(lambda: len(arms.cancelled) == 2)
+    assert arms.cancelled == ["arm", "hand"], "what was not in time is cancelled, too"
+
+
+def test_what_cannot_be_cancelled_is_reported_as_not_stopped(
+    robot: RobotManager, arms: Arms
+) -> None:
+    arms.can_cancel = False
+    thread = threading.Thread(target=lambda: robot.call("reach", 1.0, timeout=2 * patience()))
+    thread.start()
+    assert arms.called["arm"].wait(patience())
+    (outcome,) = robot.stop_all(timeout=0.05).inputs
+    assert not outcome.stopped
+    assert outcome.cause == "a call of it is under way, which its framework cannot cancel"
+    arms.go_on.set()
+    thread.join(patience())
+    assert robot.stop_all(timeout=patience()).inputs == (), "nothing of it is under way any more"
+
+
+def test_a_call_that_was_cancelled_before_it_could_be_is_cancelled_when_it_can() -> None:
+    calls, call, told = CallsUnderWay(), CallUnderWay("arm"), list[str]()
+    with calls.begun(call):
+        assert not calls.cancel(call)
+        with calls.cancelling(lambda: told.append("cancelled")):
+            assert told == ["cancelled"]
+    assert calls.of("arm") == ()
+
+
+def test_a_lifetime_of_a_call_is_checked() -> None:
+    with pytest.raises(ConfigurationError, match="lifetime"):
+        loads(ROBOT.replace("0.05", "soon"))
