@@ -2,6 +2,7 @@
 
 from uoarm._lock._compare import Finding, Outcome, compare
 from uoarm._lock._guard import LockGuard, guard_of
+from uoarm._lock._packages import LockedBridge, differing_packages
 from uoarm._lock._record import Lock, LockError, read_lock, record, write_lock
 from uoarm._lock._schemas import read_schemas, untold
 
@@ -10,8 +11,10 @@ __all__ = [
     "Lock",
     "LockError",
     "LockGuard",
+    "LockedBridge",
     "Outcome",
     "compare",
+    "differing_packages",
     "guard_of",
     "read_lock",
     "read_schemas",

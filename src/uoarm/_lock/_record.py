@@ -9,6 +9,7 @@ from typing import Any
 
 from attrs import field, frozen
 
+from uoarm._lock._packages import LockedBridge, bridges_of
 from uoarm.errors import ConfigurationError
 from uoarm.model import (
     Component,
@@ -85,11 +86,13 @@ class Lock:
     Attributes:
         functions: by name.
         structures: by fingerprint.
+        bridges: what each runs with, by name.
     """
 
     functions: dict[str, LockedFunction]
     structures: dict[str, LockedStructure]
     version: int = _VERSION
+    bridges: dict[str, LockedBridge] = field(factory=dict)
 
     def structure(self, fingerprint: str) -> MessageStructure:
         """Return the structure of that content."""
@@ -140,7 +143,7 @@ def record(
             one.component: one.reasons[0].sentence if one.reasons else "" for one in plan.rejected
         }
         functions[name] = LockedFunction(parts, edges, passed_over, others=others)
-    return Lock(functions, dict(sorted(structures.items())))
+    return Lock(functions, dict(sorted(structures.items())), bridges=bridges_of(robot))
 
 
 def _edge(edge: Edge, port: Input) -> LockedEdge:

@@ -16,6 +16,7 @@ from uoarm._lock import (
     Lock,
     Outcome,
     compare,
+    differing_packages,
     read_lock,
     read_schemas,
     record,
@@ -80,7 +81,7 @@ def lock(
             findings = _against(before, Path(against))
         else:
             with open_unlocked(file) as robot:
-                findings = list(compare(before, lock_of(robot)))
+                findings = _compared(before, lock_of(robot))
     told = FORMS[form](findings, place)
     if told:
         click.echo(told)
@@ -90,12 +91,19 @@ def lock(
 def _against(before: Lock, other: Path, *, is_installed: bool = False) -> list[Finding]:
     """Compare with what stands in files; standard error says which types do not."""
     if not other.is_dir():
-        return list(compare(before, read_lock(other)))
+        return _compared(before, read_lock(other))
     schemas = read_schemas(other, before, is_installed=is_installed)
     missing = untold(before, schemas)
     if missing:
         click.echo(f"not in {other}, and taken to be as they were: {', '.join(missing)}", err=True)
     return list(compare(before, schemas))
+
+
+def _compared(before: Lock, after: Lock) -> list[Finding]:
+    """Compare two locks; standard error says which packages are others, which breaks nothing."""
+    for line in differing_packages(before.bridges, after.bridges):
+        click.echo(line, err=True)
+    return list(compare(before, after))
 
 
 @contextmanager

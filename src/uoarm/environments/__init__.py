@@ -2,13 +2,21 @@
 
 from uoarm.environments._doctor import Finding, examine
 from uoarm.environments._make import create
-from uoarm.environments._place import Environment, environment_python, installed, listed, remove
+from uoarm.environments._place import (
+    Environment,
+    environment_folder,
+    environment_python,
+    installed,
+    listed,
+    remove,
+)
 from uoarm.environments._requirements import requirements
 
 __all__ = [
     "Environment",
     "Finding",
     "create",
+    "environment_folder",
     "environment_python",
     "examine",
     "installed",
