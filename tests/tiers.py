@@ -66,9 +66,9 @@ TIERS = (
     ),
     Tier(
         "bugs",
-        "the conformance kit against deliberate bugs with a real broker",
-        ("plugins/uoarm-mqtt/tests", "-m", "long"),
-        ("mqtt", "mosquitto"),
+        "the conformance kit against deliberate bugs, and in hosts, with a real broker",
+        ("plugins/uoarm-mqtt/tests", "plugins/uoarm-vda5050/tests", "-m", "long"),
+        ("mqtt", "vda5050", "mosquitto"),
     ),
 )
 BY_DEFAULT = tuple(tier.name for tier in TIERS if tier.name not in {"long", "bugs"})

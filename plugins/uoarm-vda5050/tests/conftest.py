@@ -15,7 +15,7 @@ sys.path.insert(1, str(Path(__file__).parents[2] / "uoarm-mqtt" / "tests"))
 
 from brokers import Broker, running
 
-settings.register_profile("vda5050", max_examples=40, deadline=None, derandomize=True)
+settings.register_profile("vda5050", max_examples=8, deadline=None, derandomize=True)
 settings.load_profile("vda5050")
 
 

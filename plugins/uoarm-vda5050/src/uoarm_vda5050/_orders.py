@@ -12,7 +12,7 @@ from attrs import field, frozen
 from uoarm.errors import MessageError
 from uoarm_vda5050._releases import Release
 
-__all__ = ["Order", "Report", "cancel_order", "state_request"]
+__all__ = ["Order", "Report", "cancel_order", "new_id", "state_request"]
 
 Body = dict[str, Any]
 
@@ -189,9 +189,9 @@ def cancel_order(release: Release, action_id: str, order_id: str) -> Body:
     return _instant(release, "cancelOrder", action_id, more)
 
 
-def state_request(release: Release) -> Body:
+def state_request(release: Release, action_id: str) -> Body:
     """Return the instant action that asks for a state."""
-    return _instant(release, "stateRequest", new_id(), [])
+    return _instant(release, "stateRequest", action_id, [])
 
 
 def _instant(release: Release, kind: str, action_id: str, parameters: list[Body]) -> Body:
@@ -201,9 +201,10 @@ def _instant(release: Release, kind: str, action_id: str, parameters: list[Body]
         "blockingType": release.instant_blocking,
         "actionParameters": parameters,
     }
-    if release.also_named:
-        made[release.also_named] = kind
-    return {"actions": [made]}
+    if not release.also_named:
+        return {"actions": [made]}
+    whole, name = release.also_named
+    return {"actions": [{**made, name: kind}], whole: [made]}
 
 
 @frozen

@@ -66,7 +66,7 @@ class Release:
         instant_blocking: the blocking type that instant actions carry.
         remark: what a member with a description of something ends with.
         is_elliptic: whether the deviation of a position is an ellipse and no radius.
-        also_named: a second name of `actionType` in instant actions.
+        also_named: second names of `actions` and `actionType` in instant actions; none: empty.
         errors: names of errors.
     """
 
@@ -83,7 +83,7 @@ class Release:
     instant_blocking: str
     remark: str
     is_elliptic: bool
-    also_named: str
+    also_named: tuple[str, ...]
     errors: ErrorTypes
 
     @property
@@ -124,7 +124,7 @@ _ERRORS_3 = ErrorTypes(
 )
 
 
-def _second(minor: int, also_named: str = "") -> Release:
+def _second(minor: int, *also_named: str) -> Release:
     return Release(
         name=f"2.{minor}",
         version=f"2.{minor}.0",
@@ -158,9 +158,11 @@ _THIRD = Release(
     instant_blocking="NONE",
     remark="Descriptor",
     is_elliptic=True,
-    also_named="",
+    also_named=(),
     errors=_ERRORS_3,
 )
 
-# The document of 2.0.0 says `actionType` in instant actions, its published schema `actionName`.
-RELEASES = {one.name: one for one in (_second(0, "actionName"), _second(1), _THIRD)}
+# The document of 2.0.0 has instant actions as `actions` with an `actionType`; its published schema
+# says `actionName`, and there are vehicles that read `instantActions`: they are sent all of it.
+_NAMES = ("instantActions", "actionName")
+RELEASES = {one.name: one for one in (_second(0, *_NAMES), _second(1), _THIRD)}

@@ -1,7 +1,7 @@
 """Structures of the topics, written for this plugin: what the standard requires and what is used.
 
-The published JSON Schemas are larger; whoever has them names their folder (`_published.py`). What
-is not named here is tolerated and passes.
+What the published JSON Schemas allow to vehicles fits them; whoever has those names their folder
+(`_published.py`). What is not named here is tolerated and passes.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _STATES = ["accepted", "rejected", "succeeded", "canceled", "aborted", "lost"]
 
 _TEXT: _Schema = {"type": "string"}
 _YES: _Schema = {"type": "boolean"}
-_COUNT: _Schema = {"type": "integer", "minimum": 0}
+_COUNT: _Schema = {"type": "integer"}
 _NUMBER: _Schema = {"type": "number"}
 _METRES: _Schema = {"type": "number", "x-unit": "m"}
 _RADIANS: _Schema = {"type": "number", "x-unit": "rad"}
-_KILOGRAMS: _Schema = {"type": "number", "minimum": 0, "x-unit": "kg"}
-_PERCENT: _Schema = {"type": "number", "minimum": 0, "maximum": 100, "x-unit": "%"}
+_KILOGRAMS: _Schema = {"type": "number", "x-unit": "kg"}
+_PERCENT: _Schema = {"type": "number", "x-unit": "%"}
 _VALUE: _Schema = {"type": ["array", "boolean", "number", "string", "object"]}
 
 
@@ -132,7 +132,10 @@ def _order(release: Release) -> _Schema:
 
 
 def _instant_actions(release: Release) -> _Schema:
-    return _object({"actions": _list(_action(release))})
+    actions = _list(_action(release))
+    if release.also_named:  # which of the two names it has is not certain
+        return _object({}, {"actions": actions, release.also_named[0]: actions})
+    return _object({"actions": actions})
 
 
 def _action_state(release: Release) -> _Schema:
@@ -156,7 +159,7 @@ def _error(release: Release) -> _Schema:
     more = () if release.major == "2" else ("URGENT", "CRITICAL")
     return _object(
         {"errorType": _TEXT, "errorLevel": _words("WARNING", *more, "FATAL")},
-        {"errorDescription": _TEXT, "errorHint": _TEXT, "errorReferences": _list(_REFERENCE)},
+        {"errorDescription": _TEXT, "errorReferences": _list(_REFERENCE)},
     )
 
 

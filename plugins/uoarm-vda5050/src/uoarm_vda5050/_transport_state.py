@@ -96,11 +96,13 @@ class TransportState:
         release: that the vehicle speaks.
         times: limits.
         max_nodes: of one order.
+        name: what the identifiers that it makes begin with; nobody else's do.
     """
 
     release: Release
     times: Times = Times()
     max_nodes: int = 1000
+    name: str = field(factory=new_id)
     phase: Phase = Phase.NONE
     _order: Order | None = None
     _update: Order | None = None  # sent, and not seen in a state yet
@@ -114,6 +116,7 @@ class TransportState:
     _cancel_at: float = 0.0
     _abandoned: dict[str, str] = field(factory=dict)  # order to the action that cancels it
     _abandoned_at: float = 0.0
+    _made: int = 0
 
     @property
     def goal_id(self) -> str:
@@ -145,7 +148,7 @@ class TransportState:
             MessageError: it can be no order, or no update of the one under way.
             BridgeError: the vehicle is not connected; or the message before was not taken yet.
         """
-        order_id = goal.get("orderId") or new_id()
+        order_id = goal.get("orderId") or self._new_id()
         if self._order is not None:
             return order_id, self._goal_meanwhile(goal, order_id, now)
         order = Order.of(goal, order_id, self.release, self.max_nodes)
@@ -160,7 +163,7 @@ class TransportState:
         self._abandoned.pop(order_id, None)
         if known is None:
             self.phase, self._repeat_at = Phase.ASKING, now + self.times.repeat
-            return order_id, [Send("instantActions", state_request(self.release))]
+            return order_id, [Send("instantActions", state_request(self.release, self._new_id()))]
         return order_id, self._begin(known, now)
 
     def cancel(self, goal_id: str, now: float) -> list[Action]:
@@ -170,7 +173,7 @@ class TransportState:
             return []
         if self.phase is Phase.ASKING:  # it was never sent
             return self._end("canceled", "cancelled before it was sent")
-        self._cancel_id, self._cancel_at = new_id(), now + self.times.repeat
+        self._cancel_id, self._cancel_at = self._new_id(), now + self.times.repeat
         return [self._cancelling(self._cancel_id, order.order_id)]
 
     def state(self, body: Mapping[str, Any], now: float) -> list[Action]:
@@ -218,7 +221,7 @@ class TransportState:
         if now >= self._repeat_at:
             self._repeat_at = now + self.times.repeat
             if self.phase is Phase.ASKING:
-                actions.append(Send("instantActions", state_request(self.release)))
+                actions.append(Send("instantActions", state_request(self.release, self._new_id())))
             elif self.phase is Phase.SENT and not self._cancel_id:
                 actions.append(Send("order", order.body))
             elif self._update is not None and not self._cancel_id:
@@ -339,7 +342,7 @@ class TransportState:
         return [Ended(order.order_id, status, result), Status(order.order_id, status)]
 
     def _abandon(self, order_id: str) -> None:
-        self._abandoned[order_id] = new_id()
+        self._abandoned[order_id] = self._new_id()
         while len(self._abandoned) > _MOST_ABANDONED:
             self._abandoned.pop(next(iter(self._abandoned)))
 
@@ -356,6 +359,10 @@ class TransportState:
             return []
         self._abandoned_at = now + self.times.repeat
         return [self._cancelling(action_id, known.order_id)]
+
+    def _new_id(self) -> str:
+        self._made += 1
+        return f"{self.name}-{self._made}"
 
     def _cancelling(self, action_id: str, order_id: str) -> Send:
         return Send("instantActions", cancel_order(self.release, action_id, order_id))
@@ -380,7 +387,7 @@ def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:
     """Say whether an error is about an order; what names none is, where it is new."""
     said = {one["referenceKey"]: one["referenceValue"] for one in error.get("errorReferences", ())}
     if "orderId" not in said:
-        return error not in old
+        return error not in old and said.get("topic", "order") == "order"
     update = str(said.get("orderUpdateId", order.update_id))
     return said["orderId"] == order.order_id and update == str(order.update_id)
 

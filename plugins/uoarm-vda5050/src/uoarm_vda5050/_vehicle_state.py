@@ -222,6 +222,8 @@ class VehicleState:
     def stands(self) -> bool:
         """The vehicle stands: a cancellation is finished; return whether one was under way."""
         was = bool(self._cancelling)
+        if was:
+            self._clear()
         for action_id in self._cancelling:
             self._instants[action_id]["actionStatus"] = "FINISHED"
         self._cancelling.clear()
@@ -262,7 +264,7 @@ class VehicleState:
 
     def _no_order(self, body: Body) -> tuple[str, str]:
         errors = self.release.errors
-        if not self.is_idle or self._cancelling:
+        if not self.is_idle:
             return f"order {self.order_id!r} is under way", errors.busy
         if not self._is_at(body["nodes"][0]):
             return f"the first node {body['nodes'][0]['nodeId']!r} is not here", errors.start
@@ -332,11 +334,11 @@ class VehicleState:
             text = "there is no order to cancel"
             self._note(self.release.errors.nothing, text, {"actionId": action_id})
             return "FAILED"
-        self._clear()
         self._is_cancelled = True
         if not self.driving:
+            self._clear()
             return "FINISHED"
-        self._cancelling.append(action_id)
+        self._cancelling.append(action_id)  # the order stands until the vehicle does
         return "RUNNING"
 
     def _clear(self) -> None:

@@ -259,7 +259,9 @@ class Vehicle:
             except MessageError as error:
                 self._state.refuse_unreadable(str(error))
             else:
-                kinds = [self._state.instant(one) for one in body["actions"]]
+                whole = next(iter(self._release.also_named), "actions")
+                actions = body.get("actions") or body.get(whole) or []
+                kinds = [self._state.instant(one) for one in actions]
                 if "factsheetRequest" in kinds:
                     self._publish_factsheet()
             self._publish_state()

@@ -74,7 +74,7 @@ def _lengthen(root: Schema, schema: object, value: Any) -> Any:
         return ("long " * _LONG)[:_LONG]
     if isinstance(value, list):
         wanted: Any = schema.get("items")
-        plain_item = isinstance(wanted, Mapping) and wanted.get("type") in _SAMPLES
+        plain_item = isinstance(wanted, Mapping) and _one_type(wanted) in _SAMPLES
         if not plain_item or wanted.keys() & _RESTRICTIONS - {"minimum", "maximum"}:
             return value
         sample = _SAMPLES[wanted["type"]]
@@ -90,7 +90,7 @@ def _other_types(root: Schema, schema: object, value: Any, at: str) -> Iterator[
     schema = _resolved(root, schema)
     if not isinstance(schema, Mapping):
         return
-    wanted: Any = schema.get("type")
+    wanted = _one_type(schema)
     if wanted in _TYPES and type(value) is not _TYPES[wanted]:
         yield f"{at} is {value!r}, a {type(value).__name__} where the structure says {wanted}"
     elif schema.get("x-octets"):
@@ -103,6 +103,12 @@ def _other_types(root: Schema, schema: object, value: Any, at: str) -> Iterator[
         for name, one in schema.get("properties", {}).items():
             if name in value:
                 yield from _other_types(root, one, value[name], f"{at}.{name}")
+
+
+def _one_type(schema: Mapping[str, Any]) -> str:
+    """Return the type that a schema asks for, "" where it allows several or any."""
+    wanted = schema.get("type")
+    return wanted if isinstance(wanted, str) else ""
 
 
 def _item(schema: Mapping[str, Any], index: int) -> object:

@@ -1,0 +1,217 @@
+"""A fleet and a vehicle in every order of events: messages lost, cancellations, deaths, restarts.
+
+Both sides are plain state machines, so that a world is a value: it is copied, one event happens in
+each copy, and what has been seen before is not looked at again.
+"""
+
+from __future__ import annotations
+
+import copy
+import random
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import pytest
+from fleet import goal
+from uoarm_vda5050._releases import RELEASES
+from uoarm_vda5050._transport_state import Action, Ended, Send, Status, Times, TransportState
+from uoarm_vda5050._vehicle_state import Act, Drive, VehicleState
+
+from uoarm.errors import UoarmError
+
+TIMES = Times(repeat=1.0, accept=5.0, settle=5.0)
+WORLDS = 250
+WALKS, LONG = 200, 25
+
+
+class Lane:
+    """One fleet, one vehicle, and what is on its way to it."""
+
+    def __init__(self, release: str) -> None:
+        found = RELEASES[release]
+        self.fleet = TransportState(found, TIMES, name="f")
+        self.vehicle = VehicleState(found, frozenset({"pick"}))
+        self.now = 0.0
+        self.way: list[tuple[str, Any]] = []
+        self.told: list[Action] = []
+        self.acts: Counter[str] = Counter()
+        self.online = True
+        self.left = Counter(give=2, cancel=1, lose=1, die=1, restart=1)
+        self.goals = 0
+
+    def key(self) -> str:
+        """What tells worlds apart: the time does not, where nothing depends on it."""
+        fleet = copy.copy(self.fleet)
+        due = self.fleet.wake_at()
+        for name in ("_repeat_at", "_give_up_at", "_cancel_at", "_abandoned_at", "_made"):
+            setattr(fleet, name, 0)
+        told = [(type(one).__name__, getattr(one, "status", "")) for one in self.told]
+        due = None if due is None else due - self.now
+        return repr((fleet, due, self.vehicle, self.way, told[-4:], self.online, self.left))
+
+    def do(self, actions: Iterable[Action]) -> None:
+        for one in actions:
+            if isinstance(one, Send):
+                if self.online:
+                    self.way.append((one.topic, one.body))
+            else:
+                self.told.append(one)
+
+    def events(self) -> Iterator[Callable[[Lane], object]]:
+        if self.left["give"]:
+            yield Lane.give
+        if self.way:
+            yield Lane.arrive
+            if self.left["lose"]:
+                yield Lane.lose
+        if self.online:
+            yield Lane.report
+        if self.vehicle.task is not None:
+            yield Lane.drive
+        if self.left["cancel"] and self.fleet.goal_id:
+            yield Lane.cancel
+        if self.fleet.wake_at() is not None:
+            yield Lane.wait
+        if self.left["die"] or not self.online:
+            yield Lane.die if self.online else Lane.come
+        if self.left["restart"]:
+            yield Lane.restart
+
+    def give(self) -> None:
+        self.left["give"] -= 1
+        try:
+            _, actions = self.fleet.goal(GOAL, self.now)
+        except UoarmError:
+            return
+        self.do(actions)
+
+    def arrive(self) -> None:
+        topic, body = self.way.pop(0)
+        if topic == "order":
+            self.vehicle.order(copy.deepcopy(body))
+        else:
+            for one in body["actions"]:
+                self.vehicle.instant(one)
+
+    def lose(self) -> None:
+        self.left["lose"] -= 1
+        self.way.pop(0)
+
+    def report(self) -> None:
+        second, charge = self.vehicle.release.battery
+        more = {second: {charge: 50.0, "charging": False}}
+        self.do(self.fleet.state({**self.vehicle.body(), **more}, self.now))
+
+    def drive(self) -> None:
+        task = self.vehicle.task
+        if isinstance(task, Drive):
+            assert self.vehicle.reached(task)
+        elif isinstance(task, Act):
+            self.acts[task.action_id] += 1
+            assert self.vehicle.finished(task, "")
+
+    def cancel(self) -> None:
+        self.left["cancel"] -= 1
+        self.do(self.fleet.cancel("", self.now))
+
+    def wait(self) -> None:
+        due = self.fleet.wake_at()
+        assert due is not None
+        self.now = max(self.now, due)
+        self.do(self.fleet.tick(self.now))
+
+    def die(self) -> None:
+        self.left["die"] -= 1
+        self.online = False
+        self.way.clear()
+        self.do(self.fleet.connection(False, "CONNECTIONBROKEN"))
+
+    def come(self) -> None:
+        self.online = True
+        self.do(self.fleet.connection(True, ""))
+
+    def restart(self) -> None:
+        """The program of the fleet dies and starts again; it asks for the same goal as before."""
+        self.left["restart"] -= 1
+        self.fleet = TransportState(self.vehicle.release, TIMES, name="g")
+        if not self.online:
+            self.fleet.connection(False, "")
+        self.told.clear()
+
+    def hold(self) -> None:
+        """What holds in every world."""
+        assert max(self.acts.values(), default=0) <= 1, "an action was performed twice"
+        ends = [one.status for one in self.told if isinstance(one, Ended)]
+        statuses = [one.status for one in self.told if isinstance(one, Status)]
+        assert [one for one in statuses if one != "accepted"] == ends, "each end is told once"
+        if "succeeded" in ends:
+            assert self.acts, "it is said to have succeeded, and was not done"
+
+    def abandon(self) -> None:
+        """What nobody waits for any more is not carried out, once the vehicle is heard again."""
+        if self.fleet.goal_id or not self.left["restart"]:
+            return
+        if not self.online:
+            self.come()
+        for _ in range(3):
+            self.now += TIMES.repeat
+            self.report()
+            while self.way:
+                self.arrive()
+        assert self.vehicle.is_idle, "an order that nobody waits for stands"
+
+    def settle(self) -> None:
+        """When nothing more happens but that time passes, every goal ends."""
+        self.abandon()
+        for _ in range(40):
+            if not self.fleet.goal_id and not self.way:
+                break
+            while self.way:
+                self.arrive()
+            if self.vehicle.task is not None:
+                self.drive()
+            if not self.online:
+                self.come()
+            self.report()
+            due = self.fleet.wake_at()
+            if due is not None and due <= self.now + 1.0:
+                self.wait()
+            self.now += 0.25
+        assert not self.fleet.goal_id, "the goal does not end"
+        self.hold()
+
+
+GOAL = goal("a", "b", order="box", b="pick")
+
+
+@pytest.mark.parametrize("release", ["2.1", "3.0"])
+def test_every_order_of_few_events(release: str) -> None:
+    first = Lane(release)
+    seen, worlds = {first.key()}, [first]
+    for world in worlds:
+        for event in world.events() if len(worlds) < WORLDS else ():
+            other = copy.deepcopy(world)
+            event(other)
+            other.hold()
+            if (key := other.key()) not in seen:
+                seen.add(key)
+                worlds.append(other)
+    for world in worlds:
+        world.settle()
+
+
+@pytest.mark.parametrize("release", ["2.1", "3.0"])
+def test_many_orders_of_many_events(release: str) -> None:
+    ends: Counter[str] = Counter()
+    for seed in range(WALKS):
+        chance, world = random.Random(seed), Lane(release)
+        for _ in range(LONG):
+            events = [*world.events()]
+            if not events:
+                break
+            chance.choice(events)(world)
+            world.hold()
+        world.settle()
+        ends.update(one.status for one in world.told if isinstance(one, Ended))
+    assert ends.keys() >= {"succeeded", "canceled", "aborted", "lost"}, "so much was seen"

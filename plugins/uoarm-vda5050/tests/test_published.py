@@ -1,0 +1,142 @@
+"""The standard's own schemas, where they are given: read, refused with the line, and held against.
+
+VDA5050_SCHEMAS names a folder with the folders 2.0.0, 2.1.0 and 3.0.0, each with the schemas
+that the release published. Without it, what needs them is skipped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Broker, Peer
+from fleet import bridge_to, driven, endpoint, goal
+from jsonschema import Draft202012Validator
+from uoarm_vda5050._messages import Headers
+from uoarm_vda5050._options import prefix_of
+from uoarm_vda5050._orders import Order, cancel_order
+from uoarm_vda5050._published import Published, read_published
+from uoarm_vda5050._releases import RELEASES, TOPICS
+from uoarm_vda5050._structures import body_of
+
+from uoarm.errors import ConfigurationError
+from uoarm.schema import check
+from uoarm.testing import patience, wait
+
+GIVEN = os.environ.get("VDA5050_SCHEMAS", "")
+NEEDS_THEM = pytest.mark.skipif(not GIVEN, reason="VDA5050_SCHEMAS is not set")
+SCHEMA = {"type": "object", "properties": {"headerId": {"type": "integer"}, "orderId": {}}}
+
+
+def test_a_published_schema_loses_its_header(tmp_path: Path) -> None:
+    required = {"required": ["headerId", "orderId"]}
+    (tmp_path / "order.schema").write_text(json.dumps({**SCHEMA, **required}))
+    release = RELEASES["2.1"]
+    found = Published(release, read_published(str(tmp_path), release))
+    body: Any = found.body("order").schema
+    assert (body["properties"], body["required"]) == ({"orderId": {}}, ["orderId"])
+    assert found.body("state") == body_of("state", "2.1"), "what is not there is the plugin's own"
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            '{\n "type": "object",\n}',
+            r"order.schema, line 2: no JSON: the comma before '}' must go",
+        ),
+        ("{\n nothing", r"order.schema, line 2: no JSON: Expecting"),
+        ('{"type": "nonsense", "properties": {}}', r"order.schema: no JSON Schema: 'nonsense'"),
+        ("[]", r"order.schema: no JSON Schema: it is no schema of an object"),
+        ('{"a": "' + "x" * 2**20 + '"}', r"1,048,576 are allowed"),
+    ],
+)
+def test_what_is_no_schema_is_refused_with_its_place(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "order.schema").write_text(text)
+    with pytest.raises(ConfigurationError, match=told):
+        read_published(str(tmp_path), RELEASES["2.1"])
+
+
+def test_a_folder_without_schemas_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"has none of the files order.schema"):
+        read_published(str(tmp_path), RELEASES["2.1"])
+
+
+@NEEDS_THEM
+def test_three_files_of_the_third_release_are_no_json() -> None:
+    wrong = []
+    for topic in TOPICS:
+        try:
+            json.loads((Path(GIVEN) / "3.0.0" / f"{topic}.schema").read_text())
+        except json.JSONDecodeError:
+            wrong.append(topic)
+    assert wrong == ["order", "visualization", "factsheet"]
+    with pytest.raises(ConfigurationError, match=r"Three schemas of release 3.0.0 were published"):
+        read_published(str(Path(GIVEN) / "3.0.0"), RELEASES["3.0"])
+
+
+@NEEDS_THEM
+@pytest.mark.parametrize("release", ["2.0", "2.1"])
+def test_orders_and_cancellations_are_as_published(release: str) -> None:
+    found = RELEASES[release]
+    schemas = read_published(str(Path(GIVEN) / f"{release}.0"), found)
+    headers = Headers(found, "uoa", "agv1")
+    action = {"actionType": "pick", "actionParameters": [{"key": "height", "value": 0.5}]}
+    wanted = goal("a", "b", "c")
+    wanted["nodes"][1] |= {"actions": [action], "nodePosition": {"x": 1, "y": 2, "mapId": "floor"}}
+    for topic, body in {
+        "order": Order.of(wanted, "one", found, 100).body,
+        "instantActions": cancel_order(found, "c", "one"),
+    }.items():
+        Draft202012Validator(schemas[topic]).validate({**headers.next(topic), **body})
+
+
+@NEEDS_THEM
+@pytest.mark.parametrize(
+    ("release", "topics"),
+    [
+        ("2.0", ["state", "connection", "visualization", "factsheet"]),
+        ("2.1", ["state", "connection", "visualization", "factsheet"]),
+        ("3.0", ["state", "connection"]),  # the others are no JSON
+    ],
+)
+def test_what_a_vehicle_says_is_as_published(
+    broker: Broker, release: str, topics: list[str]
+) -> None:
+    peer, serial = Peer(broker), f"published{release}"
+    prefix = prefix_of({"release": release, "interface": "published"})
+    said = peer.collect(f"{prefix}/uoa/{serial}/#")
+    with (
+        driven(broker, serial, release=release, interface="published") as driver,
+        bridge_to(broker, release=release, interface="published") as bridge,
+    ):
+        order = goal("a", "b", b="pick")
+        bridge.call(endpoint(serial, "transport"), order, timeout=patience())
+        driver.vehicle.raise_error("tired", "of driving")
+
+        def came(topic: str) -> list[Any]:
+            return [json.loads(one.payload) for one in said if one.topic.endswith(topic)]
+
+        wait(lambda: all(came(topic) for topic in topics), "not all was said", patience())
+        wait(lambda: any(one["errors"] for one in came("state")), "no error", patience())
+    peer.close()
+    for topic in topics:
+        (file,) = (Path(GIVEN) / f"{release}.0").glob(f"{topic}.*")
+        validator = Draft202012Validator(json.loads(file.read_text()))
+        for one in came(topic):
+            validator.validate(one)
+
+
+@NEEDS_THEM
+@pytest.mark.parametrize("release", ["2.0", "2.1", "3.0"])
+@pytest.mark.parametrize("topic", ["state", "connection"])
+def test_what_is_published_fits_our_structures(tmp_path: Path, release: str, topic: str) -> None:
+    found = RELEASES[release]
+    file = f"{topic}.schema"  # alone: of the third release others are no JSON
+    (tmp_path / file).write_bytes((Path(GIVEN) / f"{release}.0" / file).read_bytes())
+    published = Published(found, read_published(str(tmp_path), found)).body(topic)
+    verdict = check(published.schema, body_of(topic, release).schema)
+    assert verdict.compatible, verdict
