@@ -118,7 +118,8 @@ $(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	$(WANTS_ROS)
 	@echo "Installing uoarm and its bridges into $(VENV) (once) ..."
 	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' \
-	  -e 'plugins/uoarm-ros2[jazzy]' ros-jazzy-test-msgs -e plugins/uoarm-rtm -e plugins/uoarm-rosbridge
+	  -e 'plugins/uoarm-ros2[jazzy]' ros-jazzy-test-msgs -e plugins/uoarm-rtm -e plugins/uoarm-mqtt \
+	  -e plugins/uoarm-vda5050 -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.core: pyproject.toml | $(BIN)/python

@@ -89,6 +89,7 @@ MODULES = {
     "tests/examples/test_vision_*.py": ("vision",),
     "tests/examples/test_records.py": ("records",),
     "tests/examples/test_healthbot.py": HEALTHBOT,
+    "tests/examples/test_warehouse.py": ("ros2", "rtm", "vda5050", "mosquitto"),
     "plugins/uoarm-ros2/tests/test_rosbridge.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/test_cbor_raw.py": ("ros2", "rosbridge"),
     "plugins/uoarm-ros2/tests/*": ("ros2",),

@@ -25,6 +25,7 @@ from warehouse_orders.orders import Journal, Order, Status, read_lines, replay
 _PREFIX: Final = "transport"
 _TICK_SECONDS: Final = 0.2
 _LOOK_SECONDS: Final = 3.0
+_WAIT_SECONDS: Final = 20.0
 _AGAIN_SECONDS: Final = 1.0
 _LATEST_DONE: Final = 5
 
@@ -114,7 +115,7 @@ class Application:
     async def _hold(self, robot: Client, name: str) -> None:
         """Keep a function open of which nothing is read."""
         try:
-            stream = await robot.request(name, receive=False, wait=_LOOK_SECONDS)
+            stream = await robot.request(name, receive=False, wait=_WAIT_SECONDS)
             async for _ in stream:
                 pass
         except UoarmError as error:
@@ -123,7 +124,7 @@ class Application:
     async def _hear(self, robot: Client, name: str) -> None:
         """Take what a vehicle says, as long as it can be had."""
         try:
-            async with await robot.request(f"{name}.state", wait=_LOOK_SECONDS) as stream:
+            async with await robot.request(f"{name}.state", wait=_WAIT_SECONDS) as stream:
                 self._streams[name] = stream
                 try:
                     async for state in stream:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import string
 import sys
 from collections.abc import Callable
@@ -20,7 +21,8 @@ EXAMPLE: Final = Path(__file__).resolve().parents[1]
 _PYTHON: Final = sys.executable
 _NEEDS: Final = {
     "rclpy": "ROS 2", "test_msgs": "ROS 2", "omniORB": "OpenRTM", "uoarm_ros2": "ROS 2",
-    "uoarm_rtm": "OpenRTM", "websockets": "the server", "zenoh": "hosts",
+    "uoarm_rtm": "OpenRTM", "uoarm_vda5050": "VDA 5050", "websockets": "the server",
+    "zenoh": "hosts",
 }  # fmt: skip
 
 
@@ -61,6 +63,11 @@ class Places:
         """Where the page is."""
         return f"http://127.0.0.1:{self.page}/?robot={self.robot_url}"
 
+    @property
+    def broker_url(self) -> str:
+        """Where the MQTT broker is."""
+        return f"mqtt://127.0.0.1:{self.broker}"
+
     def environment(self) -> dict[str, str]:
         """Return the environment variables of every part: loopback only, our own domain."""
         paths = (EXAMPLE, EXAMPLE.parent / "healthbot", EXAMPLE.parent / "vision")
@@ -82,7 +89,7 @@ class Places:
             "run": self.run,
             "domain": self.domain,
             "names": self.nameserver,
-            "broker": f"mqtt://127.0.0.1:{self.broker}",
+            "broker": self.broker_url,
         }
         file = self.run / "robot.yaml"
         file.write_text(string.Template(template.read_text()).substitute(words))
@@ -98,11 +105,29 @@ def make_places(run: Path) -> Places:
 
 def missing() -> list[str]:
     """Return what is not here, and how to get it."""
-    return [
+    lacking = [
         f"the Python module {module} ({what}) is not here: `make warehouse` installs it"
         for module, what in _NEEDS.items()
         if find_spec(module) is None
     ]
+    if _mosquitto() is None:
+        lacking.append("mosquitto, the MQTT broker, is not here: Debian: apt install mosquitto")
+    return lacking
+
+
+def _mosquitto() -> str | None:
+    """Return the broker; Debian has it where only root looks for programs."""
+    return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+
+
+def _broker(places: Places) -> tuple[str, ...]:
+    """Return the broker on loopback, which keeps nothing."""
+    file = places.run / "mosquitto.conf"
+    file.write_text(
+        f"listener {places.broker} 127.0.0.1\nallow_anonymous true\npersistence false\n"
+        "set_tcp_nodelay true\n"
+    )
+    return (_mosquitto() or "mosquitto", "-c", str(file))
 
 
 def parts_of(places: Places, robot: Path) -> list[Part]:
@@ -122,6 +147,7 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
     ready = _says("ready")
     return [
         Part("naming", "the naming service", "OpenRTM", naming, _listens(places.names)),
+        Part("broker", "Mosquitto", "MQTT", _broker(places), _listens(places.broker)),
         Part("floor", "the simulator", "", _module("warehouse_floor", str(places.floor)), ready),
         Part(
             "amr",
@@ -135,6 +161,13 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
             "a cart, an RT-Component",
             "OpenRTM",
             _module("warehouse_vehicles.rtm_cart", "cart", "home2", places.nameserver),
+            ready,
+        ),
+        Part(
+            "agv",
+            "an automated vehicle, release 2.1",
+            "VDA 5050",
+            _module("warehouse_vehicles.vda_agv", "agv", "home3", places.broker_url, "2.1"),
             ready,
         ),
         Part(

@@ -1,0 +1,41 @@
+"""The warehouse as a user starts it: a box is carried by whichever vehicle is fit, and all ends."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from uoarm.testing import patience, wait
+
+WAREHOUSE = Path(__file__).parents[2] / "examples" / "warehouse"
+
+
+def test_an_order_is_carried_out_and_everything_ends(tmp_path: Path) -> None:
+    limits = ["--orders", "1", "--duration", str(3 * patience()), "--run", str(tmp_path)]
+    output = tmp_path / "scene.out"
+    with output.open("wb") as out:
+        command = [sys.executable, str(WAREHOUSE / "warehouse.py"), *limits]
+        scene = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
+        try:
+            wait(lambda: scene.poll() is not None, timeout=5 * patience())
+        finally:
+            scene.terminate()
+            scene.wait(patience())
+    told = output.read_text()
+    logs = "\n".join(f"{log.name}: {log.read_text()[-500:]}" for log in tmp_path.glob("*.log"))
+    assert scene.returncode == 0, f"{told}\n{logs}"
+    assert re.search(r"done transport\w+$", told, re.MULTILINE), told
+    pids = [int(pid) for pid in re.findall(r" pid (\d+)", told)]
+    assert len(pids) > 8
+    assert not [pid for pid in pids if lives(pid)]
+
+
+def lives(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
