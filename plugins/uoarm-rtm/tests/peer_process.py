@@ -301,6 +301,13 @@ class Process:
     def ask(self, operation: str, arguments: Any) -> Any:
         return self._wanted.ask(operation, arguments)
 
+    def join(self, nameserver: str, path: str, port: str) -> str:
+        """Connect `wanted` to a port of another component that provides its interface."""
+        found = peer_at(path, NamingService(self._orb, nameserver, LIMIT).resolve(path), LIMIT)
+        ports = [found.port(port).reference, self._wanted.reference]
+        code, _ = ports[0].connect(RTC.ConnectorProfile("tool", "", ports, []))
+        return str(code)
+
     def connect(self, nameserver: str, path: str, port: str, properties: dict[str, str]) -> str:
         """Connect our OutPort to an InPort of another component, as a tool would."""
         found = peer_at(path, NamingService(self._orb, nameserver, LIMIT).resolve(path), LIMIT)

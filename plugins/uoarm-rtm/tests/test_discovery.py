@@ -42,7 +42,8 @@ def test_components_are_discovered_with_ports_types_and_state(
     found = {each.name: each for each in bridge.discover()}
     assert set(found) == {"Worker.rtc", "some.host_cxt/Odd.rtc"}
     worker = found["Worker.rtc"]
-    assert worker.detail == "Uoarm, inactive, 1 execution context"
+    parameters = "gain 0<=x<=150, mode (slow,quick)"
+    assert worker.detail == f"Uoarm, inactive, 1 execution context; parameters {parameters}"
     by_port = {at.address[1]: (at.role, what) for at, what in worker.endpoints}
     assert set(by_port) == {"in", "out", "@lifecycle", "@configuration"}
     role, what = by_port["out"]

@@ -199,6 +199,44 @@ def test_types_are_derived_from_structures_and_their_idl_is_at_the_port(
         assert goal.taken.wait(1) == [{"joint": -5}]
 
 
+def test_an_interface_is_derived_from_the_structures_of_a_service(
+    make_bridge: Make, peer: Callable[..., Peer], nameserver: str
+) -> None:
+    rtm, one = make_bridge(component="Robot"), MemoryBridge("one")
+    handed: list[Any] = []
+    one.service("find", POSE, ANSWERED, lambda asked: {"return": asked["frame"].upper()})
+    one.service("tell", {"type": "number"}, {"type": "null"}, handed.append)
+    one.service("loose", {"type": "object"}, ANSWERED, lambda asked: {"return": "?"})
+    text = """
+version: 1
+bridges: {rtm: {}, one: {plugin: memory}}
+functions:
+  find: {components: [{name: find, bridge: one, service: {endpoint: [find]}}]}
+  tell: {components: [{name: tell, bridge: one, service: {endpoint: [tell]}}]}
+  loose: {components: [{name: loose, bridge: one, service: {endpoint: [loose]}}]}
+offer:
+  rtm:
+    find: {service: {endpoint: [self, find]}}
+    tell: {service: {endpoint: [self, tell]}}
+    loose: {service: {endpoint: [self, loose]}}
+"""
+    with RobotManager(loads(text), bridges={"rtm": rtm, "one": one}) as robot:
+        states = {one.function: one for one in robot.offer(timeout=patience())}
+        assert "no IDL can be derived" in states["loose"].cause
+
+        def ask(name: str, arguments: Any) -> Any:
+            assert states[name].state is OfferState.OPEN, states[name].cause
+            port: Any = vars(rtm)["_directory"].peer("Robot.rtc").port(name)
+            client = peer(f"Client_{name}")
+            client.require(port.properties["uoarm.idl"], f"uoarm::{port.interfaces[0].type}")
+            assert client.join(nameserver, "Robot.rtc", name) == "RTC_OK"
+            return client.ask("call", arguments)
+
+        assert ask("find", {"request": {**POSED, "octets": [97]}}) == {"return": {"return": "MAP"}}
+        assert ask("tell", {"request": 0.5}) == {}
+        assert handed == [0.5]
+
+
 def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
     make_bridge: Make, nameserver: str
 ) -> None:

@@ -27,6 +27,7 @@ from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
 from uoarm_rtm._configuration import configure
 from uoarm_rtm._connector import Connections
+from uoarm_rtm._derived import CALL
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._discovery import discovered
 from uoarm_rtm._naming import NamingService
@@ -37,7 +38,7 @@ from uoarm_rtm._peer import Peer, Port, state_of
 from uoarm_rtm._place import Place
 from uoarm_rtm._required_port import is_big_in_cpp, required_port
 from uoarm_rtm._service_call import Caller, described, offered
-from uoarm_rtm._service_port import Offer, servant_of
+from uoarm_rtm._service_port import Offer, servant_of, unwrapped
 from uoarm_rtm._settings import (
     CONFIGURATION,
     LIFECYCLE,
@@ -108,7 +109,8 @@ class RtmBridge(Bridge):
 
     def _describe_service(self, address: Address) -> Description:
         if address.component == SELF:
-            return described(*self._types.interface(address.type))
+            known = described(*self._types.interface(address.type)) if address.type else None
+            return known or Description()
         peer = self._directory.peer(address.component)
         if address.port == LIFECYCLE:
             return Description(request=_control.LIFECYCLE_REQUEST, reply=_control.LIFECYCLE_REPLY)
@@ -185,8 +187,11 @@ class RtmBridge(Bridge):
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
-        del structures
         address = address_of(endpoint)
+        if address.component == SELF and not address.type:
+            interface, idl = self._types.derive_interface(address.port, structures)
+            wrapped = unwrapped(handler)
+            return self._ours().service(endpoint, address.port, interface, CALL, wrapped, idl)
         if address.component == SELF:
             interface, operation = self._types.interface(address.type)
             return self._ours().service(endpoint, address.port, interface, operation, handler)

@@ -19,7 +19,7 @@ from uoarm_rtm._orb import narrowed
 from uoarm_rtm._peer import Peer, pairs, properties_of
 from uoarm_rtm._stubs import SDOPackage
 
-__all__ = ["configure"]
+__all__ = ["configure", "limits"]
 
 
 def configure(peer: Peer, message: Message, seconds: float) -> Message:
@@ -32,10 +32,7 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
     """
     if not isinstance(message, Mapping):
         raise MessageError("$: expected an object with set, values, activate, or an empty one")
-    what = f"component {peer.path!r}: configuration"
-    with corba_errors(what):
-        reference = peer.reference.get_configuration()
-    target = narrowed(reference, SDOPackage.Configuration, seconds, what)
+    what, target = _target(peer, seconds)
     with corba_errors(what):
         try:
             before = _read(target)
@@ -51,6 +48,27 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
             raise BridgeError(text, FailureReason.REFUSED) from error
     _kept(what, _name(before, message), written, now)
     return now.reply()
+
+
+def limits(peer: Peer, seconds: float) -> str:
+    """Return the parameters with what the component says that they may be, in one line.
+
+    Raises:
+        BridgeError: it is gone, hangs, or has no configuration.
+    """
+    what, target = _target(peer, seconds)
+    with corba_errors(what):
+        sets = _read(target)
+    names = dict.fromkeys(name for each in sets.usual.values() for name in each)
+    return ", ".join(f"{name} {sets.told(CONSTRAINTS, name)}".strip() for name in names)
+
+
+def _target(peer: Peer, seconds: float) -> tuple[str, Any]:
+    """Return a component's configuration, after what to call it in errors."""
+    what = f"component {peer.path!r}: configuration"
+    with corba_errors(what):
+        reference = peer.reference.get_configuration()
+    return what, narrowed(reference, SDOPackage.Configuration, seconds, what)
 
 
 @frozen

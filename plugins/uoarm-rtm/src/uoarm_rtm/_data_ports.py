@@ -15,7 +15,7 @@ from uoarm.model import Message
 from uoarm_rtm._buffering import says_what_empty_means
 from uoarm_rtm._calls import calls
 from uoarm_rtm._codec import Codec
-from uoarm_rtm._derived import idl_of, is_derived
+from uoarm_rtm._derived import IDL, idl_of, is_derived
 from uoarm_rtm._orb import Orb, limit, narrowed
 from uoarm_rtm._peer import properties_of
 from uoarm_rtm._port_servant import PortServant
@@ -50,7 +50,7 @@ def _profile(kind: str, codec: Codec) -> Mapping[str, str]:
     if kind == "DataOutPort":
         properties["dataport.subscription_type"] = "flush, new, periodic"
     if is_derived(codec.name) and isinstance(codec.shape, Record):
-        properties["uoarm.idl"] = idl_of(codec.shape)
+        properties[IDL] = idl_of(codec.shape)
     return properties
 
 

@@ -1,4 +1,4 @@
-"""IDL types derived from message structures, for ports whose endpoint names no type.
+"""IDL types and interfaces derived from message structures, for ports whose endpoint names none.
 
 The name of a derived type ends with a digest of what it holds, since OpenRTM compares names and
 nothing else: two types of one name that are not the same would hand garbage to a component.
@@ -11,16 +11,24 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm.schema import check
 from uoarm_rtm._schema import DERIVED, schema_of
 from uoarm_rtm._shape import INTEGERS, Field, Listing, Record, Scalar, Shape, Text
 
-__all__ = ["derive", "idl_of", "is_derived"]
+__all__ = ["CALL", "IDL", "REQUEST", "derive", "derive_interface", "idl_of", "is_derived"]
+
+CALL, REQUEST = "call", "request"
+"""The operation of a derived interface, and its parameter."""
+
+IDL = "uoarm.idl"
+"""The property of a port that holds the IDL of what was derived."""
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _DEEPEST = 32
+_NULL = {"type": "null"}
 _PLAIN: Mapping[str, Shape] = {
     "boolean": Scalar("boolean"),
     "number": Scalar("double"),
@@ -40,18 +48,30 @@ def derive(port: str, structure: MessageStructure, *, is_read: bool) -> Record:
     Raises:
         BridgeError: UNSUPPORTED, where no type of IDL holds them; the text says at which field.
     """
-    shape = _shape(structure.schema, "", 0)
+    shape = _exact(structure, is_read=is_read)
     if not isinstance(shape, Record):
         raise _none("", "a data type is a struct, and this is no object")
-    digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:8]
-    stem = re.sub(r"\W", "_", port, flags=re.ASCII)
-    record = Record(f"{DERIVED}{stem}_{digest}:1.0", shape.fields)
-    ours = schema_of(record)
-    verdict = check(ours, structure.schema) if is_read else check(structure.schema, ours)
-    if not verdict.compatible:
-        first = verdict.reasons[0] if verdict.reasons else None
-        raise _none(first.path if first else "", first.sentence if first else "undecided")
-    return record
+    return Record(f"{DERIVED}{_name(port, shape)}:1.0", shape.fields)
+
+
+def derive_interface(port: str, structures: ServiceStructures) -> tuple[str, str]:
+    """Return the IDL and the name of an interface with one operation, `call`, for a service.
+
+    Its parameter `request` and what it returns are the two messages; a message that is always null
+    is none.
+
+    Raises:
+        BridgeError: UNSUPPORTED, as of `derive`.
+    """
+    request, reply = (
+        None if each.schema == _NULL else _exact(each, is_read=is_read)
+        for each, is_read in ((structures.request, True), (structures.reply, False))
+    )
+    name, lines = _name(port, (request, reply)), list[str]()
+    takes = "" if request is None else f"in {_define(request, f'{name}_request', lines)} {REQUEST}"
+    gives = "void" if reply is None else _define(reply, f"{name}_reply", lines)
+    lines.append(f"interface {name} {{ {gives} {CALL}({takes}); }};")
+    return _module(lines), f"uoarm/{name}"
 
 
 def is_derived(type_id: str) -> bool:
@@ -64,7 +84,29 @@ def idl_of(record: Record) -> str:
     name = record.name.removeprefix(DERIVED).partition(":")[0]
     lines: list[str] = []
     _define(record, name, lines)
+    return _module(lines)
+
+
+def _module(lines: list[str]) -> str:
     return "\n".join(["module uoarm {", *(f"  {line}" for line in lines), "};", ""])
+
+
+def _name(port: str, shape: object) -> str:
+    """Return a name of IDL that begins with the port's, and that no other shape has."""
+    digest = hashlib.sha256(repr(shape).encode()).hexdigest()[:8]
+    stem = re.sub(r"\W", "_", port, flags=re.ASCII)
+    return f"{stem if stem[:1].isalpha() else 'port' + stem}_{digest}"
+
+
+def _exact(structure: MessageStructure, *, is_read: bool) -> Shape:
+    """Return the shape that carries the messages of a structure, and, read, gives no others."""
+    shape = _shape(structure.schema, "", 0)
+    ours = schema_of(shape)
+    verdict = check(ours, structure.schema) if is_read else check(structure.schema, ours)
+    if not verdict.compatible:
+        first = verdict.reasons[0] if verdict.reasons else None
+        raise _none(first.path if first else "", first.sentence if first else "undecided")
+    return shape
 
 
 def _shape(schema: Any, path: str, depth: int) -> Shape:
@@ -144,7 +186,7 @@ def _define(shape: Shape, name: str, lines: list[str]) -> str:
 def _none(path: str, why: str) -> BridgeError:
     where = f"field {path!r}" if path else "the message"
     text = (
-        f"no data type can be derived from the structure: {where}: {why}. Name a type as the third "
+        f"no IDL can be derived from the structure: {where}: {why}. Name a type as the third "
         "part of the endpoint and give a `map`, or say the `structure` that the port has"
     )
     return BridgeError(text, FailureReason.UNSUPPORTED)

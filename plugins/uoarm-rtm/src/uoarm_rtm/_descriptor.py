@@ -7,6 +7,7 @@ belong to their stubs. Their layout is that of omniORBpy's `tcInternal`, unchang
 
 from __future__ import annotations
 
+import keyword
 from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
@@ -101,7 +102,8 @@ def shape_of(descriptor: Any, where: str, depth: int = 0) -> Shape:
     if kind in {tcInternal.tv_struct, tcInternal.tv_except}:
         members = zip(parts[4::2], parts[5::2], strict=True)
         fields = [
-            Field(name, shape_of(each, f"{where}.{name}", depth + 1)) for name, each in members
+            Field(_plain(name), shape_of(each, f"{where}.{name}", depth + 1))
+            for name, each in members
         ]
         return Record(parts[2], tuple(fields))
     if kind == tcInternal.tv_union:
@@ -123,10 +125,15 @@ def _choice(parts: Any, where: str, depth: int) -> Choice:
         )
     if default >= 0:
         labels[parts[6][default][1]] = []  # labels beside `default:` add nothing to it
-    variants = (Variant(name, tuple(known), shapes[name]) for name, known in labels.items())
+    variants = (Variant(_plain(name), tuple(known), shapes[name]) for name, known in labels.items())
     return Choice(parts[2], by, tuple(variants))
 
 
 def _label(value: Any) -> Any:
     """Return a label: of an enumerator its name, anything else as it is."""
     return str(value._n) if hasattr(value, "_n") else value  # noqa: SLF001 - as omniORBpy has it
+
+
+def _plain(name: str) -> str:
+    """Return a member's name as IDL has it: omniidl puts `_` before words of Python."""
+    return name[1:] if name.startswith("_") and keyword.iskeyword(name[1:]) else name

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+
 from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
 from uoarm_rtm import _control
+from uoarm_rtm._configuration import limits
 from uoarm_rtm._directory import Directory
 from uoarm_rtm._peer import Peer, Port, contexts_of, state_of
 from uoarm_rtm._service_call import described
@@ -47,6 +50,9 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
                 remarks += [remark] if remark else []
                 endpoint = Endpoint(bridge, peer.path, Role.SERVICE, address, port=port.name)
                 endpoints.append((endpoint, description))
+    with contextlib.suppress(BridgeError):  # it has none, or the state has told why
+        parameters = limits(peer, seconds)
+        remarks += [f"parameters {parameters}"] if parameters else []
     for name, request, reply in (
         (LIFECYCLE, _control.LIFECYCLE_REQUEST, _control.LIFECYCLE_REPLY),
         (CONFIGURATION, _control.CONFIGURATION_REQUEST, _control.CONFIGURATION_REPLY),

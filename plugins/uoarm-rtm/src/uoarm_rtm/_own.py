@@ -136,6 +136,7 @@ class Own:
         interface: Interface,
         operation: str,
         handler: Callable[[Message], Message],
+        idl: str = "",
     ) -> Channel:
         """Open a CorbaPort of ours that provides an interface."""
         self._free(name)
@@ -143,7 +144,13 @@ class Own:
         full = f"{self.component.sheet.name}.{name}"
         said = settings_of(endpoint)
         port = ServicePort(
-            self._orb, full, interface, servant, instance=said.instance, kind=said.interface
+            self._orb,
+            full,
+            interface,
+            servant,
+            instance=said.instance,
+            kind=said.interface,
+            idl=idl,
         )
         return _OwnService(self, endpoint, port)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from omniORB import CORBA
@@ -12,14 +12,15 @@ from uoarm.bridge import Channel
 from uoarm.errors import MessageError
 from uoarm.model import Endpoint, Message
 from uoarm_rtm._connector import Connections
-from uoarm_rtm._operations import Interface, Operation
+from uoarm_rtm._derived import IDL, REQUEST
+from uoarm_rtm._operations import RETURN, Interface, Operation
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._peer import Peer, Port, PortInterface, properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._stubs import RTC
 from uoarm_rtm.errors import IdlError
 
-__all__ = ["Offer", "ServicePort", "servant_of"]
+__all__ = ["Offer", "ServicePort", "servant_of", "unwrapped"]
 
 _log = logging.getLogger("uoarm.rtm")
 Handler = Callable[[Message], Message]
@@ -41,6 +42,17 @@ def servant_of(interface: Interface, operation: str, handler: Handler) -> Any:
         elif each.name == operation:
             methods[each.name] = _method(each, handler)
     return type("Served", (interface.skeleton,), methods)()
+
+
+def unwrapped(handler: Handler) -> Handler:
+    """Return a handler for the operation of a derived interface, whose parts are the messages."""
+
+    def handle(message: Message) -> Message:
+        assert isinstance(message, Mapping)
+        reply = handler(message.get(REQUEST))
+        return {} if reply is None else {RETURN: reply}
+
+    return handle
 
 
 def _named(name: str, handler: Handler) -> Handler:
@@ -115,7 +127,8 @@ class ServicePort(PortServant):
     """A CorbaPort of our own component that provides one interface.
 
     Tools compare the names of the interface at both ports, which are free text: `instance` and
-    `kind` are those to show; by default the interface's own, the instance in lower case.
+    `kind` are those to show; by default the interface's own, the instance in lower case. The IDL
+    of an interface that was derived is a property of the port.
     """
 
     def __init__(
@@ -127,8 +140,10 @@ class ServicePort(PortServant):
         *,
         instance: str = "",
         kind: str = "",
+        idl: str = "",
     ) -> None:
-        super().__init__(orb, name, {"port.port_type": "CorbaPort"}, 2.0)
+        properties = {"port.port_type": "CorbaPort", **({IDL: idl} if idl else {})}
+        super().__init__(orb, name, properties, 2.0)
         own = interface.name.split("/")[-1]
         kind, instance = kind or own, instance or own.lower()
         self._served = orb.serve(servant)

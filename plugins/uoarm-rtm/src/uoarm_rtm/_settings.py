@@ -224,8 +224,7 @@ def _address(parts: tuple[str, ...]) -> Address:
 def _fits(address: Address, role: Role, *, is_offered: bool) -> None:
     if role is not Role.SERVICE and address.port in {LIFECYCLE, CONFIGURATION}:
         raise ValueError(f"{address.port} is a service, not an {role.value}")
-    may_derive = is_offered and role is not Role.SERVICE
-    if address.component == SELF and not address.type and not may_derive:
+    if address.component == SELF and not address.type and not is_offered:
         raise ValueError("a port of our own component needs its type as third part")
 
 

@@ -8,10 +8,11 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
+from uoarm.bridge import ServiceStructures
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import MessageStructure
 from uoarm_rtm._codec import Codec, codec_of
-from uoarm_rtm._derived import derive
+from uoarm_rtm._derived import derive, derive_interface
 from uoarm_rtm._descriptor import descriptors, shape_of
 from uoarm_rtm._operations import Interface, interfaces
 from uoarm_rtm._schema import structure_of
@@ -72,6 +73,15 @@ class Types:
         shape = derive(port, structure, is_read=is_read)
         self._codecs.setdefault(shape.name, codec_of(shape, self._encoding))
         return shape.name
+
+    def derive_interface(self, port: str, structures: ServiceStructures) -> tuple[Interface, str]:
+        """Return an interface for a service's messages, compiled, and its IDL.
+
+        Raises:
+            BridgeError: as `_derived.derive_interface`, or the compiler is not there.
+        """
+        idl, name = derive_interface(port, structures)
+        return interfaces(load_idl(idl), self._encoding)[name], idl
 
     def structure(self, type_id: str) -> MessageStructure:
         """Return the message structure of a type; raises as `codec` does."""
