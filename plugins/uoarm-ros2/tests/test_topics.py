@@ -143,19 +143,24 @@ def test_shared_memory_that_would_have_no_effect_is_refused(
         make_bridge(shared_memory=64)
 
 
-def test_what_a_context_that_ended_does_not_take_is_unavailable(make_bridge: Make) -> None:
+def test_what_is_open_still_sends_after_its_context_ended_until_it_is_closed(
+    make_bridge: Make, peer: Start
+) -> None:
     bridge: Any = make_bridge()
-    at = endpoint(Role.INPUT, "/late", INT64, peer="optional", wait=0.0)
-    out = sink(bridge, at)
-    out.send({"data": 1})
+    listener = peer("listener")
+    listener.do("subscribe", topic="/late")
+    events = Inbox()
+    bridge.watch(events)
+    out = sink(bridge, endpoint(Role.INPUT, "/late", INT64))
     bridge._participant._context.try_shutdown()
-    with pytest.raises(BridgeError, match="topic /late takes no message") as raised:
-        out.send({"data": 2})
-    assert raised.value.reason is FailureReason.UNAVAILABLE
-    stations = [thread for thread in threading.enumerate() if thread.name.startswith("ros2 ")]
-    for thread in stations:  # they end with the context: what closes then has nobody to wake
-        thread.join(patience())
+    events.event(Health.LOST, "the ROS 2 context was shut down from outside")
+    out.send({"data": 7})
+    assert listener.do("report", topic="/late", expected=1)["seen"] == [7]
     bridge.close()
+    stations = [thread for thread in threading.enumerate() if thread.name.startswith("ros2 ")]
+    for thread in stations:
+        thread.join(patience())
+        assert not thread.is_alive()
 
 
 def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:

@@ -132,6 +132,9 @@ class TopicSink(Sink):
         while True:
             if self._closed:
                 raise self._gone() from error
+            if self._place.station.is_cut_off:
+                self._publish_last(native, publisher)
+                return
             waits = self.blocking and _FULL in str(error) and time.monotonic() < deadline
             if publisher is self._end.native and not waits:
                 text = f"topic {self._place.topic.name} takes no message: {error}"
@@ -143,6 +146,13 @@ class TopicSink(Sink):
                 error = another
             else:
                 return
+
+    def _publish_last(self, native: Any, publisher: Any) -> None:
+        try:
+            self._place.station.publish_last(publisher, native)
+        except OSError as error:
+            text = f"topic {self._place.topic.name} takes no message: {error}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
     def _gone(self) -> BridgeError:
         text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"

@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.service import Service
 
 from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
+from uoarm_ros2._middleware._last_words import publish_after_the_end
 from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
 from uoarm_ros2._middleware._profile import new_profile, server_profile
@@ -54,6 +55,9 @@ _log = logging.getLogger("uoarm.ros2")
 class Station:
     """One node, its wait-set loop and the thread that makes its turns.
 
+    When the context is shut down from outside, `is_cut_off` is true: nothing comes any more, and
+    `publish_last` publishes until `stop`.
+
     `stop` returns within its limit whatever a callback does; the thread itself puts everything
     away when it ends, and `done` is called last. `tick` is called a few times a second, `cut_off`
     once if the context is shut down from outside; both in the thread.
@@ -76,10 +80,16 @@ class Station:
         self._loop = WaitLoop(context, lambda: self._stopping or not context.ok())
         self._entities: dict[Any, list[Entity]] = {}
         self._stopping = False
+        self._stopped = threading.Event()
         self._done = done
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"ros2 {name}", daemon=True)
         self._thread.start()
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the context was shut down although the station was not stopped."""
+        return not self._stopping and not self._context.ok()
 
     def call_soon(self, act: Callable[[], None]) -> None:
         """Have something done in this station's thread, after what it is at; from any thread."""
@@ -88,6 +98,7 @@ class Station:
     def stop(self, limit: float) -> bool:
         """End the thread; whether it ended within `limit` seconds."""
         self._stopping = True
+        self._stopped.set()
         self._loop.wake()
         return threading.current_thread() is self._thread or self._ended.wait(limit)
 
@@ -105,7 +116,9 @@ class Station:
                 if not self._context.ok():
                     break
             if not self._stopping:
+                # What is open stays until it is closed: stop messages are sent after the end.
                 self.cut_off()
+                self._stopped.wait()
         finally:
             self._put_away()
 
@@ -186,6 +199,14 @@ class Station:
         )
         known = _rclpy.rcl_publisher_event_type_t
         return self._wait_for(made, *_events(made.handle, known, _PUBLISHER_EVENTS, events))
+
+    def publish_last(self, publisher: Any, message: Any) -> None:
+        """Publish although the context has ended.
+
+        Raises:
+            OSError: the middleware takes nothing.
+        """
+        publish_after_the_end(publisher, message)
 
     def action_client(self, native: type, name: str) -> Any:
         """Create an action client; its callbacks run in this station's thread."""
