@@ -33,6 +33,17 @@ def test_peers_come_and_go(clock: Clock) -> None:
     assert told[-1][0] is Health.DEGRADED
 
 
+def test_what_is_offered_is_well_without_anybody(clock: Clock) -> None:
+    told: list[tuple[Health, str]] = []
+    pulse = Pulse(lambda *news: told.append(news), clock=clock)
+    for current in (1, 0, 1):
+        pulse.peers(current, "subscription of /x", required=False, offered=True)
+    assert told == []
+    pulse.tell(Health.DEGRADED, "incompatible QoS")
+    pulse.peers(0, "subscription of /x", required=False, offered=True)
+    assert told[-1] == (Health.OK, "no subscription of /x is there, and none need be")
+
+
 def test_what_cannot_be_read_is_counted_and_told_once(clock: Clock) -> None:
     told: list[tuple[Health, str]] = []
     pulse = Pulse(lambda *news: told.append(news), clock=clock)

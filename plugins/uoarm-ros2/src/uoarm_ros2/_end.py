@@ -164,9 +164,12 @@ class End(ABC):
         self._unlooked = True
         if not current:
             self._unanswered = _ANSWER_TICKS  # those that are left may be the ones that clash
-        required = self._place.settings.peer_required
+        place = self._place
         self._pulse.peers(
-            current, f"{self.peer_word} of {self._place.topic.name}", required=required
+            current,
+            f"{self.peer_word} of {place.topic.name}",
+            required=place.settings.peer_required,
+            offered=place.endpoint.is_offered,
         )
 
     def _strangers(self) -> list[Peer]:

@@ -54,10 +54,12 @@ class Pulse:
         self._why = why
         self._report(health, cause)
 
-    def peers(self, current: int, what: str, *, required: bool) -> None:
-        """Note how many peers are matched now."""
+    def peers(self, current: int, what: str, *, required: bool, offered: bool = False) -> None:
+        """Note how many peers are matched now; what is offered is well without any."""
         before, self.matched = self.matched, current
-        if current == 0 and before > 0:
+        if current == 0 and before > 0 and offered:
+            self.tell(Health.OK, f"no {what} is there, and none need be")
+        elif current == 0 and before > 0:
             health = Health.LOST if required else Health.DEGRADED
             self.tell(health, f"the last {what} is gone")
         elif current > 0 and before == 0:
