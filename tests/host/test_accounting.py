@@ -144,7 +144,8 @@ def test_what_a_killed_source_had_sent_is_received_or_counted(
     (tmp_path / "enough").touch()
     wait(lambda: _accounted(robot, got, journal(tmp_path, "source")))
     (gap,) = connection.gaps
-    before = next(n for n, number in enumerate(got) if n != number)
+    # The second counts from nothing; where this process is slow the first has gaps of its own.
+    before = next(n for n in range(1, len(got)) if got[n] < got[n - 1])
     assert abs(gap.position - before) <= 1  # one may have been on its way in
     assert gap.lost > 0
 
@@ -158,15 +159,17 @@ def test_a_consumer_that_hangs_slows_its_source_and_what_had_no_room_is_counted(
     robot: RobotManager, tmp_path: Path
 ) -> None:
     got: list[int] = []
-    free = threading.Event()
+    hangs, free = threading.Event(), threading.Event()
 
     def take(number: int) -> None:
-        if number == 1000:
+        if len(got) == 1000:  # by now some may be lost, where this process is slow
+            hangs.set()
             free.wait(patience())
         got.append(number)
 
     robot.request("camera", on_message=take)
-    wait(lambda: dict(losses(robot.status())) or _skipped(robot))
+    assert hangs.wait(patience())
+    wait(lambda: _skipped(robot))
     assert len(got) == 1000
     free.set()
     wait(lambda: len(got) > 2000)
