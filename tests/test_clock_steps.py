@@ -30,7 +30,7 @@ pytestmark = [
 ]
 ROBOT = """
 version: 1
-bridges: {far: {plugin: python, host: true}}
+bridges: {far: {plugin: python, host: {silence: 600, start: 600}}}
 functions:
   numbers: {components: [{name: counter, bridge: far, output: {endpoint: ["clock_parts:count"]}}]}
 """

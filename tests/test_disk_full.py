@@ -25,7 +25,7 @@ from uoarm.testing import patience
 
 HOSTED = """
 version: 1
-bridges: {far: {plugin: python, host: true}}
+bridges: {far: {plugin: python, host: {silence: 600, start: 600}}}
 functions:
   half: {components: [{name: halver, bridge: far, service: {endpoint: ["disk_parts:half"]}}]}
 """

@@ -27,6 +27,7 @@ from uoarm_rocos.simulate import Job
 from uoarm._host import RemoteBridge
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message
+from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, Pair, Served, Victim, World
 
 POINT = StructField({"x": Member(NumberField(-1e9, 1e9, "m")), "on": Member(BooleanField())})
@@ -96,7 +97,8 @@ class RocosWorld(World):
 
     def bridge(self) -> Bridge:
         if self._hosted:
-            return RemoteBridge(BridgeSpec("rocos", "rocos", self._options, {}))
+            host = {"silence": patience(), "start": patience()}
+            return RemoteBridge(BridgeSpec("rocos", "rocos", self._options, host))
         return Registry().create(BridgeSpec("rocos", "rocos", self._options))
 
     def pair(self, kind: str) -> Pair:

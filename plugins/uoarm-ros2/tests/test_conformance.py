@@ -6,9 +6,13 @@ import importlib.util
 from collections.abc import Callable, Iterator
 
 import pytest
+from attrs import evolve
 from conformance_world import KINDS, SILENT_SECONDS, RosWorld
 from peers import DOMAIN, Peer
 
+from uoarm.bridge import Bridge
+from uoarm.model import BridgeSpec
+from uoarm.testing import patience
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -46,4 +50,7 @@ class TestHostedRos2Bridge(BridgeConformance):
     def world(self, lasting: Peer, peer: Callable[..., Peer]) -> World:
         from uoarm._host import RemoteBridge
 
-        return RosWorld(lasting, peer, RemoteBridge)
+        def make(spec: BridgeSpec) -> Bridge:
+            return RemoteBridge(evolve(spec, host={"silence": patience(), "start": patience()}))
+
+        return RosWorld(lasting, peer, make)

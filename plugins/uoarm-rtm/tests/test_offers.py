@@ -245,7 +245,8 @@ def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
     one.emitter("loose", POSE)
     one.service("loud", ASKED, ANSWERED, lambda asked: {"return": asked["words"].upper()})
     options = {"nameserver": nameserver, "component": "Far", "idl": IDL, "call_timeout": 60}
-    text = UNTYPED.replace("rtm: {}", f"rtm: {{options: {json.dumps(options)}, host: true}}")
+    hosted = {"options": options, "host": {"silence": 600, "start": 600}}
+    text = UNTYPED.replace("rtm: {}", f"rtm: {json.dumps(hosted)}")
     text = text.replace("loose: {output: {endpoint: [self, loose]}}", LOUD_OFFER)
     text = text.replace("offer:", LOUD + "offer:")
     with RobotManager(loads(text), bridges={"one": one}) as robot:
