@@ -151,3 +151,28 @@ def test_whatever_happens_nothing_is_lost(faults: list[tuple[str, int, int]]) ->
             fleet.coordinator = None
         fleet.run(tenths / 10 * 2)
     fleet.settle()
+
+
+def test_a_vehicle_off_the_floor_is_told_nothing() -> None:
+    fleet = Fleet(1)
+    fleet.floor.bodies["vehicle1"].pose = (100.0, 100.0, 0.0)
+    fleet.place("box", "shelf1")
+    fleet.run(5)
+    assert not fleet.journal
+    fleet.floor.bodies["vehicle1"].pose = (0.0, 1.5, 0.0)
+    fleet.settle()
+
+
+def test_a_vehicle_that_gets_nowhere_is_told_anew() -> None:
+    fleet = Fleet(1)
+    fleet.place("box", "shelf4")
+    fleet.run(3)
+    driver = fleet.drivers["vehicle1"]
+    fleet.kill("vehicle1")
+    fleet.revive("vehicle1")
+    fleet.drivers["vehicle1"].go = lambda *_: None  # type: ignore[method-assign]
+    leg = fleet.commands["vehicle1"][1].leg if "vehicle1" in fleet.commands else 0
+    fleet.run(30)
+    assert fleet.commands["vehicle1"][1].leg > leg + 1
+    fleet.drivers["vehicle1"] = driver
+    fleet.settle()

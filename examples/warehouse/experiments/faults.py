@@ -15,8 +15,11 @@ import os
 import random
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +40,10 @@ from uoarm.errors import UoarmError  # noqa: E402
 
 VEHICLES = ("amr", "cart", "agv")
 BLOCKED = ("n51", "n45", "n24", "n72", "n15")
+_FIRST = ("robot", "broker")
 _CLEAR_METRES = 3.0
 _WAITING = 4
+_LOOK_SECONDS = 0.5
 _SETTLE_SECONDS = 420.0
 
 
@@ -82,9 +87,16 @@ class Faults:
 
     def mend(self, now: float) -> None:
         """Let the faults be over whose time is."""
-        for name in [name for name, until in self._dead.items() if until < now]:
-            del self._dead[name]
-            self.crew.start(self.parts[name])
+        for running in self.crew.dead():
+            self.counts[f"{running.part.name} ends by itself"] += 1
+            self._dead[running.part.name] = now
+            print(f"{running.part.name}: {running.last_words()}", file=sys.stderr, flush=True)
+        over = [name for name, until in self._dead.items() if until <= now]
+        for name in sorted(over, key=_FIRST.__contains__, reverse=True):
+            # What needs the robot or the broker is not ready before they are.
+            if name in _FIRST or not self._dead.keys() & set(_FIRST):
+                self.crew.start(self.parts[name])
+                del self._dead[name]
         self._blocked = {node: until for node, until in self._blocked.items() if until > now}
         self._tell()
         self._lost = {name: until for name, until in self._lost.items() if until > now}
@@ -122,6 +134,28 @@ async def place(faults: Faults, order: dict[str, Any]) -> bool:
     return True
 
 
+@contextmanager
+def keep_placing(faults: Faults) -> Iterator[None]:
+    """Have some orders under way, always, for the length of a block."""
+    stop = threading.Event()
+
+    def work() -> None:
+        wanted = orders(f"{int(time.time())}-")
+        waiting = next(wanted)
+        while not stop.wait(_LOOK_SECONDS):
+            under_way = len(faults.placed) - len(done_orders(faults.places))
+            if under_way < _WAITING and asyncio.run(place(faults, waiting)):
+                waiting = next(wanted)
+
+    thread = threading.Thread(target=work, name="placing")
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
 def run(minutes: float, every: float) -> int:
     """Run, and return the exit code."""
     begun_load = os.getloadavg()[0]
@@ -132,19 +166,15 @@ def run(minutes: float, every: float) -> int:
             crew.start_all(parts, lambda _: None)
             named = {part.name: part for part in parts}
             faults = Faults(crew, places, named, link)
-            wanted = orders(f"{int(time.time())}-")
-            waiting = next(wanted)
             begun = time.monotonic()
             end, fault = begun + 60 * minutes, begun + every
-            while (now := time.monotonic()) < end:
-                faults.mend(now)
-                if now > fault:
-                    faults.one(now)
-                    fault = now + random.expovariate(1 / every)
-                open_orders = len(faults.placed) - len(done_orders(places))
-                if open_orders < _WAITING and asyncio.run(place(faults, waiting)):
-                    waiting = next(wanted)
-                time.sleep(0.5)
+            with keep_placing(faults):
+                while (now := time.monotonic()) < end:
+                    faults.mend(now)
+                    if now > fault:
+                        faults.one(now)
+                        fault = now + random.expovariate(1 / every)
+                    time.sleep(_LOOK_SECONDS)
             faults.mend(float("inf"))
             end = time.monotonic() + _SETTLE_SECONDS
             while len(done_orders(places)) < len(faults.placed) and time.monotonic() < end:

@@ -59,10 +59,14 @@ class Server:
             octets, sender = self._socket.recvfrom(_OCTETS)
         except BlockingIOError:
             return False
+        number = None
         try:
-            reply = self._reply(json.loads(octets))
-        except (ValueError, TypeError, KeyError) as error:
+            asked = json.loads(octets)
+            number = asked.get("number")
+            reply = self._reply(asked)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
             reply = {"error": f"{type(error).__name__}: {error}"}
+        reply["number"] = number
         self._socket.sendto(json.dumps(reply).encode(), sender)
         return True
 

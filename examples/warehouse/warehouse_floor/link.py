@@ -23,23 +23,28 @@ class FloorLink:
 
     Args:
         port: of the floor, on loopback; None: that of the environment variable WAREHOUSE_FLOOR.
+        seconds: that an answer may take.
     """
 
-    def __init__(self, port: int | None = None) -> None:
+    def __init__(self, port: int | None = None, seconds: float = 20.0) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect(("127.0.0.1", port or int(os.environ["WAREHOUSE_FLOOR"])))
-        self._socket.settimeout(_SECONDS)
+        self._socket.settimeout(seconds)
+        self._number = 0
 
     def ask(self, **asked: Any) -> dict[str, Any]:
         """Ask, and return the answer.
 
         Raises:
-            TimeoutError: none came within a second.
+            TimeoutError: none came in time.
             OSError: nobody is there.
             ValueError: the floor refused, and why.
         """
-        self._socket.send(json.dumps(asked).encode())
-        answer: dict[str, Any] = json.loads(self._socket.recv(_OCTETS))
+        self._number += 1
+        self._socket.send(json.dumps({**asked, "number": self._number}).encode())
+        answer: dict[str, Any] = {}
+        while answer.pop("number", None) != self._number:  # an earlier one came too late
+            answer = json.loads(self._socket.recv(_OCTETS))
         if "error" in answer:
             raise ValueError(f"the floor refused {asked}: {answer['error']}")
         return answer
@@ -70,7 +75,7 @@ class Base:
     """
 
     def __init__(self, name: str, home: str, *, is_holonomic: bool = False) -> None:
-        self._link = FloorLink()
+        self._link = FloorLink(seconds=_SECONDS)
         self._same = {"vehicle": name, "home": home, "is_holonomic": is_holonomic}
 
     def drive(self, velocity: Triple, until: float, carry: str) -> Sense | None:

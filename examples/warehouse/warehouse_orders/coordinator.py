@@ -26,6 +26,8 @@ _ROLLING, _ROLLS_SECONDS = 0.05, 1.0
 _EMPTY, _FULL = 25.0, 60.0  # per cent of the battery: goes to charge, is used again
 _CLOSED_SECONDS: Final = 15.0
 _LATE_SECONDS: Final = 1.0
+_STUCK_SECONDS: Final = 20.0
+_STEP_METRES: Final = 0.1
 _NODES_AT_ONCE: Final = 3
 """As far as a vehicle can come unheard of: two seconds, or the way of one command."""
 
@@ -94,6 +96,7 @@ class Vehicle:
         leg: of its last command.
         carry: of its last command.
         stopped: when it was told to stand.
+        seen: where it was when it moved last, and when that was.
         is_charging: whether it stays at home until the battery is full enough.
     """
 
@@ -108,12 +111,13 @@ class Vehicle:
     leg: int = 0
     carry: str = ""
     stopped: float = 0.0
+    seen: tuple[float, float, float] = (0.0, 0.0, 0.0)
     is_charging: bool = False
 
     @property
     def is_usable(self) -> bool:
-        """Whether it can be told to drive."""
-        return self.is_alive and self.report.is_localised
+        """Whether it can be told to drive: it is heard of, and knows that it is on the floor."""
+        return self.is_alive and self.report.is_localised and bool(self.held)
 
     @property
     def is_there(self) -> bool:
@@ -167,6 +171,7 @@ class Coordinator:
             self._stand(vehicle)
         self._release(vehicle)
         self._account(vehicle)
+        self._watch(vehicle, now)
         if report.is_blocked and vehicle.target and len(vehicle.held) > 1:
             self._closed[vehicle.held[1]] = now + _CLOSED_SECONDS
             self._stand(vehicle)
@@ -205,6 +210,8 @@ class Coordinator:
             return "is not heard of"
         if not vehicle.report.is_localised:
             return "does not know where it is"
+        if not vehicle.held:
+            return "is off the floor"
         if vehicle.order or vehicle.report.load:
             return f"has {vehicle.order or vehicle.report.load}"
         if vehicle.report.payload < order.load:
@@ -225,6 +232,15 @@ class Coordinator:
             if order.vehicle == name and order.status in {Status.ASSIGNED, Status.LOADED}:
                 vehicle.order = order.name
         return vehicle
+
+    def _watch(self, vehicle: Vehicle, now: float) -> None:
+        """Give a vehicle another command where the last one has led nowhere for a while."""
+        x, y, since = vehicle.seen
+        has_moved = math.dist((x, y), (vehicle.report.x, vehicle.report.y)) > _STEP_METRES
+        if has_moved or not vehicle.target:
+            vehicle.seen = (vehicle.report.x, vehicle.report.y, now)
+        elif now - since > _STUCK_SECONDS:
+            self._stand(vehicle)
 
     def _account(self, vehicle: Vehicle) -> None:
         """Hold what it carries against what it should."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
+from time import monotonic
 from typing import Any, Final
 
 from typing_extensions import TypedDict
@@ -15,6 +15,7 @@ from warehouse_parts.messages import NOTHING, Command, Point
 __all__ = ["Agv", "Ended"]
 
 _AGAIN_SECONDS: Final = 2.0
+_MOST_CANCELS: Final = 5
 _NEAR_METRES: Final = 1.5  # to the first node, at which an order begins
 _MAP: Final = "floor"
 
@@ -43,32 +44,48 @@ class Agv:
         self._done = 0
         self._attempts = 0
         self._order = ""
+        self._is_accepted = False
         self._again = float("-inf")
+        self._cancelled = 0
 
     def command(self, command: Command) -> Iterator[Emit]:
         """Take a command; one that is taken again changes nothing."""
         leg = command["leg"]
-        self._command, now = command, time.monotonic()
+        self._command, now = command, monotonic()
         wanted = str(leg) if command["points"] and leg != self._done else ""
+        if now < self._again:
+            return
         if self._order and self._order.partition("-")[0] != wanted:
-            if now > self._again:
-                self._again = now + _AGAIN_SECONDS
-                yield Emit("cancel", {"goal_id": self._order})
-        elif wanted and not self._order and now > self._again:
-            self._again = float("-inf")
-            self._attempts += 1
-            self._order = f"{leg}-{self._attempts}"
+            self._again = now + _AGAIN_SECONDS
+            yield Emit("cancel", {"goal_id": self._order})
+            self._cancelled += 1
+            if self._cancelled > _MOST_CANCELS:
+                self._forget()  # nobody knows it
+        elif wanted and not self._is_accepted:
+            # A goal that did not get through is given again: the same order is taken once.
+            self._again = now + _AGAIN_SECONDS
+            if not self._order:
+                self._attempts += 1
+                self._order = f"{leg}-{self._attempts}"
             yield Emit("goal", {"orderId": self._order, "nodes": self._nodes(command)})
 
     def status(self, message: Ended) -> None:
         """Take that the order is under way, or how it ended."""
-        if message["goal_id"] != self._order or message["status"] == "accepted":
+        status = message["status"]
+        if message["goal_id"] != self._order:
             return
-        if message["status"] == "succeeded":
+        if status == "accepted":
+            self._is_accepted = True
+            return
+        if status == "succeeded":
             self._done = int(self._order.partition("-")[0])
-        elif message["status"] != "canceled":
-            self._again = time.monotonic() + _AGAIN_SECONDS
-        self._order = ""
+        self._forget()
+        if status not in {"succeeded", "canceled"}:
+            self._again = monotonic() + _AGAIN_SECONDS
+
+    def _forget(self) -> None:
+        self._order, self._is_accepted, self._cancelled = "", False, 0
+        self._again = float("-inf")
 
     @structure(input={"type": "object"})
     def state(self, message: Message) -> Emit | None:

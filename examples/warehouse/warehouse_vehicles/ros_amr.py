@@ -102,7 +102,8 @@ class Amr:
 
     def _command(self, manual: Any, carry: str, until: float) -> tuple[Any, float, str]:
         sense = self._sense
-        if sense is None or not sense.is_localised:
+        # The controller's own timeout, should the stop message have got lost.
+        if sense is None or not sense.is_localised or time.monotonic() > until:
             return STAND, until, self._driver.carry
         step = self._driver.step((sense.x, sense.y, sense.heading), sense.load, carry)
         self._left = (len(self._path[1]) - step.passed, self._path[0])

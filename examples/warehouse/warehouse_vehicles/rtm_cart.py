@@ -1,8 +1,8 @@
 """A cart that moves in every direction, as an RT-Component; it is steered from outside.
 
 InPorts `velocity` (RTC::TimedVelocity2D) and `carry` (RTC::TimedString), OutPorts `pose`
-(RTC::TimedPose2D) and `status` (Warehouse::Status). It does as it was told last until it is told
-something else.
+(RTC::TimedPose2D) and `status` (Warehouse::Status). It stands when nobody has told it anything for
+a while, as the controller of a base does.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ class Cart:
         """Drive and tell until told to stop, or until somebody ends the component."""
         load, ticks = "", 0
         while not stop.wait(_SECONDS) and not self._component.wait_for_exit(0):
-            velocity, until = self._velocity, self._until
+            until = self._until
+            # The controller's own timeout, should the stop message have got lost.
+            velocity = self._velocity if time.monotonic() < until else STAND
             wanted = load if self._wanted is None else self._wanted
             sense = self._base.drive(velocity, until, wanted)
             if sense is not None:
