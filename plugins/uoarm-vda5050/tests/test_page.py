@@ -1,0 +1,64 @@
+"""The page's example runs as printed; and vehicles that nobody named are used."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+from brokers import Broker
+from fleet import driven, goal
+
+from uoarm import RobotManager
+from uoarm.testing import patience, wait
+
+PAGE = Path(__file__).parents[3] / "docs" / "vda5050.md"
+
+
+def test_the_example_runs_as_printed(broker: Broker, tmp_path: Path) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    _, vehicle, robot, command, *_ = (
+        found[1] for found in re.finditer(r"```\w+\n(.*?)```", text, re.DOTALL)
+    )
+    (tmp_path / "agv1.py").write_text(vehicle.replace("127.0.0.1", broker.host))
+    (tmp_path / "robot.yaml").write_text(robot.replace("127.0.0.1", broker.host))
+    driving = subprocess.Popen([sys.executable, "agv1.py"], cwd=tmp_path)
+    words = [sys.executable, "-m", *shlex.split(command)]
+    said: list[str] = []
+
+    def answered() -> bool:
+        done = subprocess.run(
+            words, cwd=tmp_path, capture_output=True, text=True, timeout=patience(), check=False
+        )
+        said[:] = [done.stdout, done.stderr]
+        return done.returncode == 0
+
+    try:
+        wait(answered, "the vehicle of the page did not come up", patience())
+        result = json.loads(said[0])
+        assert result["lastNodeId"] == "shelf"
+        assert [one["actionStatus"] for one in result["actions"]] == ["FINISHED"]
+    finally:
+        driving.kill()
+        driving.wait()
+
+
+def test_vehicles_that_nobody_named_are_used(broker: Broker, tmp_path: Path) -> None:
+    options = {"url": broker.url, "interface": "unnamed"}
+    bridges = {
+        f"v{release[0]}": {"plugin": "vda5050", "options": {**options, "release": release}}
+        for release in ("2.1", "3.0")
+    }
+    needs = {"role": "service", "port": "transport"}
+    functions = {"transport": {"needs": needs}}
+    file = tmp_path / "robot.yaml"
+    file.write_text(json.dumps({"version": 1, "bridges": bridges, "functions": functions}))
+    with (
+        driven(broker, "stranger", release="3.0", interface="unnamed") as driver,
+        RobotManager.from_file(file) as robot,
+    ):
+        robot.call("transport", goal("a", "b", b="pick"), timeout=patience())
+        assert driver.done == ["b", "pick"]
