@@ -90,5 +90,5 @@ def test_what_is_different_is_told_as_lines() -> None:
         before = robot.discover()
         lab.emitter("torch", {"type": "boolean"})
         after = robot.discover()
-    told = set(_discover._rows(after)) - set(_discover._rows(before))
+    told = set(_discover.rows(after)) - set(_discover.rows(before))
     assert told == {"lab  torch", "lab  torch  output  torch"}

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
+from attrs import evolve
 
 from uoarm import RobotManager
 from uoarm._whole_file import write_whole
@@ -20,7 +21,7 @@ from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
 
-__all__ = ["discover", "looking", "suggest"]
+__all__ = ["discover", "looking", "rows", "suggest", "with_every_plugin"]
 
 _file_option = click.option(
     "-f",
@@ -116,11 +117,11 @@ def looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
     registry = Registry()
     with reporting():
         given = Robot({}, {}) if file is None else load(file, registry.types)
-        with RobotManager(_with_every_plugin(given, registry), registry=registry) as robot:
+        with RobotManager(with_every_plugin(given, registry), registry=registry) as robot:
             yield robot, given
 
 
-def _with_every_plugin(robot: Robot, registry: Registry) -> Robot:
+def with_every_plugin(robot: Robot, registry: Registry) -> Robot:
     """Return the configuration, with a bridge for each plugin that it does not mention."""
     plugins = {one.plugin for one in robot.bridges.values()}
     more = {
@@ -128,7 +129,7 @@ def _with_every_plugin(robot: Robot, registry: Registry) -> Robot:
         for name in registry.types
         if name not in plugins and name not in robot.bridges
     }
-    return Robot({**robot.bridges, **more}, robot.functions, origin=robot.origin, hosts=robot.hosts)
+    return evolve(robot, bridges={**robot.bridges, **more})
 
 
 def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> None:
@@ -141,7 +142,7 @@ def _print_json(findings: tuple[BridgeFindings, ...], *, in_one_line: bool) -> N
 def _print_differences(
     before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
 ) -> None:
-    old, new = dict.fromkeys(_rows(before)), dict.fromkeys(_rows(after))
+    old, new = dict.fromkeys(rows(before)), dict.fromkeys(rows(after))
     for row in old:
         if row not in new:
             click.secho(f"- {row}", fg="red")
@@ -150,7 +151,8 @@ def _print_differences(
             click.secho(f"+ {row}", fg="green")
 
 
-def _rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
+def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
+    """Yield what is seen as lines of which each can be read alone."""
     for each in findings:
         if each.cause:
             yield f"{each.bridge}  {each.cause}"

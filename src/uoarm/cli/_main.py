@@ -37,6 +37,7 @@ from uoarm.cli._shared import (
 from uoarm.cli._status import status
 from uoarm.cli._stop import stop
 from uoarm.cli._types import types
+from uoarm.cli._up import up
 from uoarm.config import inspect, load
 from uoarm.model import to_json
 from uoarm.schema._command import schema
@@ -199,3 +200,4 @@ main.add_command(token)
 main.add_command(status)
 main.add_command(stop)
 main.add_command(types)
+main.add_command(up)

@@ -22,9 +22,9 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from uoarm.server import Server, Settings
 
-__all__ = ["serve", "token"]
+__all__ = ["USED", "say", "serve", "stop_file_of", "stopping", "token"]
 
-_USED = 5
+USED = 5
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 5.0
 _BEGINS_STOPPED = (
@@ -92,7 +92,7 @@ def serve(
     ports = dict(front_end_ports)
     if rosbridge_port is not None:
         ports["rosbridge"] = rosbridge_port
-    stop_file = _stop_file(robot or file)
+    stop_file = stop_file_of(robot or file)
     with open_robot(robot or file, stop_file) as manager:
         with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
@@ -101,12 +101,12 @@ def serve(
             click.echo(f"{_BEGINS_STOPPED}: {stop_file}", err=True)
         manager.offer(timeout=0)  # what fails is in the log and in the status
         try:
-            with _stopping(manager), _reloading(manager, watch=watch_config):
-                run(manager, chosen, lambda server: _say(server, chosen))
+            with stopping(manager), _reloading(manager, watch=watch_config):
+                run(manager, chosen, lambda server: say(server, chosen))
         except OSError as error:
             hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
             click.echo(f"error: {error.strerror or error}{hint}", err=True)
-            sys.exit(_USED)
+            sys.exit(USED)
 
 
 @click.command()
@@ -125,7 +125,7 @@ def token(name: str, role: str) -> None:
     click.echo(f"  - {{name: {name}, role: {role}, sha256: {hash_token(made)}}}")
 
 
-def _stop_file(configuration: str) -> Path:
+def stop_file_of(configuration: str) -> Path:
     """Return where it is kept that the robot of a configuration file is stopped."""
     with reporting(), needing("server"):
         from uoarm.server.http import state_folder  # noqa: PLC0415 - an extra, and slow
@@ -134,7 +134,7 @@ def _stop_file(configuration: str) -> Path:
 
 
 @contextmanager
-def _stopping(manager: RobotManager) -> Iterator[None]:
+def stopping(manager: RobotManager) -> Iterator[None]:
     """Stop all at SIGUSR1 and release at SIGUSR2, each in a thread of its own."""
     from uoarm.server.access import Audit  # noqa: PLC0415 - an extra, and slow
 
@@ -233,18 +233,19 @@ def _name_and_port(given: str) -> tuple[str, int]:
     return name, int(port)
 
 
-def _say(server: Server, settings: Settings) -> None:
+def say(server: Server, settings: Settings, *, err: bool = False) -> None:
+    """Tell where a server listens."""
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 
     s = "s" if settings.secured else ""
     main, *more = (settings.place(port) for port in server.ports)
     paths = ("/", *(one.path for one in server.front_ends))
-    click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}")
+    click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
     for name, place in zip(settings.front_end_ports, more, strict=True):
-        click.echo(f"serving ws{s}://{place}/ for {name} clients")
+        click.echo(f"serving ws{s}://{place}/ for {name} clients", err=err)
     certificate = settings.certificate_file()
     if certificate is not None:
-        click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}")
+        click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
     elif not settings.local:
         click.echo("warning: without TLS, tokens and data can be read on the network", err=True)
-    click.echo(f"open http{s}://{main}/ in a browser")
+    click.echo(f"open http{s}://{main}/ in a browser", err=err)

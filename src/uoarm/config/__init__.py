@@ -2,6 +2,7 @@
 
 from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
+from uoarm.config._by_need import add_functions
 from uoarm.config._difference import Difference, compare, fed_by
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._merging import merge
@@ -14,6 +15,7 @@ __all__ = [
     "Place",
     "Problem",
     "Report",
+    "add_functions",
     "assign",
     "compare",
     "fed_by",

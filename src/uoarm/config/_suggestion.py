@@ -19,7 +19,7 @@ from uoarm.model import (
 )
 from uoarm.schema import Budget, SchemaError, check
 
-__all__ = ["suggest"]
+__all__ = ["new_name", "suggest"]
 
 _MOST_COMPONENTS = 500
 _SHOWN = 5
@@ -107,13 +107,13 @@ def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Pr
             ports = [one for one in found.ports if not one.used_by]
             streams = [one for one in ports if one.endpoint.role is not Role.SERVICE]
             if streams:
-                yield _Proposal(_name(found.name, taken), each.bridge, found, streams)
+                yield _Proposal(new_name(found.name, taken), each.bridge, found, streams)
             for service in (one for one in ports if one.endpoint.role is Role.SERVICE):
-                name = _name(f"{found.name}_{service.endpoint.port}", taken)
+                name = new_name(f"{found.name}_{service.endpoint.port}", taken)
                 yield _Proposal(name, each.bridge, found, [service])
 
 
-def _name(wanted: str, taken: set[str]) -> str:
+def new_name(wanted: str, taken: set[str]) -> str:
     """Return a name that the configuration takes and nothing has yet, and take it."""
     plain = re.sub(r"[^A-Za-z0-9_]+", "_", wanted).strip("_") or "component"
     plain = plain if plain[0].isalpha() else f"c_{plain}"
@@ -213,7 +213,7 @@ def _fits(producer: MessageStructure, consumer: MessageStructure) -> bool:
 
 
 def _port(port: FoundPort) -> str:
-    return _name(port.endpoint.port, set())
+    return new_name(port.endpoint.port, set())
 
 
 def _address(port: FoundPort) -> str:

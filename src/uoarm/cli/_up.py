@@ -1,0 +1,159 @@
+"""`uoarm up` serves what is there, without a line of configuration for it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.cli._discover import rows, with_every_plugin
+from uoarm.cli._serve import USED, say, stop_file_of, stopping
+from uoarm.cli._shared import json_option, needing, reporting
+from uoarm.config import add_functions, load
+from uoarm.errors import ConnectionClosedError, UoarmError
+from uoarm.model import BridgeFindings, Robot, to_json
+
+__all__ = ["up"]
+
+_END_SECONDS = 5.0
+_DISCOVERY_SECONDS = 20.0
+_RESOLVE_SECONDS = 10.0
+
+
+@click.command()
+@click.option(
+    "-f",
+    "--file",
+    "file",
+    envvar="UOARM_CONFIG",
+    type=click.Path(dir_okay=False),
+    help="Configuration to begin with, such as bridges with options; also UOARM_CONFIG.",
+)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), default=9080, show_default=True)
+@click.option(
+    "--access",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Access file with roles and tokens.",
+)
+@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
+@json_option
+def up(
+    file: str | None, *, host: str, port: int, access: Path | None, every: float, as_json: bool
+) -> None:
+    """Serve whatever there is: every component that bridges see provides a function of its name.
+
+    Plugins that the file does not mention are asked with their default options. The inputs of
+    components are fed by what is proven to fit. Tells what comes and goes, and what each function
+    would run on or why it cannot be had, until Ctrl-C or SIGTERM. Nothing is written to a file.
+    """
+    registry = Registry()
+    with reporting(), needing("server"):
+        from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
+
+        given = Robot({}, {}) if file is None else load(file, registry.types)
+        robot = with_every_plugin(given, registry)
+        stop_file = stop_file_of(file or "uoarm up")
+        with RobotManager(robot, registry=registry, stop_file=stop_file) as manager:
+            chosen = Settings(host=host, port=port, access=access)
+            manager.offer(timeout=0)  # what fails is in the log and in the status
+            try:
+                with stopping(manager), _following(_Follower(manager, as_json=as_json), every):
+                    run(manager, chosen, lambda server: say(server, chosen, err=as_json))
+            except OSError as error:
+                hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
+                click.echo(f"error: {error.strerror or error}{hint}", err=True)
+                sys.exit(USED)
+
+
+class _Follower:
+    """Gives a function to whatever is seen, and tells what is different each time.
+
+    Args:
+        manager: of the robot; others may change its configuration, too.
+        as_json: whether a line of JSON is printed in place of text.
+        echo: prints a line.
+    """
+
+    def __init__(
+        self, manager: RobotManager, *, as_json: bool, echo: Callable[[str], None] = click.echo
+    ) -> None:
+        self._manager = manager
+        self._as_json = as_json
+        self._echo = echo
+        self._findings: tuple[BridgeFindings, ...] = ()
+        self._functions: dict[str, str] = {}
+
+    def look(self) -> None:
+        """Look once.
+
+        Raises:
+            UoarmError: the manager is closed.
+        """
+        findings = self._manager.discover(timeout=_DISCOVERY_SECONDS)
+        revision = self._manager.revision
+        base = self._manager.history()[-1].robot
+        assert base is not None, "a manager has one from the beginning"
+        grown = add_functions(base, findings)
+        if grown is not base:
+            self._manager.apply(grown, revision=revision)
+        before, self._findings = self._findings, findings
+        if not self._as_json:
+            self._tell_findings(before, findings)
+        functions = {name: self._told(name) for name in self._manager.config.functions}
+        others, self._functions = self._functions, functions
+        if not self._as_json:
+            for name, told in functions.items():
+                if others.get(name) != told:
+                    self._echo(f"{click.style(name, bold=True)}  {told}")
+        elif (before, others) != (findings, functions):
+            self._echo(json.dumps({"findings": to_json(findings), "functions": functions}))
+
+    def _told(self, name: str) -> str:
+        try:
+            plan = self._manager.resolve(name, timeout=_RESOLVE_SECONDS)
+        except ConnectionClosedError:
+            raise
+        except UoarmError as error:
+            return f"cannot be had: {str(error).splitlines()[-1].strip()}"
+        return " -> ".join(f"{one.component.name}" for one in plan.steps)
+
+    def _tell_findings(
+        self, before: tuple[BridgeFindings, ...], after: tuple[BridgeFindings, ...]
+    ) -> None:
+        for mark, one, other in (("-", before, after), ("+", after, before)):
+            known = set(rows(other))
+            for row in rows(one):
+                if row not in known:
+                    self._echo(f"{mark} {row}")
+
+
+@contextmanager
+def _following(follower: _Follower, every: float) -> Iterator[None]:
+    """Look in a thread of its own, so often."""
+    over = threading.Event()
+
+    def run() -> None:
+        while not over.is_set():
+            try:
+                follower.look()
+            except UoarmError as error:
+                if not over.is_set():
+                    click.echo(f"looking for components failed: {error}", err=True)
+            over.wait(every)
+
+    thread = threading.Thread(target=run, name="uoarm-up", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(_END_SECONDS)

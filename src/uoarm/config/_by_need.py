@@ -1,0 +1,58 @@
+"""Functions that nobody wrote: one for whatever is seen, by what it needs."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable, Iterator
+
+from attrs import evolve
+
+from uoarm.config._suggestion import new_name
+from uoarm.model import BridgeFindings, FoundComponent, Function, Need, Robot, Role
+
+__all__ = ["add_functions"]
+
+_MOST_FUNCTIONS = 500
+
+
+def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
+    """Return a robot with a function for each output and service that is seen and not named.
+
+    Such a function names nobody: it needs what has that name in that framework, so that it is
+    fed by whatever is proven to fit, may go and come back, and says why it cannot be had. It is
+    called after the component, and after the port where there are several. Equal arguments give
+    equal robots; a robot that has them already is returned as it is.
+
+    Args:
+        robot: the configuration, which stays as it is otherwise.
+        findings: what its bridges see. Beyond five hundred functions nothing is added.
+    """
+    known = {one.needs for one in robot.functions.values() if one.needs is not None}
+    taken = {*robot.functions, *(one.name for one in robot.components())}
+    more: dict[str, Function] = {}
+    for each in findings:
+        for found in each.components if each.bridge in robot.bridges else ():
+            for wanted, need in _needs(each.bridge, found):
+                if need in known or len(robot.functions) + len(more) >= _MOST_FUNCTIONS:
+                    continue
+                name = new_name(wanted, taken)
+                more[name] = Function(name, (), f"{found.name} of {each.bridge}", needs=need)
+    return evolve(robot, functions={**robot.functions, **more}) if more else robot
+
+
+def _needs(bridge: str, found: FoundComponent) -> Iterator[tuple[str, Need]]:
+    """Yield what would be needed of a component, and a name for it."""
+    for role in (Role.OUTPUT, Role.SERVICE):
+        ports = [one for one in found.ports if one.endpoint.role is role]
+        for one in ports:
+            if one.used_by or (one.message is None and one.request is None):
+                continue
+            port = one.endpoint.port
+            need = Need(
+                role=role,
+                names=(glob.escape(found.name),),
+                ports=(glob.escape(port),) if len(ports) > 1 else (),
+                prefer=(bridge,),
+            )
+            is_plain = port == "default" or (len(ports) == 1 and role is Role.OUTPUT)
+            yield found.name if is_plain else f"{found.name}_{port}", need

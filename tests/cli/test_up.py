@@ -1,0 +1,132 @@
+"""`uoarm up`: functions for what is there, fed by proof, without a line that anybody wrote."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from click import unstyle
+from click.testing import CliRunner
+
+from uoarm import RobotManager
+from uoarm._control.discovery import candidate_watch
+from uoarm.bridge import BridgeType, Registry
+from uoarm.cli import _up, main
+from uoarm.cli._serve import say
+from uoarm.config import add_functions, loads
+from uoarm.errors import ConnectionClosedError
+from uoarm.testing import MemoryBridge, patience, wait
+
+IMAGE = {
+    "type": "object",
+    "properties": {"pixels": {"type": "integer"}},
+    "required": ["pixels"],
+    "additionalProperties": False,
+}
+EMPTY = "version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n"
+
+
+@pytest.fixture(autouse=True)
+def _hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
+    monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", 0.0)
+
+
+def follower(manager: RobotManager, lines: list[str], *, as_json: bool = False) -> _up._Follower:
+    return _up._Follower(manager, as_json=as_json, echo=lambda one: lines.append(unstyle(one)))
+
+
+def look_until(looking: _up._Follower, lines: list[str], told: str) -> None:
+    """Look again until a line tells something; candidates come in rounds of their own."""
+
+    def is_told() -> bool:
+        looking.look()
+        return any(told in one for one in lines)
+
+    wait(is_told)
+
+
+def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
+    lab, lines = MemoryBridge("lab", {}), list[str]()
+    with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
+        looking = follower(manager, lines)
+        lab.loop("faceDetection", IMAGE)
+        looking.look()
+        assert "+ lab  faceDetection" in lines
+        told = "no function feeds its input default"
+        assert told in lines[-1], lines
+
+        camera = lab.emitter("camera", IMAGE)
+        look_until(looking, lines, "-> faceDetection@lab/faceDetection")
+        assert "faceDetection  camera@lab/camera -> faceDetection@lab/faceDetection" in lines
+        faces = manager.request("faceDetection")
+        camera.emit({"pixels": 7})
+        assert faces.get(timeout=patience()) == {"pixels": 7}
+
+        before, revision = len(lines), manager.revision
+        looking.look()
+        assert (len(lines), manager.revision) == (before, revision)
+
+
+def test_as_json_each_change_is_a_line() -> None:
+    lab, lines = MemoryBridge("lab", {}), list[str]()
+    lab.emitter("camera", IMAGE)
+    with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
+        looking = follower(manager, lines, as_json=True)
+        look_until(looking, lines, "@lab/camera")
+    told = json.loads(lines[-1])
+    assert told["functions"] == {"camera": "camera@lab/camera"}
+    assert [one["name"] for one in told["findings"][0]["components"]] == ["camera"]
+    with pytest.raises(ConnectionClosedError):
+        looking.look()
+
+
+def test_what_is_named_and_what_has_its_function_already_gets_no_other() -> None:
+    lab = MemoryBridge("lab", {})
+    lab.emitter("camera", IMAGE)
+    lab.emitter("head/eye[1]", IMAGE)
+    lab.service("double", {"type": "integer"}, {"type": "integer"}, lambda one: 2 * one)
+    named = "{camera: {components: [{name: eye, bridge: lab, output: {endpoint: [camera]}}]}}"
+    robot = loads(EMPTY.replace("{}\n", f"{named}\n"))
+    with RobotManager(robot, bridges={"lab": lab}) as manager:
+        grown = add_functions(robot, manager.discover())
+        assert list(grown.functions) == ["camera", "double", "head_eye_1"]
+        assert grown.functions["camera"] == robot.functions["camera"]
+        manager.apply(grown)
+        assert manager.resolve("head_eye_1").provider.component.name == "head_eye_1@lab/head/eye[1]"
+        assert manager.call("double", 4) == 8
+        assert add_functions(grown, manager.discover()) is grown
+
+
+def test_the_command_serves_until_it_is_told_to_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    registry, lab, serving = Registry(()), MemoryBridge("lab", {}), threading.Event()
+    registry.add(BridgeType("memory", "", lambda *_: lab, contract=2))
+    lab.emitter("camera", IMAGE)
+    look = _up._Follower.look
+
+    def say_so(*given: object, **more: object) -> None:
+        say(*given, **more)  # type: ignore[arg-type]
+        serving.set()
+
+    def look_and_end(one: _up._Follower) -> None:
+        assert serving.wait(patience())
+        look(one)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(_up, "Registry", lambda: registry)
+    monkeypatch.setattr(_up, "say", say_so)
+    monkeypatch.setattr(_up._Follower, "look", look_and_end)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    file = tmp_path / "robot.yaml"
+    file.write_text(EMPTY, encoding="utf-8")
+    arguments = ["up", "-f", str(file), "--port", "0", "--every", "100"]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    assert "serving ws://127.0.0.1:" in done.output
+    assert "+ lab  camera  output  camera" in done.output
