@@ -12,7 +12,7 @@ from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWa
 from uoarm._control.live.lease import InputLease
 from uoarm._dataplane import Outlet, make_check
 from uoarm.bridge import Bridge, Channel, Sink, Source
-from uoarm.errors import BridgeError, ConnectionClosedError
+from uoarm.errors import BridgeError, ConnectionClosedError, UoarmError
 from uoarm.model import (
     ChannelStatus,
     CommandStatus,
@@ -32,6 +32,7 @@ _BUSY_SECONDS = 60.0
 _OPEN_SECONDS = 60.0
 _CLOSE_SECONDS = 2.0
 _TURN_SECONDS = 0.1
+_STOP_SECONDS = 0.5
 _NEWEST = QueuePolicy(length=1, policy=OverflowPolicy.LATEST)
 _LOSSES = frozenset({"under_way", "lost_on_link"})
 
@@ -48,6 +49,8 @@ class LiveComponent:
         failures: watches what it raises.
         emergency_stop: holds its inputs that move something.
         announce: told, in a sentence, when an input has another holder of its lease.
+        replaced: components in whose place it comes: they are stopped, and take no commands any
+            more, before the first one is sent here.
 
     Attributes:
         leases: of the inputs that one sender at a time may command, by name.
@@ -61,8 +64,12 @@ class LiveComponent:
         failures: FailureWatch,
         emergency_stop: EmergencyStop,
         announce: Callable[[str], None],
+        replaced: tuple[LiveComponent, ...] = (),
     ) -> None:
         self._emergency_stop = emergency_stop
+        self._replaced = replaced
+        self._stopping_replaced = threading.Lock()
+        self._are_replaced_stopped = not replaced
         self.component: Component = step.component
         self.bridge = bridge
         self.outlets = {output.name: Outlet() for output in self.component.outputs}
@@ -164,6 +171,8 @@ class LiveComponent:
             try:
                 self._emergency_stop.refuse(sink)
                 message, age = admit(given)
+                if not self._are_replaced_stopped and sink.endpoint.command is not None:
+                    self._stop_replaced()
                 sink.send(message, age)
             finally:
                 turn.release()
@@ -172,6 +181,32 @@ class LiveComponent:
             return send, None
         # Of commands that wait, only the newest one is worth sending.
         return send, sink.default_queue if sink.endpoint.command is None else _NEWEST
+
+    def _stop_replaced(self) -> None:
+        """Stop what was replaced; any other thread with a command for here waits for that."""
+        with self._stopping_replaced:
+            if not self._are_replaced_stopped:
+                for live in self._replaced:
+                    live.hold_inputs()
+                self._are_replaced_stopped = True
+
+    def hold_inputs(self) -> None:
+        """Stop the inputs that move something and have them refuse commands. Bounded in time."""
+        for sink in tuple(self._sinks.values()):
+            if sink.endpoint.command is not None:
+                try:
+                    sink.hold(_STOP_SECONDS)
+                except UoarmError as error:  # it is gone, or its host is, which stops by itself
+                    _log.warning("%s was replaced and not stopped: %s", sink.endpoint, error)
+
+    def release_inputs(self) -> None:
+        """Have the inputs take commands again, unless the emergency stop holds them."""
+        for sink in tuple(self._sinks.values()):
+            if sink.endpoint.command is not None and not self._emergency_stop.is_held:
+                try:
+                    sink.release()
+                except UoarmError as error:
+                    _log.warning("%s goes on refusing commands: %s", sink.endpoint, error)
 
     def require_released(self, name: str) -> None:
         """Refuse a command to an open input while the emergency stop holds it.
@@ -212,6 +247,12 @@ class LiveComponent:
         """Close every channel, sources first; failures are logged. Bounded in time."""
         self._doomed = True
         self._sweep()
+        # Where it was opened in vain, what it was to replace goes on.
+        with self._stopping_replaced:
+            replaced, self._replaced = self._replaced, ()
+        for live in replaced:
+            if not live.is_closed:
+                live.release_inputs()
 
     def channel_statuses(self) -> tuple[ChannelStatus, ...]:
         """Return what the status map shows of its channels."""

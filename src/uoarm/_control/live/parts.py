@@ -161,7 +161,7 @@ class LiveParts:
                 raise ConnectionClosedError(f"{action.connection} was given up")
             try:
                 if part.kind is Kind.COMPONENT:
-                    self._enter(state.components[part.id])
+                    self._enter(state.components[part.id], self._replaced_by(action, part.id))
                 elif part.kind is Kind.OUTPUT:
                     self._open_output(part)
                 elif part.kind is Kind.EDGE:
@@ -235,7 +235,20 @@ class LiveParts:
             for joined in _there(self.edges, (edge,)):
                 joined.release(self._clock)
 
-    def _enter(self, record: ComponentRecord) -> None:
+    def _replaced_by(self, action: Open, number: int) -> tuple[LiveComponent, ...]:
+        """Return what of a connection's running plan an instance is to do from now on."""
+        runtime = self.runtimes.get(action.connection)
+        record = None if runtime is None else runtime.record
+        if record is None or record.current is None or record.current is action.placement:
+            return ()
+        function = self._state().components[number].step.component.function
+        return tuple(
+            live
+            for live in _there(self.components, record.current.components.values())
+            if live.component.function == function
+        )
+
+    def _enter(self, record: ComponentRecord, replaced: tuple[LiveComponent, ...]) -> None:
         """Make an instance of a component; nothing of it is opened yet.
 
         Raises:
@@ -253,6 +266,7 @@ class LiveParts:
             failures,
             self.emergency_stop,
             partial(self._announce, f"component {component.name}", "leased"),
+            replaced,
         )
 
     def _open_output(self, part: Part) -> None:

@@ -1,0 +1,131 @@
+"""What moves is stopped before what takes its place gets the first command, whatever the reason."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge, Description, Registry, Sink, Source
+from uoarm.config import loads
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
+from uoarm.testing import MemoryBridge, patience, wait
+
+ROBOT = """
+version: 1
+bridges: {{motors: {{plugin: python}}, memory: {{plugin: python}}}}
+functions:
+  plan: {{components: [{{name: planner, bridge: memory, output: {{endpoint: [planner]}}}}]}}
+  drive:
+    components:
+      - {{name: left, bridge: motors, priority: {left}, input: {{endpoint: [left], {settings}}}}}
+      - {{name: right, bridge: motors, priority: 2, input: {{endpoint: [right], {settings}}}}}
+"""
+SETTINGS = "lifetime: 3600, stop: {message: 0}"
+
+
+class Motors(Bridge):
+    """Motors that note what they take, all in one list, and are let go late."""
+
+    def __init__(self) -> None:
+        super().__init__("motors", {})
+        self.taken: list[tuple[str, Message]] = []
+        self.may_close = threading.Event()
+        self.may_close.set()
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        return Description(MessageStructure({"type": "number"}))
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        raise NotImplementedError
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        name = endpoint.component
+        return Sink(
+            endpoint,
+            lambda message: self.taken.append((name, message)),
+            lambda: self.may_close.wait(patience()),
+            blocking=False,
+        )
+
+    def _close(self) -> None:
+        self.may_close.set()
+
+
+@pytest.fixture
+def motors() -> Motors:
+    return Motors()
+
+
+@pytest.fixture
+def memory() -> MemoryBridge:
+    return MemoryBridge()
+
+
+Start = Callable[..., RobotManager]
+
+
+@pytest.fixture
+def start(motors: Motors, memory: MemoryBridge) -> Iterator[Start]:
+    made: list[RobotManager] = []
+
+    def start(settings: str) -> RobotManager:
+        text = ROBOT.format(left=3, settings=settings)
+        bridges = {"motors": motors, "memory": memory}
+        made.append(RobotManager(loads(text), registry=Registry(()), bridges=bridges))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.close()
+
+
+def in_order(taken: list[tuple[str, Message]]) -> bool:
+    """Say whether the left one stopped before the right one moved, and took nothing after that."""
+    names = [name for name, _ in taken]
+    first = names.index("right")
+    return "left" not in names[first:] and taken[first - 1] == ("left", 0)
+
+
+def test_a_provider_that_died_is_stopped_before_the_next_gets_what_the_application_sends(
+    start: Start, motors: Motors
+) -> None:
+    robot = start(SETTINGS)
+    drive = robot.request("drive")
+    drive.send(1)
+    motors.may_close.clear()
+    motors.report(Health.LOST, "it was unplugged", component="left")
+    wait(lambda: "right" in str(drive))
+    drive.send(2)
+    motors.may_close.set()
+    assert in_order(motors.taken)
+    assert motors.taken[-1] == ("right", 2)
+
+
+def test_a_provider_that_a_configuration_replaces_is_stopped_before_the_next_is_fed(
+    start: Start, motors: Motors, memory: MemoryBridge
+) -> None:
+    planner = memory.emitter("planner", {"type": "number"})
+    robot = start(f"from: plan, meaning: stated, {SETTINGS}")
+    robot.request("drive")
+    over = threading.Event()
+
+    def plan() -> None:
+        while not over.wait(0.001):
+            planner.emit(1)
+
+    planning = threading.Thread(target=plan)
+    planning.start()
+    try:
+        wait(lambda: ("left", 1) in motors.taken)
+        changed = ROBOT.format(left=1, settings=f"from: plan, meaning: stated, {SETTINGS}")
+        robot.apply(loads(changed), timeout=patience())
+        wait(lambda: ("right", 1) in motors.taken)
+    finally:
+        over.set()
+        planning.join(patience())
+    assert in_order(motors.taken)
