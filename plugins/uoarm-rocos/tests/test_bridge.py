@@ -6,9 +6,11 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 import uoarm_rocos
+from attrs import evolve
 from lines import LIMIT
 from rigs import Events, bridged, endpoint, served
 from uoarm_rocos import _bridge
@@ -20,7 +22,7 @@ from uoarm_rocos.simulate import Faults, Robot
 from uoarm import RobotManager
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
-from uoarm.model import Health, MessageStructure
+from uoarm.model import CommandPolicy, Health, MessageStructure, StopMessage
 from uoarm.testing import slowness
 
 ANY = MessageStructure(True)
@@ -262,3 +264,29 @@ def test_devices_end_together_and_not_one_after_the_other(monkeypatch: pytest.Mo
     with bridged(**devices) as (bridge, _):
         assert bridge.discover() == ()
     assert at_close == [3, 3, 3]
+
+
+class _Noting(Robot):
+    """A robot that notes what it is told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told = Events()
+
+    def take(self, api: str, values: dict[str, Any], now: float) -> None:
+        super().take(api, values, now)
+        self.told(values["linear"])
+
+
+@pytest.mark.parametrize("kind", ["tcp", "pty"])
+def test_a_command_that_nobody_renews_is_followed_by_the_stop(kind: str) -> None:
+    model = _Noting()
+    policy = CommandPolicy(0.1, StopMessage({"linear": 0, "angular": 0}))
+    at = evolve(endpoint("robot", "velocity", "input"), command=policy)
+    with served(model, kind) as url, bridged(robot={"url": url}) as (bridge, _):
+        sink = bridge.open_sink(at, ANY)
+        sink.send({"linear": 0.5, "angular": 0})
+        assert [model.told.get(), model.told.get()] == [0.5, 0.0]
+        status = sink.command_status()
+        assert status is not None
+        assert status.dropped == ()

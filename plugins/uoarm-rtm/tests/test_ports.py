@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from attrs import evolve
 from endpoints import Inbox, endpoint, sink, source, stamped
 from peers import Peer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
-from uoarm.model import Role
+from uoarm.model import CommandPolicy, Role, StopMessage
 from uoarm.testing import wait
 
 IDL = str(Path(__file__).parent / "types.idl")
@@ -228,3 +229,13 @@ def test_a_port_of_ours_shows_no_connection_that_is_being_made(
     assert first.connect(nameserver, "Second.rtc", "in", properties) == "RTC_OK"
     assert first.connectors() == [0, 1]
     assert second.connectors() == [1, 0]
+
+
+def test_a_command_that_nobody_renews_is_followed_by_the_stop(bridge: Bridge, peer: Start) -> None:
+    component = peer("Listener")
+    policy = CommandPolicy(0.1, StopMessage(stamped(0)))
+    at = evolve(endpoint(Role.INPUT, "Listener.rtc", "in", activate=True), command=policy)
+    into = sink(bridge, at)
+    into.send(stamped(5))
+    wait(lambda: component.received() == [stamped(5), stamped(0)])
+    wait(lambda: into.command_status().stops == 1)
