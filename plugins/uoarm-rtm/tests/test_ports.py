@@ -239,3 +239,18 @@ def test_a_command_that_nobody_renews_is_followed_by_the_stop(bridge: Bridge, pe
     into.send(stamped(5))
     wait(lambda: component.received() == [stamped(5), stamped(0)])
     wait(lambda: into.command_status().stops == 1)
+
+
+@pytest.mark.parametrize("subscription", ["flush", "new"])
+def test_what_moves_is_stopped_before_it_is_let_go(
+    bridge: Bridge, peer: Start, subscription: str
+) -> None:
+    component = peer("Listener")
+    policy = CommandPolicy(3600, StopMessage(stamped(0)))
+    options = {"activate": True, "subscription": subscription}
+    at = evolve(endpoint(Role.INPUT, "Listener.rtc", "in", **options), command=policy)
+    into = sink(bridge, at)
+    into.send(stamped(5))
+    wait(lambda: component.received() == [stamped(5)])
+    into.close()
+    assert component.received() == [stamped(5), stamped(0)]

@@ -19,6 +19,7 @@ Outcomes = Callable[[int, int, str], None]
 """Takes how many messages a component took, on how many it raised, and the text of the last."""
 
 _CLOSE_SECONDS = 5.0
+_LAST_SECONDS = 0.5
 
 
 class Channel:
@@ -274,8 +275,8 @@ class Sink(Channel):
         return False
 
     def _before_close(self) -> None:
-        if self._watchdog is not None:
-            self._watchdog.close()
+        if self._watchdog is not None and self._watchdog.close():
+            self.drain(_LAST_SECONDS)  # the stop may be in a buffer, which would go with the link
 
     def _send(self, message: Message) -> None:
         """Hand one message to the component.

@@ -114,11 +114,15 @@ class Watchdog:
         with self._changed:
             return self._state.status(self._clock())
 
-    def close(self) -> None:
-        """Let nothing more through, and stop what moves; wait for that half a second at most."""
+    def close(self) -> bool:
+        """Let nothing more through, and stop what moves; wait for that half a second at most.
+
+        Returns whether a stop was taken in that time.
+        """
         with self._changed:
             self._state.close(self._clock())
-            if not self._is_at_rest():
+            was_moving = not self._is_at_rest()
+            if was_moving:
                 self._wake()
                 self._changed.wait_for(self._is_at_rest, _LAST_SECONDS)
             was_stopped = self._is_at_rest()
@@ -126,6 +130,7 @@ class Watchdog:
             self._changed.notify_all()
         if not was_stopped:
             _log.error("%s was closed before it took its stop message", self._name)
+        return was_moving and was_stopped
 
     def _is_at_rest(self) -> bool:
         return self._state.phase in {CommandPhase.IDLE, CommandPhase.STOPPED} or self._stop is None

@@ -58,6 +58,7 @@ class InPortSink(Sink):
         self._putting = Calls()
         self._sizes = SizeLimit(place.where, place.orb.most_octets)
         waits = buffer_policy(place.settings.properties, "inport").longest_write
+        self._is_let_go = False
         self._longest = place.settings.timeout or place.seconds + waits
         properties = asked(place.settings, place.codec.name)
         pulls = place.settings.flow == "pull"
@@ -109,7 +110,7 @@ class InPortSink(Sink):
         return {**self.pulse.facts(), "dropped": self._buffer.dropped}
 
     def _be_open(self) -> None:
-        if self._closed:
+        if self._is_let_go:  # later than `closed`: what moves is stopped before it is let go
             text = f"bridge {self.endpoint.bridge!r}: {self.endpoint} is closed"
             raise BridgeError(text, FailureReason.CLOSED)
         if self._gone:
@@ -181,6 +182,7 @@ class InPortSink(Sink):
             raise
 
     def _close(self) -> None:
+        self._is_let_go = True
         self._withdraw()
         # A component in C++ may abort when it is disconnected while it takes a message.
         self._putting.end(self._longest)
