@@ -309,7 +309,7 @@ offer: {{net: {{turn: {{output: {{endpoint: [angle]{port}}}}}}}}}
     with RobotManager(loads(text), bridges={"one": one, "net": net}) as manager:
         (status,) = manager.offer(timeout=patience())
     assert (status.state is OfferState.OPEN) is fits, status.cause
-    assert fits or "meaning: strict demands" in status.cause
+    assert fits or "`meaning: strict` demands" in status.cause
 
 
 def test_pauses_grow_to_half_a_minute() -> None:

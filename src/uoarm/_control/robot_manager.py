@@ -22,6 +22,7 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.live.stop_file import StopFile
+from uoarm._control.offers.offered_function import offered_structures
 from uoarm._control.offers.offers import Offers
 from uoarm._control.reconciler.events import Requested
 from uoarm._control.reconciler.state import State, recently
@@ -51,6 +52,7 @@ from uoarm.model import (
     Health,
     Message,
     MessageStructure,
+    Offer,
     OfferStatus,
     Plan,
     PortRef,
@@ -138,7 +140,9 @@ class RobotManager:
             lambda name: name in recently(self._executor.state.avoided, clock()),
             self._executor.live.emergency_stop,
         )
-        self._offers = Offers(lambda: self.config, self, self._bridges, self._events, clock)
+        self._offers = Offers(
+            lambda: self.config, self, self._bridges, self._events, clock, self._hold_offer
+        )
         self._staleness = StalenessWatch(
             self._executor.components,
             self._executor.edges,
@@ -366,7 +370,8 @@ class RobotManager:
         """Return the structures of a component's ports, as its bridge or the configuration has it.
 
         They are keyed `input.NAME` and `output.NAME`; a service has `request` and `reply`. Asks the
-        bridge where that is not known yet, and opens nothing.
+        bridge where that is not known yet, and opens nothing. An offer, `BRIDGE:FUNCTION`, has
+        those that its framework knows: what it gives there is an input of the framework.
 
         Raises:
             ResolutionError: the configuration has no such component, or it is not there now.
@@ -374,6 +379,11 @@ class RobotManager:
         """
         self._require_open()
         revision = self._revisions.current
+        offer = next((one for one in revision.robot.offers if one.name == component), None)
+        if offer is not None:
+            what = f"asking for the structures of the offer {component!r}"
+            get = self._bridges.get
+            return _bounded.run(what, timeout, lambda: offered_structures(offer, get(offer.bridge)))
         found = next((one for one in revision.robot.components() if one.name == component), None)
         if found is None:
             raise ResolutionError(f"there is no component {component!r} in the configuration")
@@ -605,6 +615,11 @@ class RobotManager:
     def _noticed(self, event: HealthEvent) -> None:
         if not self._offers.reported(event):
             self._executor.report(event)
+
+    def _hold_offer(self, offer: Offer, bridge: Bridge) -> None:
+        guard = self._revisions.current.guard
+        if guard is not None:
+            guard.hold_offer(offer.name, offered_structures(offer, bridge))
 
     def _require_open(self) -> None:
         if self._executor.state.is_closing:

@@ -63,22 +63,24 @@ def compare(lock: Lock, other: Lock | Mapping[str, Any]) -> Iterator[Finding]:
             not among those stays as it is.
     """
     find = _in_lock(other) if isinstance(other, Lock) else _in_schemas(other)
+    known = {
+        (part.component, port): lock.structure(fingerprint)
+        for part in lock.parts()
+        for port, fingerprint in part.ports.items()
+    }
+    for name, offer in lock.offers.items():
+        for edge in offer.edges:
+            yield _edge(f"offer {name}", edge, known, find)
     for name, function in lock.functions.items():
-        ports = {
-            (part.component, port): lock.structure(fingerprint)
-            for part in function.parts
-            for port, fingerprint in part.ports.items()
-        }
         for edge in function.edges:
-            yield _edge(name, edge, ports, find)
-        yield from _offered(name, function, ports, find)
+            yield _edge(name, edge, known, find)
+        yield from _offered(name, function, known, find)
 
 
 def _in_lock(other: Lock) -> Find:
     found = {
         (part.component, port): other.structure(fingerprint)
-        for function in other.functions.values()
-        for part in function.parts
+        for part in other.parts()
         for port, fingerprint in part.ports.items()
     }
     return lambda port, _: found.get(port)

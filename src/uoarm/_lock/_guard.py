@@ -11,6 +11,7 @@ from attrs import evolve
 
 from uoarm._lock._record import Lock, LockError, read_lock
 from uoarm._resolve import Structures, Unavailable
+from uoarm.errors import ResolutionError
 from uoarm.model import Component, LockDifference, LockMode, MessageStructure, Robot
 
 __all__ = ["LockGuard", "guard_of"]
@@ -33,8 +34,7 @@ class LockGuard:
         self._tell = tell
         self._ports = {
             (part.component, port): fingerprint
-            for function in lock.functions.values()
-            for part in (*function.parts, *function.others)
+            for part in lock.parts()
             for port, fingerprint in part.ports.items()
         }
         self._found: dict[tuple[str, str], LockDifference] = {}
@@ -48,6 +48,16 @@ class LockGuard:
         if self.mode is LockMode.ENFORCE:
             return Unavailable("; ".join(told))
         return evolve(structures, warnings=(*structures.warnings, *told))
+
+    def hold_offer(self, name: str, ports: Mapping[str, MessageStructure]) -> None:
+        """Hold what an offer has in its framework against the lock.
+
+        Raises:
+            ResolutionError: it is not as it was locked, and may not be used.
+        """
+        told = self.differences(name, ports)
+        if told and self.mode is LockMode.ENFORCE:
+            raise ResolutionError("; ".join(told))
 
     def differences(self, component: str, ports: Mapping[str, MessageStructure]) -> tuple[str, ...]:
         """Say for each port of a component that is not as it was locked what is different.

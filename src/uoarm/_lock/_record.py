@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,8 @@ from uoarm.model import (
     Meaning,
     MeaningLevel,
     MessageStructure,
+    Offer,
+    OfferedPort,
     Plan,
     Robot,
     from_json,
@@ -72,6 +74,14 @@ class LockedFunction:
 
 
 @frozen
+class LockedOffer:
+    """A function as a framework finds it: its ports there, and how they are fed or feed."""
+
+    part: LockedPart
+    edges: tuple[LockedEdge, ...] = ()
+
+
+@frozen
 class LockedStructure:
     """A message structure."""
 
@@ -87,12 +97,28 @@ class Lock:
         functions: by name.
         structures: by fingerprint.
         bridges: what each runs with, by name.
+        offers: what is offered in frameworks, by `BRIDGE:FUNCTION`.
     """
 
     functions: dict[str, LockedFunction]
     structures: dict[str, LockedStructure]
     version: int = _VERSION
     bridges: dict[str, LockedBridge] = field(factory=dict)
+    offers: dict[str, LockedOffer] = field(factory=dict)
+
+    def parts(self) -> Iterator[LockedPart]:
+        """Yield every part, of plans, of candidates and of offers; one may come several times."""
+        for function in self.functions.values():
+            yield from (*function.parts, *function.others)
+        for offer in self.offers.values():
+            yield offer.part
+
+    def edges(self) -> Iterator[LockedEdge]:
+        """Yield every edge, of plans and of offers."""
+        for function in self.functions.values():
+            yield from function.edges
+        for offer in self.offers.values():
+            yield from offer.edges
 
     def structure(self, fingerprint: str) -> MessageStructure:
         """Return the structure of that content."""
@@ -110,12 +136,12 @@ def record(
     Args:
         robot: the configuration.
         plans: for each function its plan, or why it has none.
-        described: the structures of all components that are there, by their ports.
+        described: the structures of all components and offers that are there, by their ports.
     """
     structures: dict[str, LockedStructure] = {}
     functions: dict[str, LockedFunction] = {}
 
-    def part(one: Component, ports: Mapping[str, MessageStructure]) -> LockedPart:
+    def part(one: Component | Offer, ports: Mapping[str, MessageStructure]) -> LockedPart:
         for told in ports.values():
             structures[told.fingerprint] = LockedStructure(told.native_type, told.schema)
         by_port = {port: told.fingerprint for port, told in sorted(ports.items())}
@@ -143,15 +169,52 @@ def record(
             one.component: one.reasons[0].sentence if one.reasons else "" for one in plan.rejected
         }
         functions[name] = LockedFunction(parts, edges, passed_over, others=others)
-    return Lock(functions, dict(sorted(structures.items())), bridges=bridges_of(robot))
+    offers = {
+        one.name: LockedOffer(
+            part(one, described[one.name]),
+            tuple(_offered(one, plans.get(one.function, ""), described[one.name])),
+        )
+        for one in robot.offers
+        if one.name in described
+    }
+    return Lock(
+        functions, dict(sorted(structures.items())), bridges=bridges_of(robot), offers=offers
+    )
+
+
+def _offered(
+    offer: Offer, plan: Plan | str, described: Mapping[str, MessageStructure]
+) -> Iterator[LockedEdge]:
+    """Yield an edge for each port of an offer whose structures are known on both sides."""
+    if isinstance(plan, str):
+        return
+    component, known = plan.provider.component, plan.provider.structures
+    for port in offer.outputs:
+        output = component.output(None if port.name == "default" else port.name)
+        if output is not None and f"input.{port.name}" in described:
+            yield _offered_edge(port, (component.name, output.name), (offer.name, port.name))
+    for port in offer.inputs:
+        if f"input.{port.name}" in known and f"output.{port.name}" in described:
+            yield _offered_edge(port, (offer.name, port.name), (component.name, port.name))
+
+
+def _offered_edge(
+    port: OfferedPort, producer: tuple[str, str], consumer: tuple[str, str]
+) -> LockedEdge:
+    mapping = None if port.mapping is None else dict(port.mapping)
+    level, alike = port.meaning.level.value, _sorted(port.meaning.alike)
+    return LockedEdge(*producer, *consumer, mapping, port.allow_loss, level, alike, ())
+
+
+def _sorted(alike: Iterable[frozenset[str]]) -> tuple[tuple[str, ...], ...]:
+    return tuple(sorted(tuple(sorted(names)) for names in alike))
 
 
 def _edge(edge: Edge, port: Input) -> LockedEdge:
-    alike = tuple(sorted(tuple(sorted(names)) for names in port.meaning.alike))
     mapping = None if edge.mapping is None else dict(edge.mapping)
     return LockedEdge(
         edge.producer, edge.output, edge.consumer, edge.input, mapping, port.allow_loss,
-        port.meaning.level.value, alike, edge.unstated,
+        port.meaning.level.value, _sorted(port.meaning.alike), edge.unstated,
     )  # fmt: skip
 
 
@@ -177,12 +240,11 @@ def read_lock(path: Path) -> Lock:
         raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {told}")
     try:
         lock = from_json(data, Lock)
-        for function in lock.functions.values():
-            for part in (*function.parts, *function.others):
-                for fingerprint in part.ports.values():
-                    lock.structure(fingerprint)
-            for edge in function.edges:
-                meaning_of(edge)
+        for part in lock.parts():
+            for fingerprint in part.ports.values():
+                lock.structure(fingerprint)
+        for edge in lock.edges():
+            meaning_of(edge)
     except (ValueError, KeyError) as error:
         raise LockError(f"{path}: this is no whole lock: {error}") from error
     return lock

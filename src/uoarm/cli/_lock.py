@@ -136,7 +136,7 @@ def lock_of(robot: RobotManager) -> Lock:
         except ResolutionError as error:
             plans[name] = str(error)
     described = {}
-    for component in robot.config.components():
+    for one in (*robot.config.components(), *robot.config.offers):
         with suppress(ResolutionError):  # what is not there is no candidate now
-            described[component.name] = robot.structures(component.name)
+            described[one.name] = robot.structures(one.name)
     return record(robot.config, plans, described)

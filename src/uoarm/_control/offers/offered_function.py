@@ -26,7 +26,7 @@ from uoarm.model import (
     tell_reason,
 )
 
-__all__ = ["Functions", "OfferedFunction"]
+__all__ = ["Functions", "OfferedFunction", "offered_structures"]
 
 _OPEN_SECONDS = 10.0
 _DESCRIBE_SECONDS = 10.0
@@ -336,6 +336,26 @@ class OfferedFunction:
             found = plan, _ServiceProof(self.offer, service, plan, self.bridge)
             self._proofs[id(plan)] = found  # with the plan, whose id nothing else has meanwhile
         return found[1]
+
+
+def offered_structures(offer: Offer, bridge: Bridge) -> dict[str, MessageStructure]:
+    """Return what an offer has in its framework, by the role and the name of each port.
+
+    A service has `request` and `reply`. What neither the configuration nor the bridge knows takes
+    the function's own structure, and is left out.
+
+    Raises:
+        BridgeError: the bridge does not tell.
+    """
+    found: dict[str, MessageStructure | None] = {}
+    for port in (*offer.outputs, *offer.inputs):
+        said = bridge.describe(port.endpoint, timeout=_DESCRIBE_SECONDS).message
+        found[f"{port.endpoint.role.value}.{port.name}"] = port.declared or said
+    if offer.service is not None:
+        told = bridge.describe(offer.service.endpoint, timeout=_DESCRIBE_SECONDS)
+        found["request"] = offer.service.request or told.request
+        found["reply"] = offer.service.reply or told.reply
+    return {port: one for port, one in found.items() if one is not None}
 
 
 def _pass_over(message: Message) -> None:

@@ -14,7 +14,7 @@ from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.timer import Timer
 from uoarm._dataplane import Clock
 from uoarm._workers import WorkerPool
-from uoarm.bridge import HealthEvent
+from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import UoarmError
 from uoarm.model import Health, Offer, OfferState, OfferStatus, Robot, RouteStatus, StatusEvent
 
@@ -23,6 +23,8 @@ __all__ = ["Offers"]
 _log = logging.getLogger("uoarm")
 _CLOSE_SECONDS = 5.0
 _CONNECTION_CHANGES = frozenset({"failed", "closed", "waiting", "replaced"})
+
+Hold = Callable[[Offer, Bridge], None]
 
 
 class _Keeper:
@@ -44,6 +46,7 @@ class _Keeper:
         clock: Clock,
         start: Callable[[Callable[[], None]], object],
         timer: Timer,
+        hold: Hold,
     ) -> None:
         self.offer = offer
         self.tried = threading.Event()
@@ -53,6 +56,7 @@ class _Keeper:
         self._clock = clock
         self._start = start
         self._timer = timer
+        self._hold = hold
         self._lock = threading.Lock()
         self._machine = OfferMachine()
         self._told = self._machine.state, ""
@@ -183,6 +187,7 @@ class _Keeper:
 
     def _open(self) -> None:
         bridge = self._bridges.get(self.offer.bridge)
+        self._hold(self.offer, bridge)
         opened = OfferedFunction(self.offer, self._functions, bridge, self._clock)
         self._opened = opened  # before it opens: a channel may report at once
         opened.open()
@@ -214,6 +219,7 @@ class Offers:
         bridges: of the manager.
         events: told of every change, and listened to for those that concern an offer.
         clock: a monotonic clock, in seconds.
+        hold: raises ResolutionError where an offer may not be opened.
     """
 
     def __init__(
@@ -223,12 +229,14 @@ class Offers:
         bridges: BridgeSet,
         events: EventDispatcher,
         clock: Clock,
+        hold: Hold,
     ) -> None:
         self._robot = robot
         self._functions = functions
         self._bridges = bridges
         self._events = events
         self._clock = clock
+        self._hold = hold
         self._lock = threading.Lock()
         self._keepers: tuple[_Keeper, ...] = ()
         self._workers = WorkerPool("uoarm-offer")
@@ -309,6 +317,7 @@ class Offers:
             self._clock,
             self._workers.submit,
             self._timer,
+            self._hold,
         )
 
     def _time_reached(self) -> None:
