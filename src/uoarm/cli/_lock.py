@@ -136,7 +136,9 @@ def lock_of(robot: RobotManager) -> Lock:
         except ResolutionError as error:
             plans[name] = str(error)
     described = {}
-    for one in (*robot.config.components(), *robot.config.offers):
+    names = [one.name for one in robot.config.components()]
+    names += [one.name for one in robot.config.offers]
+    for name in names:
         with suppress(ResolutionError):  # what is not there is no candidate now
-            described[one.name] = robot.structures(one.name)
+            described[name] = robot.structures(name)
     return record(robot.config, plans, described)
