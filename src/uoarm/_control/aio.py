@@ -6,7 +6,7 @@ import asyncio
 import logging
 import time
 from abc import abstractmethod
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from os import PathLike
@@ -32,6 +32,7 @@ from uoarm.model import (
     Gap,
     LeaseHolder,
     Message,
+    MessageStructure,
     OfferStatus,
     Plan,
     QueuePolicy,
@@ -191,6 +192,14 @@ class AsyncConnection(_Closing, Generic[T]):
         """Stop an input that moves something, as `Connection.stop` does."""
         await self._outside(partial(self._connection.stop, port, sender=sender, timeout=timeout))
 
+    async def leave(self, sender: LeaseHolder) -> None:
+        """Give back what leases a sender holds, as `Connection.leave` does."""
+        await self._outside(partial(self._connection.leave, sender))
+
+    def lifetimes(self) -> Mapping[str, float]:
+        """Return for how many seconds a command lives, by input; those without one are left out."""
+        return self._connection.lifetimes()
+
     async def flush(self, timeout: float) -> bool:
         """Wait until the component has taken what was sent; False when time ran out."""
         return await self._outside(partial(self._connection.flush, timeout))
@@ -288,6 +297,12 @@ class AsyncRobotManager(_Closing):
     async def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
         """Return the plan that `request` would open; raises as `RobotManager.resolve`."""
         return await self._outside(partial(self.robot.resolve, name, timeout=timeout))
+
+    async def structures(
+        self, component: str, *, timeout: float = 60.0
+    ) -> Mapping[str, MessageStructure]:
+        """Return the structures of a component's ports, as `RobotManager.structures` does."""
+        return await self._outside(partial(self.robot.structures, component, timeout=timeout))
 
     @overload
     async def request(
