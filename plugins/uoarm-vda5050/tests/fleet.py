@@ -28,7 +28,8 @@ def endpoint(serial: str, topic: str, *part: str, **options: Any) -> Endpoint:
 
 @contextmanager
 def bridge_to(broker: Broker, **options: Any) -> Iterator[Bridge]:
-    spec = BridgeSpec("fleet", "vda5050", {"url": broker.url, "retained_wait": 0, **options})
+    limits = {"retained_wait": 0, "accept_timeout": patience(), "state_timeout": patience()}
+    spec = BridgeSpec("fleet", "vda5050", {"url": broker.url, **limits, **options})
     made = Registry().create(spec)
     try:
         yield made

@@ -49,7 +49,7 @@ def test_streams_tell_what_becomes_of_a_goal(broker: Broker) -> None:
         (ended,) = told["result"].wait(1, patience())
         assert ended["status"] == "succeeded"
         assert told["status"].wait(2, patience())[1] == {"goal_id": "one", "status": "succeeded"}
-        assert told["feedback"].messages[0]["feedback"]["lastNodeId"] == "a"
+        assert told["feedback"].wait(1, patience())[0]["feedback"]["lastNodeId"] == "a"
 
 
 def test_a_goal_is_cancelled(broker: Broker) -> None:

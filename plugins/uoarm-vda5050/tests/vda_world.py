@@ -31,6 +31,7 @@ class VdaWorld(World):
 
     def spec(self) -> BridgeSpec:
         options = {"url": self.broker.url, "interface": self.at, "retained_wait": 0}
+        options |= {"accept_timeout": self.patience, "state_timeout": self.patience}
         return BridgeSpec("fleet", "vda5050", options)
 
     def pair(self, kind: str) -> Pair:
