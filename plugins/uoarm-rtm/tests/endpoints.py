@@ -22,15 +22,15 @@ def of(component: str, role: Role, port: str, **options: Any) -> Endpoint:
 
 
 def source(bridge: Bridge, at: Endpoint, take: Any) -> Channel:
-    structure = bridge.describe(at).message
+    structure = bridge.describe(at, timeout=patience()).message
     assert structure is not None
-    return bridge.open_source(at, structure, take)
+    return bridge.open_source(at, structure, take, timeout=patience())
 
 
 def sink(bridge: Bridge, at: Endpoint) -> Any:
-    structure = bridge.describe(at).message
+    structure = bridge.describe(at, timeout=patience()).message
     assert structure is not None
-    return bridge.open_sink(at, structure)
+    return bridge.open_sink(at, structure, timeout=patience())
 
 
 def stamped(data: Any, sec: int = 1) -> Any:
