@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rclpy.duration import Duration
+
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
@@ -18,6 +20,7 @@ from uoarm_ros2._qos import Policies, clashes, for_writing
 __all__ = ["TopicSink"]
 
 _BLOCK_SECONDS = 10.0
+_ACKED_SECONDS = 0.5
 _FULL = "cannot publish data"
 _LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=_BLOCK_SECONDS)
 
@@ -159,4 +162,7 @@ class TopicSink(Sink):
         return BridgeError(text, FailureReason.CLOSED)
 
     def _close(self) -> None:
+        if self.endpoint.command is not None:
+            # The stop was published, which is not to say that it left: the process may end now.
+            self._end.native.wait_for_all_acked(Duration(seconds=_ACKED_SECONDS))
         self._end.close()
