@@ -8,6 +8,7 @@ import time
 from abc import abstractmethod
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import asynccontextmanager
 from functools import partial
 from os import PathLike
 from types import TracebackType
@@ -20,6 +21,7 @@ from uoarm._control.robot_manager import RobotManager
 from uoarm._dataplane import Clock
 from uoarm._deadlines import event_by
 from uoarm._hints.applications import T
+from uoarm._renewal import HeldCommand
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
@@ -191,6 +193,28 @@ class AsyncConnection(_Closing, Generic[T]):
     ) -> None:
         """Stop an input that moves something, as `Connection.stop` does."""
         await self._outside(partial(self._connection.stop, port, sender=sender, timeout=timeout))
+
+    @asynccontextmanager
+    async def hold(
+        self,
+        message: Message,
+        port: str | None = None,
+        *,
+        period: float | None = None,
+        sender: LeaseHolder | None = None,
+        take_over: bool = False,
+    ) -> AsyncIterator[HeldCommand]:
+        """Renew a command for the length of an `async with` block, as `Connection.hold` does.
+
+        A thread renews it, so that a loop that is busy for a while does not stop what moves.
+        """
+        hold = partial(self._connection.hold, message, port, period=period, sender=sender)
+        held = await self._outside(partial(hold, take_over=take_over))
+        command = await self._outside(held.__enter__)
+        try:
+            yield command
+        finally:
+            await self._outside(partial(held.__exit__, None, None, None))
 
     async def leave(self, sender: LeaseHolder) -> None:
         """Give back what leases a sender holds, as `Connection.leave` does."""
