@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from attrs import evolve
 
-from uoarm import ResolutionError, RobotManager
+from uoarm import Connection, ResolutionError, RobotManager
 from uoarm._control.discovery import candidate_watch
+from uoarm._resolve import add_candidates
 from uoarm.bridge import Discovered
 from uoarm.config import loads, suggest
 from uoarm.model import Robot, Schema
@@ -177,6 +180,38 @@ def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> 
         assert camera.gaps == ()
         camera.kill()
         wait(lambda: candidates(manager, "camera") == ["camera@far/other"])
+
+
+def test_what_is_requested_while_a_round_is_proving_stays_as_it_runs(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab.lab.emitter("head", NUMBER)
+    lab.lab.emitter("exact", NUMBER)
+    lab.lab.hidden.add("exact")
+    lab.far.loop("finder", NUMBER)
+    text = HEAD + "".join(
+        f"  {name}: {{needs: {{name: {seen}}}}}\n"
+        for name, seen in (("eye", "exact"), ("camera", "head"), ("face", "finder"))
+    )
+    faces: list[Connection] = []
+
+    def request_when_proven(*given: Any, **more: Any) -> Robot:
+        found = add_candidates(*given, **more)
+        fed_by = {str(end.source) for one in found.components() for end in one.inputs}
+        if fed_by == {"eye"} and not faces:
+            faces.append(manager.request("face"))
+        return found
+
+    monkeypatch.setattr(candidate_watch, "add_candidates", request_when_proven)
+    with lab.manager(text) as manager:
+        assert manager.resolve("face").steps[0].component.function == "camera"
+        lab.lab.hidden.clear()
+        wait(lambda: candidates(manager, "eye"))
+        again = manager.request("face")
+        assert again.plan.steps == faces[0].plan.steps
+        for one in (*faces, again):
+            one.kill()
+        wait(lambda: manager.resolve("face").steps[0].component.function == "eye")
 
 
 def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:

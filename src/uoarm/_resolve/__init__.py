@@ -1,6 +1,6 @@
 """Resolution: from a function asked for to a plan that is proven to fit, or to the reasons."""
 
-from uoarm._resolve._candidates import add_candidates, without_candidates
+from uoarm._resolve._candidates import add_candidates, keep_candidates, without_candidates
 from uoarm._resolve._catalogue import Hold, StructureCache
 from uoarm._resolve._proofs import Proofs
 from uoarm._resolve._protocols import Catalogue, EdgeCheck, Judgement, Structures, Unavailable
@@ -18,5 +18,6 @@ __all__ = [
     "Structures",
     "Unavailable",
     "add_candidates",
+    "keep_candidates",
     "without_candidates",
 ]

@@ -32,10 +32,11 @@ from uoarm.model import (
     Service,
 )
 
-__all__ = ["add_candidates", "without_candidates"]
+__all__ = ["add_candidates", "keep_candidates", "without_candidates"]
 
 _MOST_CANDIDATES = 32
 _MOST_PASSED = 20
+_NOTHING_SEEN = ("discovery", "no bridge sees a component of that kind, role and name")
 
 
 @frozen
@@ -93,7 +94,6 @@ def add_candidates(
     structures: Callable[[Component], Structures | Unavailable],
     topic: Callable[[Endpoint], object],
     proofs: Proofs,
-    kept: Iterable[Component] = (),
 ) -> Robot:
     """Return the robot with what was discovered and fulfils its needs.
 
@@ -105,12 +105,32 @@ def add_candidates(
         structures: tells those of configured components; asks bridges.
         topic: tells which topic an endpoint stands for; None where there is none.
         proofs: judges pairs of structures.
-        kept: candidates of before that stay as they are, since they are in use.
     """
     robot = without_candidates(robot)
     if not any(one.needs for one in robot.functions.values()):
         return robot
-    return _Matching(robot, findings, structures, topic, proofs).run(tuple(kept))
+    return _Matching(robot, findings, structures, topic, proofs).run()
+
+
+def keep_candidates(robot: Robot, kept: Iterable[Component]) -> Robot:
+    """Return the robot with candidates that stay as they are, whatever was discovered meanwhile.
+
+    Args:
+        robot: the configuration with its candidates.
+        kept: candidates of functions, which take the places of those of their names; where their
+            function has no needs they count for nothing.
+    """
+    functions = dict(robot.functions)
+    for one in kept:
+        function = functions.get(one.function)
+        if function is None or function.needs is None:
+            continue
+        components = {each.name: each for each in function.components} | {one.name: one}
+        passed = tuple(each for each in function.passed_over if each != _NOTHING_SEEN)
+        functions[one.function] = evolve(
+            function, components=tuple(components.values()), passed_over=passed
+        )
+    return evolve(robot, functions=functions)
 
 
 class _Matching:
@@ -140,7 +160,7 @@ class _Matching:
             if port.endpoint.role is Role.OUTPUT and (told := topic(port.endpoint)) is not None
         }
 
-    def run(self, kept: tuple[Component, ...]) -> Robot:
+    def run(self) -> Robot:
         for name, function in self._robot.functions.items():
             if function.needs is not None:
                 wanted = references(function, self._findings, self._like(name, frozenset()))
@@ -152,7 +172,7 @@ class _Matching:
             self._given[name] = list(self._gives(function))
         self._feed_all()
         functions = {
-            name: self._whole(self._levels[name], kept) if name in self._levels else one
+            name: self._whole(self._levels[name]) if name in self._levels else one
             for name, one in self._robot.functions.items()
         }
         return evolve(self._robot, functions=functions)
@@ -350,10 +370,9 @@ class _Matching:
                 return adapted
         return None
 
-    def _whole(self, level: _Level, kept: tuple[Component, ...]) -> Function:
-        """Return a function with its candidates, those in use among them, and what was left out."""
+    def _whole(self, level: _Level) -> Function:
+        """Return a function with its candidates, and what was left out."""
         made = {one.name: one for _, one in sorted(level.made.items())}
-        made |= {one.name: one for one in kept if one.function == level.function.name}
         passed = [
             (candidate_name(level.function.name, one.spec.name, one.found, one.port), cause)
             for number, cause in sorted(level.causes.items())
@@ -362,7 +381,7 @@ class _Matching:
         ]
         passed += level.passed
         if not made and not passed:
-            passed = [("discovery", "no bridge sees a component of that kind, role and name")]
+            passed = [_NOTHING_SEEN]
         more = len(passed) - _MOST_PASSED
         if more > 0:
             passed = [*passed[:_MOST_PASSED], (f"{more:,} more", "not listed")]

@@ -73,7 +73,7 @@ class CandidateWatch:
 
     Args:
         revisions: of the configuration.
-        executor: knows which components are in use, and takes the change.
+        executor: takes the change, but for what is in use then.
         get: gives a bridge, starting it where it must.
         types: of bridges, by plugin; they know topics.
         clock: a monotonic clock, in seconds.
@@ -172,7 +172,6 @@ class CandidateWatch:
             return kind.topic(end.address, end.options) or None
 
         revision = self._revisions.current
-        in_use = {one.name for one in self._executor.state.components.values()}
         self._proofs.begin_round()
         robot = add_candidates(
             base,
@@ -180,7 +179,6 @@ class CandidateWatch:
             structures=revision.structures.structures,
             topic=topic,
             proofs=self._proofs,
-            kept=[one for one in revision.robot.components() if one.match and one.name in in_use],
         )
         if self._proofs.unjudged:
             _log.info("%d pairs of structures wait to be compared", self._proofs.unjudged)

@@ -11,6 +11,7 @@ import itertools
 import logging
 import threading
 from collections import deque
+from collections.abc import Iterable
 
 from uoarm import _bounded
 from uoarm._control.bridges.bridge_set import BridgeSet
@@ -30,6 +31,7 @@ from uoarm._control.runtime.performer import Performer
 from uoarm._control.runtime.revisions import Revisions, StagedRevision
 from uoarm._control.runtime.timer import Timer
 from uoarm._dataplane import Clock
+from uoarm._resolve import keep_candidates
 from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
@@ -92,14 +94,20 @@ class Executor:
     def post(self, event: ev.Event) -> None:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
         self._events.append(event)
+        self._work()
+
+    def _work(self) -> None:
         # Whoever finds the state owned leaves its event to the owner, which looks once more after
         # it let go: an event that came between is not left lying.
         while self._events and self._owning.acquire(blocking=False):
             try:
-                while self._events:
-                    self._handle(self._events.popleft())
+                self._handle_all()
             finally:
                 self._owning.release()
+
+    def _handle_all(self) -> None:
+        while self._events:
+            self._handle(self._events.popleft())
 
     def request(
         self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
@@ -162,12 +170,21 @@ class Executor:
             raise
 
     def change_candidates(self, robot: Robot) -> None:
-        """Have other discovered candidates from now on. Returns at once where they are the same.
+        """Have other discovered candidates from now on; those in use stay as they run.
 
         Args:
             robot: the configuration in force, with these candidates.
         """
+        # They were found in seconds, in which some may have been requested: what is in use is
+        # known, and stays so until they are in force, only to who owns the state.
+        with self._owning:
+            self._handle_all()
+            self._change_candidates(robot)
+        self._work()  # what was left to the owner meanwhile
+
+    def _change_candidates(self, robot: Robot) -> None:
         before = self._revisions.current.robot
+        robot = keep_candidates(robot, self._candidates_in_use(before))
         if before.functions == robot.functions:
             return
         difference = compare(before, robot)
@@ -175,8 +192,16 @@ class Executor:
             both = (*before.components(), *robot.components())
             every = {one.name: one.bridge for one in both}
             # A plan with a new candidate can be found only after the state knows its bridge.
-            self.post(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
+            self._handle(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
         self._revisions.use_candidates(robot, difference.superseded)
+
+    def _candidates_in_use(self, robot: Robot) -> Iterable[Component]:
+        """Return the discovered components that are in use, as they run where they are shared."""
+        state = self.state
+        there = {one.name for one in state.components.values()}
+        known = {one.name: one for one in robot.components() if one.match and one.name in there}
+        shared = (state.components[one].step.component for one in state.serving.values())
+        return (known | {one.name: one for one in shared if one.match}).values()
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
