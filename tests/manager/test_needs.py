@@ -241,6 +241,21 @@ def test_a_component_whose_input_nothing_feeds_is_passed_over_unless_it_may_be(
             manager.resolve("face")
 
 
+def test_an_input_that_is_the_applications_is_fed_by_no_function(lab: Lab) -> None:
+    """Though one has its very name and structure, as another vehicle's goals have."""
+    default = lab.lab.emitter("default", NUMBER)
+    lab.far.loop("vehicle", NUMBER)
+    text = "  default: {needs: {name: default}}\n  drive: {needs: {name: vehicle@}}\n"
+    text = HEAD + text.replace("vehicle@", "vehicle, from_application: 'def*'")
+    with lab.manager(text) as manager:
+        drive = manager.request("drive")
+        assert [one.component.function for one in drive.plan.steps] == ["drive"]
+        assert "default from the application" in str(drive.plan)
+        default.emit(1)
+        drive.send(2)
+        assert drive.get(timeout=patience()) == 2
+
+
 def test_a_service_is_found_by_what_it_takes_and_answers(lab: Lab) -> None:
     lab.lab.service("double", NUMBER, NUMBER, lambda number: 2 * number)
     text = HEAD + "  twice: {needs: {role: service, request: {type: integer}}}\n"

@@ -310,12 +310,16 @@ class _Matching:
         streams = [one for one in offer.found.ports if one.endpoint.role is Role.INPUT]
         for port in streams if need.role is Role.OUTPUT else ():
             end = evolve(port.endpoint, component=name)
+            if _is_one_of(end.port, need.from_application):
+                inputs.append(Input(end.port, end))
+                told.append(f"{end.port} from the application")
+                continue
             feed = self._feed(function.name, offer, port, ready, waits=waits)
             if isinstance(feed, _Feed):
                 adapted, source = feed.adapted, feed.given.reference
                 inputs.append(Input(end.port, end, source, adapted.mapping, adapted.allow_loss))
                 told.append(f"{end.port} from {source}{_how(feed)}")
-            elif feed and not any(fnmatchcase(end.port, one) for one in need.unfed):
+            elif feed and not _is_one_of(end.port, need.unfed):
                 return feed
         if need.role is Role.INPUT:
             inputs.append(Input(own.port, own))
@@ -395,6 +399,10 @@ def _suits(
     is_exact = any(one == port.message for one in given.structures)
     is_named = port.endpoint.port in given.names
     return place not in given.topics, adapted.mapping is not None, not is_named, not is_exact
+
+
+def _is_one_of(name: str, patterns: Iterable[str]) -> bool:
+    return any(fnmatchcase(name, one) for one in patterns)
 
 
 def _how(feed: _Feed) -> str:

@@ -133,6 +133,7 @@ def _need(value: Mapping[str, Any]) -> Need:
         prefer=several("prefer"),
         exclude=several("exclude"),
         unfed=several("unfed"),
+        from_application=several("from_application"),
         refuse_ambiguous=value.get("ambiguous", "first") == "refuse",
     )
 

@@ -224,6 +224,7 @@ class Need:
         prefer: plugins or bridges that rank before others, in this order.
         exclude: plugins or bridges that provide nothing here.
         unfed: patterns of inputs that may stay without a feed.
+        from_application: patterns of inputs that no function feeds: the application sends to them.
         refuse_ambiguous: whether none is taken of several that differ in nothing but their names.
     """
 
@@ -238,6 +239,7 @@ class Need:
     prefer: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
     unfed: tuple[str, ...] = ()
+    from_application: tuple[str, ...] = ()
     refuse_ambiguous: bool = False
 
 
