@@ -13,7 +13,8 @@ from uoarm.errors import BridgeError, MessageError
 from uoarm.model import Health
 from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._inbox import Inbox
-from uoarm_vda5050._messages import VdaCodec
+from uoarm_vda5050._messages import HEADER_IDS, VdaCodec
+from uoarm_vda5050._orders import words_of
 from uoarm_vda5050._transport_state import Action, Ended, Feedback, Send, Status, TransportState
 
 __all__ = ["Follower", "News"]
@@ -49,7 +50,7 @@ class Follower:
         self._transport, self._health = transport, health
         self._lock = threading.Lock()
         self._listeners: tuple[Callable[[News], object], ...] = ()
-        self.unreadable = self.missed = 0
+        self._unreadable = self._missed = 0
         self._last_id: int | None = None
         health.connected(time.monotonic())
         self._inbox: Inbox[_Event] = Inbox(
@@ -73,6 +74,10 @@ class Follower:
     def connection(self, online: bool, why: str) -> None:  # noqa: FBT001
         """Take the news that it came or went; returns at once."""
         self._inbox.put((online, why))
+
+    def facts(self) -> Mapping[str, object]:
+        """Return how many states its header counters skipped, and how many could not be read."""
+        return {"states_missed": self._missed, "states_unreadable": self._unreadable}
 
     def goal(self, goal: Mapping[str, Any]) -> str:
         """Take a goal; return its identifier. What becomes of it is told to who listens.
@@ -119,38 +124,30 @@ class Follower:
         try:
             header, body = self._codecs["state"].split(event.payload)
         except MessageError as error:
-            self.unreadable += 1
+            self._unreadable += 1
             self._tell(self._health.unreadable(str(error)))
             return
-        if not self._is_next(header.get("headerId")):
-            return
+        self._count_gap(header.get("headerId"))
         state: Any = body
-        fatal = [
-            f"{one['errorType']}: {one.get('errorDescription', '')}".rstrip(": ")
-            for one in state["errors"]
-            if one["errorLevel"] == "FATAL"
-        ]
+        fatal = [words_of(one) for one in state["errors"] if one["errorLevel"] == "FATAL"]
         self._tell(self._health.state(fatal, now))
         with self._lock:
             self._do(self._transport.state(state, now))
 
-    def _is_next(self, header_id: object) -> bool:
-        """Count what is missing by the header; say whether it is no older than the one before."""
+    def _count_gap(self, header_id: object) -> None:
+        """Count the states between the last one and this one; a counter that went back is none."""
         if not isinstance(header_id, int):
-            return True
-        step = 1 if self._last_id is None else (header_id - self._last_id) % 2**32
+            return
+        step = 1 if self._last_id is None else (header_id - self._last_id) % HEADER_IDS
         self._last_id = header_id
-        if 1 < step < 2**31:
-            self.missed += step - 1
-        return True
+        if 1 < step < HEADER_IDS // 2:
+            self._missed += step - 1
 
     def _wake(self) -> float | None:
         now = time.monotonic()
         self._tell(self._health.tick(now))
         with self._lock:
-            due = self._transport.wake_at()
-            if due is not None and now >= due:
-                self._do(self._transport.tick(now))
+            self._do(self._transport.tick(now))
             times = [self._transport.wake_at(), self._health.wake_at()]
         return min((one for one in times if one is not None), default=None)
 

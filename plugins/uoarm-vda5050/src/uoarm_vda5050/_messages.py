@@ -17,9 +17,10 @@ from uoarm.model import Message, MessageStructure, Schema
 from uoarm_vda5050._releases import Release
 from uoarm_vda5050._structures import HEADER
 
-__all__ = ["Check", "Headers", "VdaCodec", "check_of", "timestamp"]
+__all__ = ["HEADER_IDS", "Check", "Headers", "VdaCodec", "check_of"]
 
-_WRAP = 2**32
+HEADER_IDS = 2**32
+"""How many there are: the counter of a header is one of 32 bits."""
 
 Check = Callable[[object], str]
 """Says what is wrong with a message, "" where nothing is."""
@@ -41,10 +42,10 @@ class Headers:
         """Return the header of the next message on a topic."""
         with self._lock:
             count = next(self._counts.setdefault(topic, itertools.count()))
-        return {"headerId": count % _WRAP, "timestamp": timestamp(), **self._fixed}
+        return {"headerId": count % HEADER_IDS, "timestamp": _timestamp(), **self._fixed}
 
 
-def timestamp() -> str:
+def _timestamp() -> str:
     """Return the time as the standard writes it: ISO 8601, UTC, with fractions of a second."""
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 

@@ -12,7 +12,7 @@ from attrs import field, frozen
 from uoarm.errors import MessageError
 from uoarm_vda5050._releases import Release
 
-__all__ = ["Order", "Report", "cancel_order", "new_id", "state_request"]
+__all__ = ["Order", "Report", "cancel_order", "new_id", "state_request", "words_of"]
 
 Body = dict[str, Any]
 
@@ -85,11 +85,6 @@ class Order:
     def decision_point(self) -> tuple[str, int, bool]:
         """The last released node."""
         return [step for step in self.steps if step[2]][-1]
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all of it is released."""
-        return self.steps[-1][2]
 
     def _node(self, sequence: int) -> Body:
         nodes: list[Body] = self.body["nodes"]
@@ -230,7 +225,7 @@ class Report:
     errors: tuple[Body, ...]
     loads: tuple[Body, ...]
     position: Body | None
-    battery: float | None
+    battery: float
     is_active: bool
     is_busy: bool
 
@@ -282,16 +277,20 @@ class Report:
             "loads": [dict(one) for one in self.loads],
             "actions": self.actions_of(order),
             "errors": [dict(one) for one in self.errors],
+            "batteryCharge": self.battery,
         }
         if self.position is not None:
             made["position"] = dict(self.position)
-        if self.battery is not None:
-            made["batteryCharge"] = self.battery
         return made
 
     def actions_of(self, order: Order) -> list[Body]:
         """Return the states of the actions of an order, in its order."""
         return [dict(self.actions[one]) for one in order.actions if one in self.actions]
+
+
+def words_of(error: Mapping[str, Any]) -> str:
+    """Return the type of an error that a vehicle reports, and what it says of it."""
+    return f"{error['errorType']}: {error.get('errorDescription', '')}".rstrip(": ")
 
 
 def _is_left(action: Mapping[str, Any]) -> bool:

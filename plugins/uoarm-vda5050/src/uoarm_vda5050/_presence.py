@@ -78,7 +78,6 @@ class Presence:
         self._lock = threading.Lock()
         self._known: dict[Vehicle, _Known] = {}
         self._came = threading.Event()
-        self.ignored = 0
 
     def require(self, vehicle: Vehicle, component: str) -> None:
         """Return when a vehicle says that it is there; from then on its end is told.
@@ -103,15 +102,16 @@ class Presence:
         with self._lock:
             return sorted(vehicle for vehicle, known in self._known.items() if known.is_online)
 
-    def follow(self, vehicle: Vehicle, follower: Callable[[bool, str], object]) -> bool:
-        """Have it told, at once and in the thread of the network, when a vehicle comes or goes.
+    def follow(self, vehicle: Vehicle, follower: Callable[[bool, str], object]) -> None:
+        """Have it told when a vehicle that was required comes or goes; now, where it went since.
 
-        Returns whether it is there now.
+        It is told at once, in the thread of the network.
         """
         with self._lock:
-            known = self._known.setdefault(vehicle, _Known())
+            known = self._known[vehicle]
             known.followers.append(follower)
-            return known.is_online
+            if not known.is_online:
+                follower(False, known.said)
 
     def _open(self) -> None:
         self._link.require_up()
@@ -130,7 +130,6 @@ class Presence:
 
     def _of(self, vehicle: Vehicle) -> _Known | None:
         if vehicle not in self._known and len(self._known) >= self._most:
-            self.ignored += 1
             return None
         return self._known.setdefault(vehicle, _Known())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping
 
+from attrs import asdict
 from uoarm_mqtt.connection import BrokerConnection
 
 from uoarm.bridge import Sink, Source
@@ -26,24 +27,18 @@ class TransportSource(Source):
         self, endpoint: Endpoint, part: str, follower: Follower, deliver: Deliver, most: int
     ) -> None:
         super().__init__(endpoint)
-        self._part, self._follower = part, follower
+        self._kind, self._follower = _PARTS[part], follower
         self._inbox: Inbox[Message] = Inbox(f"uoarm-vda5050-{part}", deliver, most)
         follower.join(self._take)
 
     def facts(self) -> Mapping[str, object]:
-        """Return counters."""
-        return {"under_way": len(self._inbox), "lost_on_link": self._inbox.dropped}
+        """Return counters of this channel, and of the states that all of it is read from."""
+        mine = {"under_way": len(self._inbox), "lost_on_link": self._inbox.dropped}
+        return {**mine, **self._follower.facts()}
 
     def _take(self, news: News) -> None:
-        if not isinstance(news, _PARTS[self._part]):
-            return
-        if isinstance(news, Feedback):
-            self._inbox.put({"goal_id": news.goal_id, "feedback": news.feedback})
-        elif isinstance(news, Ended):
-            result = {"goal_id": news.goal_id, "status": news.status, "result": news.result}
-            self._inbox.put(result)
-        else:
-            self._inbox.put({"goal_id": news.goal_id, "status": news.status})
+        if isinstance(news, self._kind):
+            self._inbox.put(asdict(news, recurse=False))
 
     def _close(self) -> None:
         self._follower.leave(self._take)

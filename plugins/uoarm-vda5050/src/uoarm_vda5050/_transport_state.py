@@ -13,14 +13,22 @@ nobody waits for any more.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from typing import Any
 
 from attrs import define, field, frozen
 
 from uoarm.errors import BridgeError, FailureReason
-from uoarm_vda5050._orders import Body, Order, Report, cancel_order, new_id, state_request
+from uoarm_vda5050._orders import (
+    Body,
+    Order,
+    Report,
+    cancel_order,
+    new_id,
+    state_request,
+    words_of,
+)
 from uoarm_vda5050._releases import Release
 
 __all__ = ["Ended", "Feedback", "Send", "Status", "Times", "TransportState"]
@@ -158,7 +166,7 @@ class TransportState:
         known = self._known
         if known is not None and known.is_busy and known.order_id != order_id:
             which = "is being cancelled" if known.order_id in self._abandoned else "is under way"
-            return order_id, _rejected(order_id, f"order {known.order_id!r} {which}")
+            return order_id, _ended(order_id, "rejected", f"order {known.order_id!r} {which}")
         self._order, self._give_up_at = order, now + self.times.accept
         self._abandoned.pop(order_id, None)
         if known is None:
@@ -232,7 +240,7 @@ class TransportState:
         order = self._order
         assert order is not None, "there is a goal under way"
         if order_id != order.order_id:
-            return _rejected(order_id, f"order {order.order_id!r} is under way")
+            return _ended(order_id, "rejected", f"order {order.order_id!r} is under way")
         latest = self._update or order
         if dict(goal) == dict(latest.goal):
             return [Status(order_id, "accepted")] if self.phase is Phase.UNDER_WAY else []
@@ -326,20 +334,20 @@ class TransportState:
     def _end(self, status: str, reason: str) -> list[Action]:
         order, known = self._order, self._known
         assert order is not None, "there is a goal"
-        is_known = known is not None and known.order_id == order.order_id
+        shown = known if known is not None and known.order_id == order.order_id else None
         was_sent = self.phase in {Phase.SENT, Phase.UNDER_WAY}
-        if was_sent and status in {"lost", "aborted"} and not (is_known and not _busy(known)):
+        if was_sent and status in {"lost", "aborted"} and (shown is None or shown.is_busy):
             self._abandon(order.order_id)
         self.phase, self._order, self._update = Phase.NONE, None, None
         self._cancel_id, self._settle_at, self._old_errors = "", None, ()
-        result: Body = {
-            "orderId": order.order_id,
-            "lastNodeId": known.last_node if known is not None else "",
-            "reason": reason,
-            "actions": known.actions_of(order) if known is not None and is_known else [],
-            "errors": [dict(one) for one in known.errors] if known is not None else [],
-        }
-        return [Ended(order.order_id, status, result), Status(order.order_id, status)]
+        return _ended(
+            order.order_id,
+            status,
+            reason,
+            last_node=known.last_node if known is not None else "",
+            actions=shown.actions_of(order) if shown is not None else (),
+            errors=known.errors if known is not None else (),
+        )
 
     def _abandon(self, order_id: str) -> None:
         self._abandoned[order_id] = self._new_id()
@@ -368,19 +376,23 @@ class TransportState:
         return Send("instantActions", cancel_order(self.release, action_id, order_id))
 
 
-def _rejected(order_id: str, reason: str) -> list[Action]:
+def _ended(
+    order_id: str,
+    status: str,
+    reason: str,
+    *,
+    last_node: str = "",
+    actions: Iterable[Body] = (),
+    errors: Iterable[Body] = (),
+) -> list[Action]:
     result: Body = {
         "orderId": order_id,
-        "lastNodeId": "",
+        "lastNodeId": last_node,
         "reason": reason,
-        "actions": [],
-        "errors": [],
+        "actions": list(actions),
+        "errors": [dict(one) for one in errors],
     }
-    return [Ended(order_id, "rejected", result), Status(order_id, "rejected")]
-
-
-def _busy(known: Report | None) -> bool:
-    return known is not None and known.is_busy
+    return [Ended(order_id, status, result), Status(order_id, status)]
 
 
 def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:
@@ -393,5 +405,4 @@ def _is_about(error: Body, order: Order, old: tuple[Body, ...]) -> bool:
 
 
 def _told(errors: list[Body]) -> str:
-    told = [f"{one['errorType']}: {one.get('errorDescription', '')}".rstrip(": ") for one in errors]
-    return "the vehicle refuses it: " + "; ".join(told)[:1000]
+    return "the vehicle refuses it: " + "; ".join(map(words_of, errors))[:1000]

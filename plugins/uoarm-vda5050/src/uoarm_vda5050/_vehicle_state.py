@@ -109,7 +109,7 @@ class VehicleState:
     _states: dict[str, Body] = field(factory=dict)
     _instants: dict[str, Body] = field(factory=dict)
     _content: Body | None = None
-    _cancelling: list[str] = field(factory=list)
+    _cancelling: list[Body] = field(factory=list)  # states of what cancels the order
     _is_cancelled: bool = False
     _refused: set[str] = field(factory=set)
 
@@ -168,7 +168,7 @@ class VehicleState:
             return ""
         status = "FINISHED"
         if kind == "cancelOrder":
-            status = self._cancel(action_id, action)
+            status = self._cancel(action)
         elif kind == "startPause":
             self.paused = True
         elif kind == "stopPause":
@@ -179,6 +179,8 @@ class VehicleState:
             self._note(self.release.errors.instant, text, {"actionId": action_id})
         state = {"actionId": action_id, "actionType": kind, "actionStatus": status}
         self._instants[action_id] = state
+        if status == "RUNNING":
+            self._cancelling.append(state)  # the order stands until the vehicle does
         while len(self._instants) > _MOST_INSTANT_STATES:
             self._instants.pop(next(iter(self._instants)))
         return str(kind)
@@ -224,8 +226,8 @@ class VehicleState:
         was = bool(self._cancelling)
         if was:
             self._clear()
-        for action_id in self._cancelling:
-            self._instants[action_id]["actionStatus"] = "FINISHED"
+        for one in self._cancelling:
+            one["actionStatus"] = "FINISHED"
         self._cancelling.clear()
         return was
 
@@ -327,19 +329,19 @@ class VehicleState:
     def _is_waiting(self, action: Body) -> bool:
         return bool(self._states[action["actionId"]]["actionStatus"] == "WAITING")
 
-    def _cancel(self, action_id: str, action: Body) -> str:
+    def _cancel(self, action: Body) -> str:
+        """Cancel the order; return the status of the action that asks for it."""
         given = {one["key"]: one["value"] for one in action.get("actionParameters") or ()}
         other = given.get("orderId", self.order_id) != self.order_id
         if self.is_idle or other:
             text = "there is no order to cancel"
-            self._note(self.release.errors.nothing, text, {"actionId": action_id})
+            self._note(self.release.errors.nothing, text, {"actionId": action["actionId"]})
             return "FAILED"
         self._is_cancelled = True
-        if not self.driving:
-            self._clear()
-            return "FINISHED"
-        self._cancelling.append(action_id)  # the order stands until the vehicle does
-        return "RUNNING"
+        if self.driving:
+            return "RUNNING"
+        self._clear()
+        return "FINISHED"
 
     def _clear(self) -> None:
         self._nodes.clear()

@@ -24,6 +24,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from attrs import evolve
@@ -126,7 +127,8 @@ class Vehicle:
         Raises:
             BridgeError: the broker cannot be reached, or refuses.
         """
-        for topic, take in (("order", self._on_order), ("instantActions", self._on_instant)):
+        for topic, act in (("order", self._state.order), ("instantActions", self._instants)):
+            take = partial(self._take, topic, act)
             self._broker.subscribe(Receiver(f"{self._topic}/{topic}", take, qos=0))
         with self._lock:
             self._publish_factsheet()
@@ -242,29 +244,22 @@ class Vehicle:
                 self._publish_state()
             return changed
 
-    def _on_order(self, incoming: Incoming) -> None:
+    def _take(self, topic: str, act: Callable[[Any], object], incoming: Incoming) -> None:
         with self._lock:
             try:
-                body: Any = self._codecs["order"].decode(incoming.payload)
+                body = self._codecs[topic].decode(incoming.payload)
             except MessageError as error:
                 self._state.refuse_unreadable(str(error))
             else:
-                self._state.order(body)
+                act(body)
             self._publish_state()
 
-    def _on_instant(self, incoming: Incoming) -> None:
-        with self._lock:
-            try:
-                body: Any = self._codecs["instantActions"].decode(incoming.payload)
-            except MessageError as error:
-                self._state.refuse_unreadable(str(error))
-            else:
-                whole = next(iter(self._release.also_named), "actions")
-                actions = body.get("actions") or body.get(whole) or []
-                kinds = [self._state.instant(one) for one in actions]
-                if "factsheetRequest" in kinds:
-                    self._publish_factsheet()
-            self._publish_state()
+    def _instants(self, body: dict[str, Any]) -> None:
+        whole = next(iter(self._release.also_named), "actions")
+        actions = body.get("actions") or body.get(whole) or []
+        kinds = [self._state.instant(one) for one in actions]
+        if "factsheetRequest" in kinds:
+            self._publish_factsheet()
 
     def _publish_state(self) -> None:
         second, charge = self._release.battery

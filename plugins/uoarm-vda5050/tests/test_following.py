@@ -1,0 +1,136 @@
+"""What a fleet makes of a vehicle's states: whose error it is, who is busy, what was missed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from brokers import Broker
+from fleet import MAKER, bridge_to, driven, endpoint, goal
+from uoarm_vda5050._orders import Order
+from uoarm_vda5050._presence import Presence
+from uoarm_vda5050._releases import RELEASES
+from uoarm_vda5050._transport_state import Action, Ended, Phase, TransportState
+from uoarm_vda5050._vehicle_state import VehicleState
+
+from uoarm.errors import BridgeError
+from uoarm.model import Health, MessageStructure
+from uoarm.testing import Collector, patience, wait
+
+ANYTHING = MessageStructure(True)
+BOTH = pytest.mark.parametrize("release", ["2.1", "3.0"])
+
+
+def state(vehicle: VehicleState, **more: Any) -> dict[str, Any]:
+    second, charge = vehicle.release.battery
+    return {**vehicle.body(), second: {charge: 50.0, "charging": False}, **more}
+
+
+def error(vehicle: VehicleState, **references: str) -> dict[str, Any]:
+    named = [{"referenceKey": key, "referenceValue": one} for key, one in references.items()]
+    kind = vehicle.release.errors.action
+    return {"errorType": kind, "errorLevel": "WARNING", "errorReferences": named}
+
+
+def ends(actions: list[Action]) -> list[tuple[str, Any]]:
+    return [(one.status, one.result["reason"]) for one in actions if isinstance(one, Ended)]
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("references", "is_refused"),
+    [
+        ({"orderId": "one"}, True),
+        ({"orderId": "one", "orderUpdateId": "0"}, True),
+        ({"orderId": "one", "orderUpdateId": "1"}, False),
+        ({"orderId": "another"}, False),
+        ({}, True),
+        ({"topic": "order"}, True),
+        ({"topic": "instantActions"}, False),
+    ],
+    ids=str,
+)
+def test_an_error_refuses_the_order_that_it_names(
+    release: str, references: dict[str, str], is_refused: bool
+) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    fleet.state(state(vehicle), 0.0)
+    assert fleet.phase is Phase.SENT
+    told = fleet.state(state(vehicle, errors=[error(vehicle, **references)]), 0.0)
+    assert [status for status, _ in ends(told)] == ["rejected"] * is_refused
+
+
+@BOTH
+def test_an_error_from_before_the_order_does_not_refuse_it(release: str) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    before = state(vehicle, errors=[error(vehicle)])
+    fleet.goal(goal("a", "b", order="one"), 0.0)
+    fleet.state(before, 0.0)
+    assert not ends(fleet.state(before, 0.0))
+    named = state(vehicle, errors=[error(vehicle), error(vehicle, orderId="one")])
+    assert ends(fleet.state(named, 0.0))
+
+
+@BOTH
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_vehicle_with_another_order_is_busy(release: str, is_known: bool) -> None:
+    vehicle, fleet = VehicleState(RELEASES[release], frozenset()), TransportState(RELEASES[release])
+    vehicle.order(Order.of(goal("a", "b"), "another", RELEASES[release], 10).body)
+    told: list[Action] = []
+    if is_known:
+        fleet.state(state(vehicle), 0.0)
+    told += fleet.goal(goal("a", "b", order="one"), 0.0)[1]
+    told += fleet.state(state(vehicle), 0.0)
+    assert ends(told) == [("rejected", "order 'another' is under way")]
+
+
+def test_a_cancellation_is_finished_however_many_actions_follow_it() -> None:
+    vehicle = VehicleState(RELEASES["3.0"], frozenset())
+    vehicle.order(Order.of(goal("a", "b"), "one", RELEASES["3.0"], 10).body)
+    vehicle.driving = True
+    vehicle.instant({"actionId": "cancel", "actionType": "cancelOrder"})
+    for n in range(200):
+        vehicle.instant({"actionId": str(n), "actionType": "stateRequest"})
+    assert vehicle.stands()
+    assert vehicle.is_idle
+
+
+def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
+    with driven(broker, "missed", "b", state_seconds=0.05) as driver, bridge_to(broker) as bridge:
+        status = Collector()
+        place = endpoint("missed", "transport", "status")
+        source = bridge.open_source(place, ANYTHING, status.deliver)
+        bridge.open_sink(endpoint("missed", "transport", "goal"), ANYTHING).send(goal("a", "b"))
+        status.wait(1, patience())  # a state was seen, from which the next ones are counted
+        for _ in range(3):
+            driver.vehicle._headers.next("state")
+        wait(lambda: source.facts()["states_missed"] == 3, str(source.facts()), patience())
+        topic = f"{driver.vehicle._topic}/state"
+        driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
+        wait(lambda: source.facts()["states_unreadable"] == 1, str(source.facts()), patience())
+
+
+def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:
+    def nothing(*_: object) -> None:
+        pass
+
+    link: Any = SimpleNamespace(require_up=nothing, subscribe=nothing, barrier=nothing)
+    release, told = RELEASES["2.1"], list[tuple[str, Health, str]]()
+    watch = Presence(link, "uagv/v2", release, 0.0, 1, lambda *one: told.append(one))
+
+    def say(serial: str, state: str) -> None:
+        payload = b'{"connectionState": "%s"}' % state.encode()
+        topic = f"uagv/v2/{MAKER}/{serial}/connection"
+        watch._take(SimpleNamespace(topic=topic, payload=payload))  # type: ignore[arg-type]
+
+    say("agv", "ONLINE")
+    watch.require((MAKER, "agv"), "carrier")
+    say("agv", "OFFLINE")
+    heard: list[tuple[bool, str]] = []
+    watch.follow((MAKER, "agv"), lambda online, why: heard.append((online, why)))
+    assert heard == [(False, "its connection state is OFFLINE")]
+    assert ("carrier", Health.FINISHED, f"vehicle {MAKER}/agv: {heard[0][1]}") in told
+    with pytest.raises(BridgeError, match="too many"):
+        watch.require((MAKER, "second"), "other")
