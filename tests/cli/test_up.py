@@ -19,6 +19,14 @@ from uoarm.cli import _up, main
 from uoarm.cli._serve import say
 from uoarm.config import add_functions, loads
 from uoarm.errors import ConnectionClosedError
+from uoarm.model import (
+    BridgeFindings,
+    Endpoint,
+    FoundComponent,
+    FoundPort,
+    MessageStructure,
+    Role,
+)
 from uoarm.testing import MemoryBridge, patience, wait
 
 IMAGE = {
@@ -100,6 +108,20 @@ def test_what_is_named_and_what_has_its_function_already_gets_no_other() -> None
         assert manager.resolve("head_eye_1").provider.component.name == "head_eye_1@lab/head/eye[1]"
         assert manager.call("double", 4) == 8
         assert add_functions(grown, manager.discover()) is grown
+
+
+def test_what_is_about_a_component_itself_is_no_function() -> None:
+    said = MessageStructure({"type": "integer"})
+    ports = tuple(
+        FoundPort(Endpoint("lab", "arm", Role.SERVICE, ("arm", name), port=name), None, said, said)
+        for name in ("grip", "@lifecycle", "@configuration")
+    )
+    found = BridgeFindings("lab", "memory", (FoundComponent("arm", ports),))
+    grown = add_functions(loads(EMPTY), [found])
+    assert list(grown.functions) == ["arm_grip"]
+    need = grown.functions["arm_grip"].needs
+    assert need is not None
+    assert need.ports == ("grip",)
 
 
 def test_the_command_serves_until_it_is_told_to_end(

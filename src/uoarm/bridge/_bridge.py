@@ -362,7 +362,8 @@ class Bridge(ABC):
         """Return the components that are visible now; with the capability `discover`.
 
         Must be overridden where the capability is there. Must give endpoints that `_describe`
-        then describes as given here.
+        then describes as given here. A port whose name begins with `@` is about the component
+        itself, such as `@lifecycle`: nothing is made a function of it unasked.
         """
         raise NotImplementedError
 

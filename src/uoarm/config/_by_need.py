@@ -13,6 +13,7 @@ from uoarm.model import BridgeFindings, FoundComponent, Function, Need, Robot, R
 __all__ = ["add_functions"]
 
 _MOST_FUNCTIONS = 500
+_ABOUT_ITSELF = "@"  # begins the names of ports that are about the component, not part of it
 
 
 def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
@@ -20,8 +21,9 @@ def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
 
     Such a function names nobody: it needs what has that name in that framework, so that it is
     fed by whatever is proven to fit, may go and come back, and says why it cannot be had. It is
-    called after the component, and after the port where there are several. Equal arguments give
-    equal robots; a robot that has them already is returned as it is.
+    called after the component, and after the port where there are several. What is about a
+    component itself, such as its state, is no function. Equal arguments give equal robots; a robot
+    that has them already is returned as it is.
 
     Args:
         robot: the configuration, which stays as it is otherwise.
@@ -45,9 +47,11 @@ def _needs(bridge: str, found: FoundComponent) -> Iterator[tuple[str, Need]]:
     for role in (Role.OUTPUT, Role.SERVICE):
         ports = [one for one in found.ports if one.endpoint.role is role]
         for one in ports:
-            if one.used_by or (one.message is None and one.request is None):
-                continue
             port = one.endpoint.port
+            if one.used_by or port.startswith(_ABOUT_ITSELF):
+                continue
+            if one.message is None and one.request is None:
+                continue
             need = Need(
                 role=role,
                 names=(glob.escape(found.name),),
