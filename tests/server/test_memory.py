@@ -115,8 +115,11 @@ def test_data_for_a_component_that_hangs_is_bounded_and_goes_with_its_client(
 
 def sending(connection: Any, workers: Workers, account: Account) -> InputSender:
     structure = MessageStructure(schema={"type": "object"})
+    endpoint = SimpleNamespace(command=None)
     component = SimpleNamespace(
-        name="it", function="it", inputs=[SimpleNamespace(name="in", source=None)]
+        name="it",
+        function="it",
+        inputs=[SimpleNamespace(name="in", source=None, endpoint=endpoint)],
     )
     connection.id, connection.cause = "c1", ""
     connection.plan = SimpleNamespace(
@@ -138,7 +141,7 @@ async def until(condition: Callable[[], bool]) -> None:
 
 
 def run(work: Any) -> None:
-    asyncio.run(asyncio.wait_for(work, 30))
+    asyncio.run(asyncio.wait_for(work, patience()))
 
 
 @pytest.mark.parametrize(("size", "left"), [(2_000_000, 2), (2_000, 0)], ids=["large", "small"])
@@ -149,8 +152,7 @@ def test_what_waits_is_told_and_let_go_with_the_client_though_the_component_hang
     gates = [threading.Event(), threading.Event()]
     taken: list[object] = []
 
-    def take(message: object, port: str | None) -> None:
-        del port
+    def take(message: object, *_: object, **__: object) -> None:
         taken.append(message)
         gates[len(taken) - 1].wait(patience())
 

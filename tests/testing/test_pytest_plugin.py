@@ -31,9 +31,12 @@ def run(folder: Path, program: str, *options: str) -> subprocess.CompletedProces
 
 def test_the_page_runs_as_printed(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    (program,) = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    program, source = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     done = run(tmp_path, program)
     assert "3 passed" in done.stdout, done.stdout + done.stderr
+    test = "\n\ndef test_it():\n    script.put({'value': 1})\n    assert callable(numbers)\n"
+    done = run(tmp_path, source + test)
+    assert "1 passed" in done.stdout, done.stdout + done.stderr
 
 
 def test_a_configuration_of_its_own_reaches_the_memory_bridge(tmp_path: Path) -> None:
