@@ -124,6 +124,7 @@ def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -
         p__msg__Missing="q/Absent a\n",
         p__msg__Holds="Missing a\n",
         p__msg__Itself="Itself[] a\n",
+        p__msg__Double="int8 a\nint16 a\n",
         p__msg__Wrong="not ? a definition\n",
         p__srv__One="int8 a\n",
     )
@@ -135,6 +136,7 @@ def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -
     assert "q/msg/Absent is not defined" in found.problems["p/msg/Missing"]
     assert "q/msg/Absent is not defined" in found.problems["p/msg/Holds"]
     assert "nested more than" in found.problems["p/msg/Itself"]
+    assert "two fields of one name" in found.problems["p/msg/Double"]
     assert "more than 20,000 fields" in found.problems["p/msg/D0"]
     by_file = {Path(name).name: text for name, text in found.problems.items()}
     assert {"Wrong.msg", "Octets.msg", "One.srv"} <= by_file.keys()

@@ -26,6 +26,7 @@ from uoarm_ros2 import _actions, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._cdr_read import cdr_reader
 from uoarm_ros2._cdr_write import cdr_writer
+from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._discovery import Attendance, discovered
 from uoarm_ros2._end import Place
 from uoarm_ros2._graph import Graph, Topic
@@ -69,6 +70,7 @@ class Ros2Bridge(Bridge):
         given = {key: value for key, value in options.items() if key != "node"}
         node = str(options.get("node", f"uoarm_{''.join(c if c.isalnum() else '_' for c in name)}"))
         self._settings = BridgeSettings(node, **given)  # type: ignore[arg-type]  # by the schema
+        defined = DefinedTypes(self._settings.definitions)
         self._participant = Participant(
             self._settings.domain_id, self._settings.namespace, self._settings.shared_memory
         )
@@ -78,7 +80,7 @@ class Ros2Bridge(Bridge):
             self._participant.close(_CLOSE_SECONDS)
             raise
         self._graph = Graph(self._station, self._settings.wait)
-        self._types = TypeFinder(self._ask_for_description, self._station.ends)
+        self._types = TypeFinder(self._ask_for_description, self._station.ends, defined)
         self._attendance = Attendance(
             self._station.node, self._participant.node_names, self._node_changed
         )

@@ -15,31 +15,12 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
 from uoarm_ros2._middleware import untyped_class
 from uoarm_ros2._shape import Field, Listing, Record, Scalar, Shape, Text
+from uoarm_ros2._type_hash import BOUNDED_TEXTS, EMPTY, KINDS, NESTED, SCALARS, TEXTS
 from uoarm_ros2._types import type_mistake
 
 __all__ = ["described_type"]
 
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,254}")
-_EMPTY = "structure_needs_at_least_one_member"  # what stands in C for a message without fields
-_KINDS = 48  # numbers of types: one value, then arrays, bounded and unbounded sequences of each
-_NESTED = 1
-_TEXTS = {17: False, 18: True, 21: False, 22: True}
-_BOUNDED_TEXTS = (21, 22)
-_SCALARS = {
-    2: "int8",
-    3: "uint8",
-    4: "int16",
-    5: "uint16",
-    6: "int32",
-    7: "uint32",
-    8: "int64",
-    9: "uint64",
-    10: "float32",
-    11: "float64",
-    13: "uint8",
-    15: "bool",
-    16: "byte",
-}
 _MOST_TYPES = 256
 _MOST_FIELDS = 4096
 _MOST_DEPTH = 32
@@ -84,7 +65,7 @@ class _Reading:
         self._left -= len(fields)
         if self._left < 0:
             raise self._refused(f"more than {_MOST_FIELDS} fields")
-        read = tuple(self._field(each, depth) for each in fields if each["name"] != _EMPTY)
+        read = tuple(self._field(each, depth) for each in fields if each["name"] != EMPTY)
         slots = tuple(each.attribute for each in read)
         if len(set(slots)) != len(slots):
             raise self._refused(f"{name} has two fields of one name")
@@ -100,7 +81,7 @@ class _Reading:
         return Field(name, f"_{name}", self._shape(field["type"], depth))
 
     def _shape(self, kind: Mapping[str, Any], depth: int) -> Shape:
-        many, number = divmod(kind["type_id"] - 1, _KINDS)
+        many, number = divmod(kind["type_id"] - 1, KINDS)
         element = self._element(number + 1, kind, depth)
         if many == 0:
             return element
@@ -109,13 +90,13 @@ class _Reading:
         return Listing(element, kind["capacity"] if many == 2 else None)  # noqa: PLR2004 - bounded
 
     def _element(self, number: int, kind: Mapping[str, Any], depth: int) -> Scalar | Text | Record:
-        if number == _NESTED:
+        if number == NESTED:
             return self.record(kind["nested_type_name"], "", depth + 1)
-        if number in _TEXTS:
-            bound = kind["string_capacity"] if number in _BOUNDED_TEXTS else None
-            return Text(wide=_TEXTS[number], bound=bound)
-        if number in _SCALARS:
-            return Scalar(_SCALARS[number])
+        if number in TEXTS:
+            bound = kind["string_capacity"] if number in BOUNDED_TEXTS else None
+            return Text(wide=TEXTS[number], bound=bound)
+        if number in SCALARS:
+            return Scalar(SCALARS[number])
         raise self._refused(f"there is a field of the type number {kind['type_id']}")
 
     def _refused(self, why: str) -> BridgeError:

@@ -52,6 +52,12 @@ BRIDGE_OPTIONS: Schema = {
             "description": "name of the bridge's node; default: uoarm_ and the bridge's name",
         },
         "namespace": {"type": "string", "description": "namespace of the bridge's node"},
+        "definitions": {
+            "type": "array",
+            "items": {"type": "string", "minLength": 1},
+            "maxItems": 64,
+            "description": "folders of .msg files for message types that are not installed",
+        },
         "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
         "shared_memory": {
             "type": "integer",
@@ -98,6 +104,7 @@ class BridgeSettings:
     wait: float = _WAIT_SECONDS
     settle: float = _SETTLE_SECONDS
     shared_memory: int | None = None
+    definitions: tuple[str, ...] = ()
 
 
 @frozen

@@ -1,4 +1,4 @@
-"""Where types come from: packages that are installed, else the nodes that talk them."""
+"""Where types come from: installed packages, folders of definitions, the nodes that talk them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
+from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._described import described_type
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._types import import_type
@@ -23,15 +24,18 @@ class TypeFinder:
     Args:
         ask: asks the node of a full name for the description of a type; raises BridgeError.
         peers: returns the ends of a topic.
+        defined: what the folders of the bridge define.
     """
 
     def __init__(
         self,
         ask: Callable[[str, Message], Message],
         peers: Callable[[str], Iterable[Peer]],
+        defined: DefinedTypes,
     ) -> None:
         self._ask = ask
         self._peers = peers
+        self._defined = defined
         self._lock = threading.Lock()
         self._described: dict[tuple[str, str], type] = {}
 
@@ -39,7 +43,8 @@ class TypeFinder:
         """Return the class of a type that a topic carries; blocks while nodes are asked.
 
         Raises:
-            BridgeError: its package is not installed, and no node on the topic describes it.
+            BridgeError: its package is not installed, no folder defines it whole, and no node on
+                the topic describes it.
         """
         try:
             return import_type(name)
@@ -47,6 +52,9 @@ class TypeFinder:
             if error.reason is not FailureReason.NOT_FOUND:
                 raise
             missing = error
+        defined = self._defined.find(name)
+        if defined is not None:
+            return defined
         asked: list[str] = []
         for peer in self._peers(topic):
             if peer.type != name or not peer.definition:
@@ -66,7 +74,8 @@ class TypeFinder:
                     self._described.clear()
                 return self._described.setdefault(key, made)
         why = "; ".join(asked) or f"no node on {topic} describes it"
-        raise BridgeError(f"{missing}; {why}", FailureReason.NOT_FOUND) from missing
+        text = f"{missing}; {why}; option definitions takes folders of .msg files"
+        raise BridgeError(text, FailureReason.NOT_FOUND) from missing
 
     def _from(self, peer: Peer) -> type:
         request = {

@@ -1,0 +1,103 @@
+"""Types that are installed nowhere here, from the folders of definitions that a bridge is given."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from attrs import evolve
+
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason
+from uoarm_ros2._middleware import untyped_class
+from uoarm_ros2._shape import Field, Listing, Record, Shape, shape_of
+from uoarm_ros2._type_hash import type_hash
+from uoarm_ros2._types import import_type, type_mistake
+from uoarm_ros2.definitions import Reading
+
+__all__ = ["DefinedTypes"]
+
+_MOST_TOLD = 5
+
+
+class DefinedTypes:
+    """Message types of some folders; what they hold may be installed, and then is the installed.
+
+    Raises:
+        ConfigurationError: a folder is none, a file cannot be read, a type is defined twice, or
+            the extra `definitions` is not installed; with files and lines.
+    """
+
+    def __init__(self, folders: Iterable[str]) -> None:
+        self._lock = threading.Lock()
+        self._found: dict[str, type] = {}
+        self._reading: Reading | None = None
+        for folder in folders:
+            self._reading = self._reading or Reading(_installed)
+            self._reading.take(Path(folder).expanduser().absolute())
+        if self._reading is not None:
+            _require_sound(self._reading)
+
+    def find(self, name: str) -> type | None:
+        """Return a class for a type, None where no folder defines it.
+
+        Raises:
+            BridgeError: it holds a type that is neither defined nor installed, or too much.
+        """
+        if self._reading is None or name not in self._reading:
+            return None
+        with self._lock:
+            if name not in self._found:
+                try:
+                    record = self._reading.record(name)
+                except ValueError as error:
+                    text = f"{name}, as option definitions has it, cannot be used: {error}"
+                    raise BridgeError(text, FailureReason.UNSUPPORTED) from error
+                self._found[name] = _native(record, type_hash(record), {}).native
+            return self._found[name]
+
+
+def _installed(name: str) -> Record | None:
+    """Return the record of a type that is installed."""
+    if type_mistake(name):
+        return None
+    try:
+        return shape_of(import_type(name), name)
+    except BridgeError as error:
+        if error.reason is FailureReason.NOT_FOUND:
+            return None
+        raise
+
+
+def _require_sound(reading: Reading) -> None:
+    wrong = [f"{path}: {why}" for path, why in sorted(reading.problems.items())]
+    wrong += [
+        f"{name} is defined in {one} and in {other}; name a folder with one of them"
+        for name, (one, other) in sorted(reading.twice.items())
+    ]
+    if wrong:
+        more = f"; and {len(wrong) - _MOST_TOLD} more" if len(wrong) > _MOST_TOLD else ""
+        told = "; ".join(wrong[:_MOST_TOLD])
+        raise ConfigurationError(f"option definitions cannot be used: {told}{more}")
+
+
+def _native(record: Record, definition: str, made: dict[str, Record]) -> Record:
+    """Return a record with classes of its own throughout; only the outermost needs its hash."""
+    if record.name in made:
+        return made[record.name]
+    fields = tuple(_field(each, made) for each in record.fields)
+    slots = tuple(each.attribute for each in fields)
+    native: Any = untyped_class(record.name, definition, {"__slots__": slots})
+    native.described = Record(record.name, native, fields, record.constants, slots)
+    made[record.name] = native.described
+    return made[record.name]
+
+
+def _field(field: Field, made: dict[str, Record]) -> Field:
+    shape: Shape = field.shape
+    if isinstance(shape, Record):
+        shape = _native(shape, "", made)
+    elif isinstance(shape, Listing) and isinstance(shape.element, Record):
+        shape = evolve(shape, element=_native(shape.element, "", made))
+    return evolve(field, attribute=f"_{field.name}", shape=shape)

@@ -1,0 +1,190 @@
+"""Types from folders of definitions, `options: {definitions: [...]}`: not installed, yet talked."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from endpoints import Inbox, endpoint, known, sink, source
+from messages import same
+from peers import Peer
+from uoarm_ros2._defined import DefinedTypes
+from uoarm_ros2._schema import structure_of
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._type_hash import type_hash
+from uoarm_ros2._types import import_type
+from uoarm_ros2.definitions import Reading
+
+from uoarm.bridge import Bridge
+from uoarm.errors import BridgeError, ConfigurationError, MessageError
+from uoarm.model import Role
+from uoarm.testing import patience
+
+pytest.importorskip("rosbags", reason="definitions are read with rosbags: uoarm-ros2[definitions]")
+
+MakeBridge = Callable[..., Bridge]
+MADE = {"boolean": True, "integer": 3, "number": 0.25}
+
+
+@pytest.fixture(scope="module")
+def share() -> Path:
+    import std_msgs
+
+    folders = [parent / "share" for parent in Path(str(std_msgs.__file__)).parents]
+    return next(folder for folder in folders if (folder / "std_msgs" / "msg").is_dir())
+
+
+@pytest.fixture
+def uninstall(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Makes a package as if nobody had installed it here; peers have it."""
+
+    def uninstall(package: str) -> None:
+        for name in [each for each in sys.modules if each.split(".")[0] == package]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, package, None)
+
+    return uninstall
+
+
+@pytest.fixture
+def own(share: Path, tmp_path: Path) -> Path:
+    """A folder with the definitions of test_msgs, as somebody's own."""
+    shutil.copytree(share / "test_msgs" / "msg", tmp_path / "own" / "test_msgs" / "msg")
+    return tmp_path / "own"
+
+
+def write(folder: Path, **files: str) -> str:
+    for name, text in files.items():
+        package, kind, own = name.split("__")
+        path = folder / package / kind / f"{own}.{kind}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return str(folder)
+
+
+def hashes(share: Path) -> dict[str, str]:
+    """Return what `rosidl` wrote for every message type that is installed."""
+    found: dict[str, str] = {}
+    for path in sorted(share.glob("*/msg/*.json")):
+        for each in json.loads(path.read_text())["type_hashes"]:
+            found[each["type_name"]] = each["hash_string"]
+    return found
+
+
+def test_every_installed_type_has_the_hash_that_rosidl_wrote(share: Path) -> None:
+    wanted = hashes(share)
+    assert {"test_msgs/msg/Empty", "test_msgs/msg/WStrings", "nav_msgs/msg/Path"} < wanted.keys()
+    reading = Reading()
+    reading.take(share)
+    assert {name: type_hash(reading.record(name)) for name in wanted} == wanted
+    assert {name: type_hash(shape_of(import_type(name), name)) for name in wanted} == wanted
+
+
+def test_a_folder_gives_the_very_structure_and_takes_what_it_refers_to_from_what_is_installed(
+    share: Path, tmp_path: Path, uninstall: Callable[[str], None]
+) -> None:
+    name = "sensor_msgs/msg/BatteryState"
+    before = structure_of(shape_of(import_type(name), name))
+    shutil.copytree(share / "sensor_msgs" / "msg", tmp_path / "sensor_msgs" / "msg")
+    uninstall("sensor_msgs")
+    native = DefinedTypes([str(tmp_path)]).find(name)
+    assert native is not None
+    assert structure_of(shape_of(native, name)) == before
+    assert "x-constants" in str(before.schema)
+    assert type_hash(shape_of(native, name)) == hashes(share)[name]
+    assert DefinedTypes([]).find(name) is None
+
+
+def test_a_type_that_no_node_describes_is_talked_both_ways(
+    make_bridge: MakeBridge,
+    peer: Callable[..., Peer],
+    own: Path,
+    uninstall: Callable[[str], None],
+) -> None:
+    uninstall("test_msgs")
+    there = peer("there", "threads", "silent")
+    there.do("pass_on", come="/come", go="/go", kind="UnboundedSequences")
+    bridge = make_bridge(definitions=[str(own)])
+    known(bridge, "/there")
+    at = endpoint(Role.INPUT, "/come", "test_msgs/msg/UnboundedSequences")
+    inbox = Inbox()
+    source(bridge, endpoint(Role.OUTPUT, "/go"), inbox)
+    out = sink(bridge, at)
+    structure = bridge.describe(at).message
+    assert structure is not None
+    schema: Any = structure.schema
+    fields = schema["properties"]
+    assert fields["int8_values_default"]["default"] == [0, 127, -128]
+    basic = {name: MADE[kind["type"]] for name, kind in _nested(fields).items()}
+    message = {name: [] for name in fields} | {
+        "alignment_check": 7,
+        "string_values": ["a", "\N{SNOWMAN}"],
+        "float64_values": [0.5],
+        "basic_types_values": [basic, basic],
+    }
+    out.send(message)
+    assert same(inbox.wait_for(1)[0], message)
+    with pytest.raises(MessageError, match="alignment_check"):
+        out.send({**message, "alignment_check": "seven"})
+    ends = bridge._station.ends("/come")  # type: ignore[attr-defined]  # what DDS tells of both
+    assert len({each.definition for each in ends}) == 1 < len(ends)
+    (found,) = [each for each in bridge.discover() if each.name == "/there"]
+    assert {each.port for each, told in found.endpoints if told.message} >= {"come", "go"}
+
+
+def _nested(fields: Any) -> Any:
+    return fields["basic_types_values"]["items"]["properties"]
+
+
+def test_a_folder_of_another_version_than_the_node_has_is_refused(
+    make_bridge: MakeBridge,
+    peer: Callable[..., Peer],
+    own: Path,
+    uninstall: Callable[[str], None],
+) -> None:
+    uninstall("test_msgs")
+    with (own / "test_msgs" / "msg" / "Strings.msg").open("a") as file:
+        file.write("\nint8 newer\n")
+    there = peer("there", "threads")
+    there.do("pass_on", come="/come", go="/go", kind="Strings")
+    bridge = make_bridge(definitions=[str(own)])
+    at = endpoint(Role.INPUT, "/come", "test_msgs/msg/Strings", wait=min(patience(), 60))
+    with pytest.raises(BridgeError, match="defined otherwise there than here: /there has RIHS01_"):
+        sink(bridge, at)
+
+
+def test_a_type_that_holds_what_is_nowhere_names_file_and_line(tmp_path: Path) -> None:
+    folder = write(tmp_path, p__msg__Holds="int8 a\n\nq/Absent what  # of another package\n")
+    with pytest.raises(BridgeError, match=r"Holds\.msg: line 3: q/msg/Absent is not defined"):
+        DefinedTypes([folder]).find("p/msg/Holds")
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"p__msg__Wrong": "int8 a\n# more\nfloat9! b\nint8 c\n"}, r"Wrong\.msg: line 3: 'float9"),
+        ({"p__srv__One": "int8 a\n---\nint8 b\n?\n"}, r"One\.srv: line 4: '\?' is no field"),
+        ({"p__srv__One": "int8 a\n"}, r"One\.srv: .*1 parts between lines of ---, not 2"),
+    ],
+)
+def test_a_broken_file_is_one_error_with_file_and_line(
+    make_bridge: MakeBridge, tmp_path: Path, files: dict[str, str], words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=f"option definitions cannot be used: .*{words}"):
+        make_bridge(definitions=[write(tmp_path, p__msg__Good="int8 a\n", **files)])
+
+
+def test_a_type_of_two_folders_and_a_folder_that_is_none_are_refused(
+    make_bridge: MakeBridge, tmp_path: Path
+) -> None:
+    one = write(tmp_path / "one", p__msg__A="int8 a\n")
+    other = write(tmp_path / "other", p__msg__A="int16 a\n")
+    with pytest.raises(ConfigurationError, match=r"p/msg/A is defined in .*one.* and in .*other"):
+        make_bridge(definitions=[one, other])
+    with pytest.raises(ConfigurationError, match=r"none is no folder of ROS definitions"):
+        make_bridge(definitions=[str(tmp_path / "none")])
