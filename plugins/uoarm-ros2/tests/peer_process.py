@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import threading
 import time
@@ -174,6 +175,15 @@ class Doer:
             response.int64_value = request.int64_value + 1
             response.string_value = request.string_value[::-1]
             return response
+
+        self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def die(self, name: str) -> dict[str, Any]:
+        """Serve until the first request comes, and be killed by it."""
+
+        def answer(request: Any, response: Any) -> Any:
+            os.kill(os.getpid(), signal.SIGKILL)
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
         return {}

@@ -80,9 +80,7 @@ def test_a_late_answer_is_a_time_out_and_hurts_nobody(bridge: Bridge, peer: Star
 
 
 def test_a_server_that_is_killed_in_mid_call_ends_the_call(bridge: Bridge, peer: Start) -> None:
-    server = peer("server")
-    server.do("serve", name="/mortal", delay=30.0)
-    threading.Timer(0.5, server.kill).start()
+    peer("server", **MORTAL).do("die", name="/mortal")
     with pytest.raises(BridgeError, match="went away in mid-call") as caught:
         bridge.call(service("/mortal", BASIC), request(), timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
