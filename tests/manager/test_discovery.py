@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
+
+import pytest
+
 from uoarm import RobotManager
+from uoarm._control.discovery.discovery import Discovery
+from uoarm.bridge import Discovered
 from uoarm.config import loads, suggest
 from uoarm.model import BridgeFindings, Robot, Schema
-from uoarm.testing import MemoryBridge
+from uoarm.testing import MemoryBridge, patience, wait
 
 SMALL = {"type": "integer", "minimum": 0, "maximum": 9}
 NUMBER = {"type": "integer"}
@@ -102,3 +109,62 @@ def test_where_time_is_up_it_is_said_what_was_not_compared() -> None:
     text = suggest(robot, find(robot, make_lab()), seconds=-1.0)
     assert "1 outputs were not compared, for want of time" in text
     assert "{from:" not in text
+
+
+class Slow(MemoryBridge):
+    """A bridge that answers when it is let."""
+
+    def __init__(self) -> None:
+        super().__init__("slow", {})
+        self.emitter("hand", NUMBER)
+        self.may_answer = threading.Event()
+        self.asked = 0
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        self.asked += 1
+        self.may_answer.wait()
+        return super()._discover()
+
+
+@pytest.fixture
+def slow() -> Iterator[Slow]:
+    bridge = Slow()
+    yield bridge
+    bridge.may_answer.set()
+
+
+def test_a_slow_bridge_delays_nobody_and_is_in_a_later_look(slow: Slow) -> None:
+    robot = loads(
+        "version: 1\nbridges: {slow: {plugin: memory}, lab: {plugin: memory}}\nfunctions: {}\n"
+    )
+    lab, limit = make_lab(), 10 * patience()
+    with RobotManager(robot, bridges={"slow": slow, "lab": lab}) as manager:
+
+        def seen() -> list[list[str]]:
+            found = manager.discover(timeout=limit, grace=0.0)
+            assert bool(found[0].components) != (found[0].cause == "has not answered yet")
+            return [[one.name for one in each.components] for each in found]
+
+        assert seen() == [[], ["detector", "head"]]
+        lab.emitter("eye", NUMBER)
+        wait(lambda: seen() == [[], ["detector", "eye", "head"]])
+        assert slow.asked == 1
+        slow.may_answer.set()
+        wait(lambda: seen()[0] == ["hand"])
+        assert [len(one.components) for one in manager.discover(timeout=limit)] == [1, 3]
+
+
+def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> None:
+    lab = make_lab()
+    robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
+    discovery = Discovery(lambda _: lab, kept=2)
+    try:
+        assert discovery.look(robot, patience())[0].components
+        lab.cut()
+        told = [bool(discovery.look(robot, patience())[0].cause) for _ in range(4)]
+        lab.mend()
+        told.append(bool(discovery.look(robot, patience())[0].cause))
+    finally:
+        discovery.close()
+        lab.close()
+    assert told == [False, False, True, True, False]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from attrs import evolve
 
-from uoarm import Connection, ResolutionError, RobotManager
+from uoarm import BridgeTimeoutError, Connection, ResolutionError, RobotManager
 from uoarm._control.discovery import candidate_watch
 from uoarm._resolve import add_candidates
 from uoarm.bridge import Discovered
@@ -31,9 +33,12 @@ class Showing(MemoryBridge):
         super().__init__(name, {})
         self.hidden: set[str] = set()
         self.shown_at = 0
+        self.may_answer = threading.Event()
+        self.may_answer.set()
         self.rounds = 0
 
     def _discover(self) -> tuple[Discovered, ...]:
+        self.may_answer.wait()
         self.rounds += 1
         if self.rounds == self.shown_at:
             self.hidden.clear()
@@ -53,10 +58,12 @@ class Lab:
 
 
 @pytest.fixture
-def lab(monkeypatch: pytest.MonkeyPatch) -> Lab:
+def lab(monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
     monkeypatch.setattr(candidate_watch, "_EVERY_SECONDS", 0.05)
     monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", 0.0)
-    return Lab()
+    made = Lab()
+    yield made
+    made.far.may_answer.set()
 
 
 def candidates(manager: RobotManager, function: str) -> list[str]:
@@ -165,6 +172,24 @@ def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab.lab.shown_at = 3
     with lab.manager(CAMERA) as manager:
         assert manager.resolve("camera").provider.component.name == "camera@lab/head"
+
+
+def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answer(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(candidate_watch, "_ASK_SECONDS", 10 * patience())
+    monkeypatch.setattr(candidate_watch, "_GRACE_SECONDS", 0.0)
+    lab.lab.emitter("small", SMALL)
+    lab.far.emitter("exact", NUMBER)
+    lab.far.may_answer.clear()
+    with lab.manager(CAMERA) as manager:
+        for _ in range(2):
+            with pytest.raises(BridgeTimeoutError, match="have not yet told"):
+                manager.resolve("camera", timeout=0.01)
+            wait(lambda: candidates(manager, "camera") == ["camera@lab/small"])
+        lab.far.may_answer.set()
+        plan = manager.resolve("camera", timeout=patience())
+        assert plan.provider.component.name == "camera@far/exact"
 
 
 def test_what_is_in_use_stays_a_candidate_while_no_bridge_shows_it(lab: Lab) -> None:

@@ -11,17 +11,24 @@ ONE, OTHER = (loads("version: 1\nbridges: {}\nfunctions: {}\n") for _ in range(2
 def test_first_rounds_are_short_until_every_need_is_met_or_frameworks_had_their_time() -> None:
     rounds = Rounds()
     told = [
-        (rounds.ended(base, begun, begun + 0.01, has_all=has_all), rounds.matched is base)
-        for base, begun, has_all in (
-            (ONE, 0.0, False),
-            (ONE, 2.5, False),
-            (ONE, 3.5, False),
-            (OTHER, 4.0, True),
-            (ONE, 5.0, False),  # it is new again
+        (
+            rounds.ended(base, begun, begun + 0.01, is_whole=is_whole, has_all=has_all),
+            rounds.matched is base,
+        )
+        for base, begun, is_whole, has_all in (
+            (ONE, 0.0, True, False),
+            (ONE, 2.5, True, False),
+            (ONE, 3.5, True, False),
+            (OTHER, 4.0, True, True),
+            (ONE, 5.0, False, True),  # it is new again
+            (ONE, 9.0, False, False),
+            (ONE, 11.9, True, False),
+            (ONE, 12.1, True, False),
         )
     ]
-    assert told == [(0.25, False), (0.25, False), (2.0, True), (2.0, True), (0.25, False)]
+    is_not_yet, is_matched = (0.25, False), (2.0, True)
+    assert told == [*[is_not_yet] * 2, *[is_matched] * 2, *[is_not_yet] * 3, is_matched]
 
 
 def test_rounds_take_a_fifth_of_the_time_at_most() -> None:
-    assert Rounds().ended(ONE, 10.0, 20.0, has_all=True) == 40.0
+    assert Rounds().ended(ONE, 10.0, 20.0, is_whole=True, has_all=True) == 40.0

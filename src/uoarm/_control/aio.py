@@ -406,9 +406,11 @@ class AsyncRobotManager(_Closing):
         """Return the whole system as it is at this moment."""
         return self.robot.status()
 
-    async def discover(self, *, timeout: float = 10.0) -> tuple[BridgeFindings, ...]:
+    async def discover(
+        self, *, timeout: float = 10.0, grace: float | None = None
+    ) -> tuple[BridgeFindings, ...]:
         """Return what every bridge sees now, configured or not; opens nothing."""
-        return await self._outside(partial(self.robot.discover, timeout=timeout))
+        return await self._outside(partial(self.robot.discover, timeout=timeout, grace=grace))
 
     async def apply(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,7 +18,7 @@ from uoarm._control.bridges.bridge_set import BridgeSet
 from uoarm._control.connection import Connection
 from uoarm._control.discovery.availability import check_availability
 from uoarm._control.discovery.candidate_watch import CandidateWatch
-from uoarm._control.discovery.discovery import discover
+from uoarm._control.discovery.discovery import Discovery
 from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.staleness import StalenessWatch
@@ -129,6 +130,8 @@ class RobotManager:
                 clock, None if stop_file is None else StopFile(Path(stop_file))
             ),
         )
+        self._discovery = Discovery(self._bridges.get)
+        self._discovering = threading.Lock()
         self._candidates = CandidateWatch(
             self._revisions, self._executor, self._bridges.get, self.registry.types, clock
         )
@@ -422,14 +425,27 @@ class RobotManager:
             revision.forget(component.name)
         return check_availability(revision.robot, revision.structures, self.resolve)
 
-    def discover(self, *, timeout: float = 10.0) -> tuple[BridgeFindings, ...]:
+    def discover(
+        self, *, timeout: float = 10.0, grace: float | None = None
+    ) -> tuple[BridgeFindings, ...]:
         """Return what every bridge sees now, configured or not; opens nothing.
 
         Args:
-            timeout: seconds for each bridge, its start included; several are asked at once.
+            timeout: seconds for each bridge, its start included; all are asked at once.
+            grace: seconds that the others have after the first answer. A slower bridge is told as
+                it answered the last call with a grace, or as one that has not answered yet; what
+                it answers is in a later such call. None: every bridge is waited for.
         """
         self._require_open()
-        return discover(self._revisions.current.base, self._bridges.get, timeout)
+        base = self._revisions.current.base
+        if grace is not None:
+            with self._discovering:
+                return self._discovery.look(base, timeout, grace)
+        discovery = Discovery(self._bridges.get)
+        try:
+            return discovery.look(base, timeout)
+        finally:
+            discovery.close()
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order; returns what ends that.
@@ -581,6 +597,7 @@ class RobotManager:
 
     def close(self) -> None:
         """Kill every connection and close every bridge. Once is enough; bounded in time."""
+        self._discovery.close()
         self._candidates.close()
         self._staleness.close()
         self._offers.close()

@@ -25,6 +25,7 @@ __all__ = ["up"]
 
 _END_SECONDS = 5.0
 _DISCOVERY_SECONDS = 20.0
+_GRACE_SECONDS = 1.0
 _RESOLVE_SECONDS = 10.0
 
 
@@ -98,7 +99,7 @@ class _Follower:
         Raises:
             UoarmError: the manager is closed.
         """
-        findings = self._manager.discover(timeout=_DISCOVERY_SECONDS)
+        findings = self._manager.discover(timeout=_DISCOVERY_SECONDS, grace=_GRACE_SECONDS)
         revision = self._manager.revision
         base = self._manager.history()[-1].robot
         assert base is not None, "a manager has one from the beginning"

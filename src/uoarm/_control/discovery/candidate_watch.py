@@ -9,14 +9,14 @@ from functools import partial
 
 from attrs import define, field
 
-from uoarm._control.discovery.discovery import discover
+from uoarm._control.discovery.discovery import Discovery
 from uoarm._control.runtime.executor import Executor
 from uoarm._control.runtime.revisions import Revisions
 from uoarm._dataplane import Clock
 from uoarm._resolve import Proofs, add_candidates
 from uoarm.bridge import Bridge, BridgeType
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import BridgeFindings, Endpoint, Robot
+from uoarm.model import Endpoint, Robot
 
 __all__ = ["CandidateWatch", "Rounds"]
 
@@ -27,8 +27,9 @@ _SETTLE_SECONDS = (
 _SETTLE_EVERY = 0.25
 _REST = 4.0
 _ASK_SECONDS = 5.0
+_GRACE_SECONDS = 1.0
 _TURN_SECONDS = 1.0
-_KEPT_ROUNDS = 3
+_KEPT_ANSWERS = 3
 _log = logging.getLogger("uoarm")
 
 
@@ -44,18 +45,21 @@ class Rounds:
     _settling: Robot | None = field(default=None, init=False)
     _settles_at: float = field(default=0.0, init=False)
 
-    def ended(self, base: Robot, begun: float, now: float, *, has_all: bool) -> float:
+    def ended(
+        self, base: Robot, begun: float, now: float, *, is_whole: bool, has_all: bool
+    ) -> float:
         """Note a round; return the seconds until the next one.
 
         Args:
             base: the configuration that it was for.
             begun: when it began.
             now: when it ended.
+            is_whole: whether every bridge has answered, now or before.
             has_all: whether every function with needs has a candidate.
         """
-        if self._settling is not base:
+        if self._settling is not base or not is_whole:  # the last one may have just started
             self._settling, self._settles_at = base, now + _SETTLE_SECONDS
-        is_settled = now >= self._settles_at or has_all
+        is_settled = is_whole and (now >= self._settles_at or has_all)
         if is_settled:
             self.matched = base
         return max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
@@ -66,10 +70,11 @@ class CandidateWatch:
 
     One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
     takes. However often components come and go meanwhile, a round changes the candidates once at
-    most. The thread begins with the first who needs candidates. A bridge that does not answer
-    shows what it showed before, for three rounds. In a new configuration's first three seconds
-    the rounds are shorter, until every function with needs has a candidate: so long those wait who
-    ask for one.
+    most. The thread begins with the first who needs candidates. A bridge that answers later than
+    others is in a later round, and one that fails shows what it showed before, for three answers.
+    In a new configuration's first three seconds the rounds are shorter, until every function with
+    needs has a candidate: so long those wait who ask for one, and until each bridge has answered
+    once.
 
     Args:
         revisions: of the configuration.
@@ -89,7 +94,6 @@ class CandidateWatch:
     ) -> None:
         self._revisions = revisions
         self._executor = executor
-        self._get = get
         self._types = types
         self._clock = clock
         self._proofs = Proofs(clock)
@@ -97,7 +101,7 @@ class CandidateWatch:
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._is_closed = False
-        self._shown: dict[str, tuple[int, BridgeFindings]] = {}
+        self._discovery = Discovery(get, _KEPT_ANSWERS)
 
     def wait(self, timeout: float) -> None:
         """Wait until the configuration in force has its candidates; at once without needs.
@@ -122,6 +126,7 @@ class CandidateWatch:
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
+        self._discovery.close()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join(_TURN_SECONDS)
@@ -140,7 +145,9 @@ class CandidateWatch:
                 _log.exception("looking for candidates failed")
             has_all = self._has_all(base)
             with self._changed:
-                pause = self._rounds.ended(base, begun, self._clock(), has_all=has_all)
+                pause = self._rounds.ended(
+                    base, begun, self._clock(), is_whole=self._discovery.is_whole, has_all=has_all
+                )
                 self._changed.notify_all()
                 self._changed.wait_for(partial(self._is_outdated, base), pause)
                 if self._is_closed:
@@ -162,7 +169,7 @@ class CandidateWatch:
         )
 
     def _round(self, base: Robot) -> None:
-        findings = [self._shown_by(one) for one in discover(base, self._get, _ASK_SECONDS)]
+        findings = self._discovery.look(base, _ASK_SECONDS, _GRACE_SECONDS)
         types, bridges = self._types, base.bridges
 
         def topic(end: Endpoint) -> str | None:
@@ -185,11 +192,3 @@ class CandidateWatch:
         with self._revisions.alone(_TURN_SECONDS):
             if self._revisions.current.base is base:
                 self._executor.change_candidates(robot)
-
-    def _shown_by(self, findings: BridgeFindings) -> BridgeFindings:
-        missed, before = self._shown.get(findings.bridge, (0, findings))
-        if findings.cause and missed < _KEPT_ROUNDS and not before.cause:
-            self._shown[findings.bridge] = missed + 1, before
-            return before
-        self._shown[findings.bridge] = 0, findings
-        return findings

@@ -1,16 +1,23 @@
-"""Discovery: every bridge is asked what it sees, several at once, each within a limit."""
+"""Discovery: every bridge is asked what it sees, all at once, each within a limit."""
 
 from __future__ import annotations
 
+import logging
+import math
+import threading
+import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeAlias
 
+from attrs import define
+
 from uoarm import _bounded
+from uoarm._workers import WorkerPool
 from uoarm.bridge import Bridge, Description, Discovered
 from uoarm.errors import UoarmError
 from uoarm.model import (
     BridgeFindings,
+    BridgeSpec,
     Endpoint,
     FoundComponent,
     FoundPort,
@@ -19,45 +26,154 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["discover"]
+__all__ = ["Discovery"]
 
-_AT_ONCE = 8
+_REST = 4.0
 _MOST_PORTS = 10_000
 _MOST_OCTETS = 2_000_000
+_log = logging.getLogger("uoarm")
 
 _Place: TypeAlias = tuple[str, Role, tuple[str, ...]]
 
 
-def discover(
-    robot: Robot, get: Callable[[str], Bridge], timeout: float
-) -> tuple[BridgeFindings, ...]:
-    """Return what each bridge of the configuration sees, in its order.
+@define(eq=False)
+class _Question:
+    """What one bridge is asked, again and again.
+
+    Attributes:
+        spec: of the bridge.
+        answer: the last one: what it sees, why it sees nothing, or None before the first.
+        missed: how many were no better than the one that is kept.
+        begun: when it was asked last, its start not included.
+        rests_until: when it may be asked again.
+    """
+
+    spec: BridgeSpec
+    answer: tuple[Discovered, ...] | str | None = None
+    missed: int = 0
+    is_under_way: bool = False
+    begun: float = 0.0
+    rests_until: float = -math.inf
+
+
+class Discovery:
+    """Asks bridges what they see; one that is slow holds up nobody who does not wait for it.
+
+    A bridge is asked once at a time. One that was too slow for a look is told as it answered last,
+    and what it answers then is in a later look. With a grace, a bridge rests after each answer for
+    four times as long as that took. For one thread at a time, but for `close`.
 
     Args:
-        robot: the configuration.
         get: gives a bridge, starting it where it must.
-        timeout: seconds for each bridge, its start included.
+        kept: for how many answers a bridge that fails is told as it answered last.
+
+    Attributes:
+        is_whole: whether every bridge had answered once at least by the end of the last look.
     """
+
+    def __init__(self, get: Callable[[str], Bridge], kept: int = 0) -> None:
+        self._get = get
+        self._kept = kept
+        self.is_whole = True
+        self._questions: dict[str, _Question] = {}
+        self._changed = threading.Condition()
+        self._pool = WorkerPool("uoarm-discovery")
+
+    def look(
+        self, robot: Robot, timeout: float, grace: float | None = None
+    ) -> tuple[BridgeFindings, ...]:
+        """Return what each bridge of the configuration sees, in its order.
+
+        Args:
+            robot: the configuration.
+            timeout: seconds for each bridge, its start included.
+            grace: seconds that the others have after the first answer, or from now where some
+                bridge rests; None: all are waited for.
+        """
+        with self._changed:
+            self._questions = {
+                name: self._question(name, spec) for name, spec in robot.bridges.items()
+            }
+            asked = [
+                one
+                for name, one in self._questions.items()
+                if one.is_under_way or self._ask(name, one, timeout, rests=grace is not None)
+            ]
+
+            def has_begun() -> bool:  # whether there is something to tell
+                return len(asked) < len(self._questions) or not all(
+                    one.is_under_way for one in asked
+                )
+
+            if asked:
+                self._changed.wait_for(has_begun)
+                self._changed.wait_for(
+                    lambda: not any(one.is_under_way for one in asked), timeout=grace
+                )
+            answers = {name: one.answer for name, one in self._questions.items()}
+            self.is_whole = None not in answers.values()
+        users = _users(robot)
+        return tuple(
+            _findings(name, robot.bridges[name].plugin, answer, users)
+            for name, answer in answers.items()
+        )
+
+    def close(self) -> None:
+        """Ask nobody any more; what is under way goes on, within its limit. Idempotent."""
+        self._pool.close()
+
+    def _question(self, name: str, spec: BridgeSpec) -> _Question:
+        known = self._questions.get(name)
+        return known if known is not None and known.spec == spec else _Question(spec)
+
+    def _ask(self, name: str, question: _Question, timeout: float, *, rests: bool) -> bool:
+        """Ask a bridge, unless it may rest and does; say whether it is asked."""
+
+        def ask() -> tuple[Discovered, ...] | None:
+            return _bounded.run(f"discovery by bridge {name!r}", timeout, see)
+
+        def see() -> tuple[Discovered, ...] | None:
+            bridge = self._get(name)
+            question.begun = time.monotonic()
+            return _seen_by(bridge, timeout)
+
+        def done(found: tuple[Discovered, ...] | None, error: BaseException | None) -> None:
+            with self._changed:
+                self._take(question, found, error)
+                ended = time.monotonic()
+                question.rests_until = ended + _REST * (ended - question.begun)
+                question.is_under_way = False
+                self._changed.notify_all()
+
+        question.begun = time.monotonic()
+        if not rests or question.begun >= question.rests_until:
+            question.is_under_way = self._pool.submit(ask, done=done)
+        return question.is_under_way
+
+    def _take(
+        self,
+        question: _Question,
+        found: tuple[Discovered, ...] | None,
+        error: BaseException | None,
+    ) -> None:
+        if error is None:
+            question.answer = "cannot list components" if found is None else found
+            question.missed = 0
+            return
+        if not isinstance(error, UoarmError):
+            _log.error("discovery failed", exc_info=error)
+        question.missed += 1
+        if isinstance(question.answer, str | None) or question.missed > self._kept:
+            question.answer = str(error) or type(error).__name__
+
+
+def _users(robot: Robot) -> dict[_Place, list[str]]:
     users: dict[_Place, list[str]] = {}
     for one in robot.components():
         services = () if one.service is None else (one.service,)
         for port in (*one.inputs, *one.outputs, *services):
             users.setdefault(_place(port.endpoint), []).append(one.name)
-
-    def ask(name: str) -> BridgeFindings:
-        plugin = robot.bridges[name].plugin
-        try:
-            found = _bounded.run(
-                f"discovery by bridge {name!r}", timeout, lambda: _seen_by(get(name), timeout)
-            )
-        except UoarmError as error:
-            return BridgeFindings(name, plugin, cause=str(error))
-        if found is None:
-            return BridgeFindings(name, plugin, cause="cannot list components")
-        return _findings(name, plugin, found, users)
-
-    with ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-discovery") as pool:
-        return tuple(pool.map(ask, robot.bridges))
+    return users
 
 
 def _seen_by(bridge: Bridge, timeout: float) -> tuple[Discovered, ...] | None:
@@ -69,9 +185,11 @@ def _seen_by(bridge: Bridge, timeout: float) -> tuple[Discovered, ...] | None:
 def _findings(
     bridge: str,
     plugin: str,
-    found: tuple[Discovered, ...],
+    found: tuple[Discovered, ...] | str | None,
     users: dict[_Place, list[str]],
 ) -> BridgeFindings:
+    if found is None or isinstance(found, str):
+        return BridgeFindings(bridge, plugin, cause=found or "has not answered yet")
     components: list[FoundComponent] = []
     left, too_large = _MOST_PORTS, 0
     for one in sorted(found, key=lambda each: each.name):
