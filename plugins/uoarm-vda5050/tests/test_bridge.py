@@ -105,6 +105,7 @@ def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
     sheet = {"typeSpecification": {"seriesName": "mouse", "maxLoadMass": 12.5}}
     with (
         driven(broker, "found", interface="other", factsheet=sheet),
+        driven(broker, "no$address", interface="other"),
         bridge_to(broker, interface="other") as bridge,
     ):
         (found,) = bridge.discover()

@@ -102,14 +102,18 @@ def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
         status = Collector()
         place = endpoint("missed", "transport", "status")
         source = bridge.open_source(place, ANYTHING, status.deliver)
+
+        def counted(name: str) -> int:
+            return int(str(source.facts()[name]))
+
         bridge.open_sink(endpoint("missed", "transport", "goal"), ANYTHING).send(goal("a", "b"))
         status.wait(1, patience())  # a state was seen, from which the next ones are counted
         for _ in range(3):
             driver.vehicle._headers.next("state")
-        wait(lambda: source.facts()["states_missed"] == 3, str(source.facts()), patience())
+        wait(lambda: counted("states_missed") >= 3, str(source.facts()), patience())
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
-        wait(lambda: source.facts()["states_unreadable"] == 1, str(source.facts()), patience())
+        wait(lambda: counted("states_unreadable") == 1, str(source.facts()), patience())
 
 
 def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:

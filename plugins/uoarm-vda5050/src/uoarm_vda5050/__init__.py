@@ -5,6 +5,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl
 from uoarm.model import Options
 from uoarm_vda5050._options import BRIDGE_OPTIONS, mistake
+from uoarm_vda5050._releases import SENT
 
 __all__ = ["uoarm_bridge_types"]
 
@@ -17,8 +18,7 @@ def _create(name: str, options: Options) -> Bridge:
 
 def _topic(address: tuple[str, ...], options: Options) -> str:
     del options
-    sent = {"order", "instantActions"}
-    return "/".join(address) if address and address[-1] in sent else ""
+    return "/".join(address) if address and address[-1] in SENT else ""
 
 
 def _doctor() -> dict[str, str]:

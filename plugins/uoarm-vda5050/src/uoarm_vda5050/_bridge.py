@@ -27,21 +27,20 @@ from uoarm.bridge import (
     reading_endpoint,
 )
 from uoarm.errors import MessageError
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
+from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._messages import Headers, VdaCodec, check_of
-from uoarm_vda5050._options import TRANSPORT, Place, place_of, prefix_of, release_of
+from uoarm_vda5050._options import TRANSPORT, Place, mistake, place_of, prefix_of, release_of
 from uoarm_vda5050._presence import Presence, Vehicle
 from uoarm_vda5050._published import Published, read_published
-from uoarm_vda5050._releases import TOPICS
+from uoarm_vda5050._releases import SENT, TOPICS
 from uoarm_vda5050._structures import TRANSPORT_PARTS, transport_structure, with_header
 from uoarm_vda5050._transport import TransportSink, TransportSource, call
 from uoarm_vda5050._transport_state import Times, TransportState
 
 __all__ = ["Vda5050Bridge"]
 
-_SENT = ("order", "instantActions")
 _RETAINED = ("connection", "factsheet")
 
 
@@ -113,7 +112,8 @@ class Vda5050Bridge(Bridge):
         return call(endpoint, follower, message, timeout)
 
     def _discover(self) -> tuple[Discovered, ...]:
-        vehicles = self._presence.online()
+        # Anybody may publish levels that no address can have, as an empty one.
+        vehicles = [one for one in self._presence.online() if not mistake(one, {})]
         details = self._factsheets()
         return tuple(self._discovered(one, details.get(one, "")) for one in vehicles)
 
@@ -160,7 +160,7 @@ class Vda5050Bridge(Bridge):
         headers = self._headers.setdefault(vehicle, Headers(self._release, *vehicle))
         codecs = {
             topic: self._reading(topic, self._published.body(topic), headers)
-            for topic in (*_SENT, "state")
+            for topic in (*SENT, "state")
         }
         times = Times(given.get("repeat", 2.0), given.get("accept_timeout", 15.0))
         return Follower(
@@ -223,17 +223,14 @@ class Vda5050Bridge(Bridge):
 
     def _discovered(self, vehicle: Vehicle, detail: str) -> Discovered:
         name = "/".join(vehicle)
-        ports: list[tuple[str, Role, tuple[str, ...]]]
-        ports = [(topic, Role.OUTPUT, (topic,)) for topic in TOPICS if topic not in _SENT]
-        ports += [(topic, Role.INPUT, (topic,)) for topic in _SENT]
-        for part in TRANSPORT_PARTS:
-            role = Role.INPUT if part in {"goal", "cancel"} else Role.OUTPUT
-            ports.append((part, role, (TRANSPORT, part)))
-        ports.append((TRANSPORT, Role.SERVICE, (TRANSPORT,)))
+        there: list[tuple[str, ...]] = [(topic,) for topic in TOPICS]
+        there += [(TRANSPORT, part) for part in TRANSPORT_PARTS]
         made = []
-        for port, role, rest in ports:
-            endpoint = Endpoint(self.name, name, role, (*vehicle, *rest), port)
-            made.append((endpoint, self._description(self._place(endpoint))))
+        for rest in (*there, (TRANSPORT,)):
+            address = (*vehicle, *rest)
+            place = place_of(address, {})
+            endpoint = Endpoint(self.name, name, place.roles[0], address, rest[-1])
+            made.append((endpoint, self._description(place)))
         return Discovered(name, tuple(made), detail)
 
     def _tell(self, channel: Any, health: Health, cause: str) -> None:

@@ -10,10 +10,18 @@ from attrs import frozen
 from uoarm_mqtt import CONNECTION_OPTIONS
 
 from uoarm.model import Options, Role, Schema
-from uoarm_vda5050._releases import RELEASES, TOPICS, Release
+from uoarm_vda5050._releases import RELEASES, SENT, TOPICS, Release
 from uoarm_vda5050._structures import TRANSPORT_PARTS
 
-__all__ = ["BRIDGE_OPTIONS", "Place", "mistake", "place_of", "prefix_of", "release_of"]
+__all__ = [
+    "BRIDGE_OPTIONS",
+    "TRANSPORT",
+    "Place",
+    "mistake",
+    "place_of",
+    "prefix_of",
+    "release_of",
+]
 
 _SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 
@@ -37,7 +45,6 @@ BRIDGE_OPTIONS: Schema = {
 
 TRANSPORT = "transport"
 _ID = re.compile(r"^[^/+#$\0]{1,200}$")
-_OUTPUTS = {"status", "feedback", "result"}
 
 
 def release_of(options: Mapping[str, Any]) -> Release:
@@ -74,23 +81,24 @@ class Place:
         """Manufacturer and serial number."""
         return self.manufacturer, self.serial_number
 
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """What an endpoint here can be; the first is what it usually is."""
+        if self.topic == TRANSPORT and not self.part:
+            return (Role.SERVICE,)
+        if self.topic in SENT:
+            return (Role.INPUT, Role.OUTPUT)
+        return (Role.INPUT,) if self.part in {"goal", "cancel"} else (Role.OUTPUT,)
+
     def check_role(self, role: Role) -> None:
         """Hold the place against a role.
 
         Raises:
             ValueError: it cannot have it; the text says what it can be.
         """
-        if self.topic == TRANSPORT and not self.part:
-            can = {Role.SERVICE}
-        elif self.topic == TRANSPORT:
-            can = {Role.OUTPUT if self.part in _OUTPUTS else Role.INPUT}
-        elif self.topic in {"order", "instantActions"}:
-            can = {Role.INPUT, Role.OUTPUT}
-        else:
-            can = {Role.OUTPUT}
-        if role not in can:
+        if role not in self.roles:
             what = f"{self.topic} {self.part}".strip()
-            allowed = " or ".join(sorted(one.value for one in can))
+            allowed = " or ".join(one.value for one in self.roles)
             raise ValueError(f"{what} is an {allowed}, not a {role.value}")
         if self.header and (role is not Role.OUTPUT or self.topic == TRANSPORT):
             raise ValueError("`header` is for outputs of topics: the bridge makes headers itself")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from attrs import frozen
 
-__all__ = ["RELEASES", "TOPICS", "ErrorTypes", "Release"]
+__all__ = ["RELEASES", "SENT", "TOPICS", "ErrorTypes", "Release"]
 
 TOPICS = ("order", "instantActions", "state", "visualization", "connection", "factsheet")
+SENT = ("order", "instantActions")
+"""Topics of messages to a vehicle; the others are of messages by it."""
 
 
 @frozen
