@@ -4,7 +4,7 @@
 A `BrokerConnection` of these settings connects at the first use and again after each break.
 Receivers are called in the thread of the network and must return at once: a `Backlog` hands what
 came to a thread of its own. `TopicSource` and `TopicSink` are the channels of one topic, with a
-`Codec` that reads payloads within a budget; a subclass of it may read more than JSON.
+`Codec` that reads payloads within a budget; a subclass of it may read more than JSON. ::
 
     broker = BrokerConnection("plant", settings_of("plant", {"url": "mqtt://127.0.0.1"}), told)
     broker.subscribe(Receiver("plant/+/state", backlog.put, retained=True))

@@ -1,6 +1,6 @@
 """The vehicle's side of VDA 5050, for simulators and tests.
 
-A program that drives, or pretends to, asks in its own loop what is to be done and says what was:
+A program that drives, or pretends to, asks in its own loop what is to be done and says what was::
 
     from uoarm_vda5050.vehicle import Act, Drive, Vehicle
 
