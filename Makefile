@@ -18,13 +18,16 @@ WANTS_ROS = @$(BIN)/python -c 'import platform, sys; \
   sys.exit(here != ("Linux", "x86_64") and "this needs ROS 2 from PyPI, which is there for Linux on x86_64, not for %s on %s; make demo and make live do without" % here)'
 
 .DELETE_ON_ERROR:
-.PHONY: attack demo live healthbot healthbot-tables warehouse plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
+.PHONY: attack demo live drive healthbot healthbot-tables warehouse plots test test-core test-long coverage changelog matrix lint types docs check bench fuzz mutation wheels smoke interop-rtm clean
 
 demo: $(VENV)/.demo  ## the paper's example on real footage
 	$(BIN)/python examples/vision/demo.py $(ARGS)
 
 live: $(VENV)/.live  ## the same chain without an end, with pictures at http://127.0.0.1:$(PORT)/
 	$(BIN)/python examples/vision/live.py --port $(PORT) $(ARGS)
+
+drive: $(VENV)/.drive  ## a base that drives while a button is held, and stops whoever dies
+	$(BIN)/python examples/drive/drive.py $(ARGS)
 
 healthbot: $(VENV)/.healthbot  ## the paper's case study: every part, and two applications
 	$(BIN)/python examples/healthbot/scene.py $(ARGS)
@@ -112,6 +115,12 @@ $(VENV)/.healthbot: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	$(BIN)/python -m pip install --progress-bar on \
 	  -e '.[vision-lbph,vision-dlib,healthbot,server,hosts]' -e 'plugins/uoarm-ros2[jazzy]' \
 	  -e plugins/uoarm-rtm -e 'plugins/uoarm-rocos[speech]' -e plugins/uoarm-rosbridge
+	@touch $@
+
+$(VENV)/.drive: pyproject.toml plugins/uoarm-ros2/pyproject.toml | $(BIN)/python
+	$(WANTS_ROS)
+	@echo "Installing uoarm and its bridge to ROS 2 into $(VENV) (once) ..."
+	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' -e 'plugins/uoarm-ros2[jazzy]'
 	@touch $@
 
 $(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)/python
