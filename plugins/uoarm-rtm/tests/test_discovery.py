@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from endpoints import Inbox, endpoint, looked
 from peers import Peer
+from uoarm_rtm import _orb
 from uoarm_rtm._nameserver import NameServer
 from uoarm_rtm._naming import NamingService, corbaloc
 from uoarm_rtm._orb import Orb
@@ -126,8 +127,10 @@ def test_tls_is_refused_by_name() -> None:
     {"unheard": 1}, {"idl": "module {"},
 ], ids=str)  # fmt: skip
 def test_wrong_options_of_a_bridge_are_refused(options: dict[str, Any]) -> None:
+    held = _orb._shared.users
     with pytest.raises((BridgeError, ConfigurationError)):
         Registry().create(BridgeSpec("rtm", "rtm", options))
+    assert _orb._shared.users == held
 
 
 @pytest.mark.parametrize(

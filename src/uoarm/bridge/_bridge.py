@@ -68,7 +68,7 @@ class Bridge(ABC):
         self._open: set[Channel] = set()
         self._is_closed = False
         self._listener: Callable[[HealthEvent], None] | None = None
-        self._calls = CallsUnderWay()
+        self._pending_calls = CallsUnderWay()
 
     @final
     @property
@@ -190,11 +190,14 @@ class Bridge(ABC):
         call = CallUnderWay(endpoint.component)
 
         def begin() -> Message:
-            with self._calls.begun(call):
+            with self._pending_calls.begun(call):
                 return self._call(endpoint, structures, message, timeout)
 
         return self._step(
-            f"calling {endpoint}", timeout, begin, on_give_up=lambda: self._calls.cancel(call)
+            f"calling {endpoint}",
+            timeout,
+            begin,
+            on_give_up=lambda: self._pending_calls.cancel(call),
         )
 
     @final
@@ -203,7 +206,7 @@ class Bridge(ABC):
 
         Does not wait for their ends. Returns whether the framework could be told of each.
         """
-        told = [self._calls.cancel(one) for one in self._calls.of(component)]
+        told = [self._pending_calls.cancel(one) for one in self._pending_calls.of(component)]
         return all(told)
 
     @final
@@ -215,7 +218,7 @@ class Bridge(ABC):
         ends it, in another thread, or here at once where that was before; maybe twice. It must
         return in bounded time. The call then ends as the framework says.
         """
-        return self._calls.cancelling(cancel)
+        return self._pending_calls.cancelling(cancel)
 
     @final
     def serve(

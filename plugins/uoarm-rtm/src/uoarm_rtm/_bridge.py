@@ -80,9 +80,13 @@ class RtmBridge(Bridge):
         self._types = Types(self._settings.idl, self._settings.text)
         seconds = self._settings.call_seconds
         self._orb = Orb(self._settings.address, seconds, self._settings.most_octets)
-        self._services = [
-            NamingService(self._orb, each, seconds) for each in self._settings.nameservers
-        ]
+        try:
+            self._services = [
+                NamingService(self._orb, each, seconds) for each in self._settings.nameservers
+            ]
+        except ValueError:
+            self._orb.close()  # nobody will close a bridge that was never made
+            raise
         self._directory = Directory(self._services, seconds)
         self._connections = Connections(self._orb, self._settings.component, seconds)
         self._guard = threading.Lock()
