@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from uoarm_ros2._goal_table import GoalTable
 from uoarm_ros2._middleware import GoalRequest
-from uoarm_ros2._offered_action import GoalTable
 
 
 class Clients:
