@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from brokers import Broker
 from fleet import MAKER, bridge_to, driven, endpoint, goal
+from uoarm_vda5050._follower import Follower
+from uoarm_vda5050._health_state import VehicleHealth
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._presence import Presence
 from uoarm_vda5050._releases import RELEASES
@@ -114,6 +117,33 @@ def test_states_that_were_not_followed_are_in_the_facts(broker: Broker) -> None:
         topic = f"{driver.vehicle._topic}/state"
         driver.vehicle._broker.publish(topic, b"{", lambda _: None, qos=0)
         wait(lambda: counted("states_unreadable") == 1, str(source.facts()), patience())
+
+
+@pytest.mark.parametrize("lacking", ["errors", "driving", "nodeStates"])
+def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_taken(
+    lacking: str,
+) -> None:
+    """As a schema of the user's may allow it."""
+    release = RELEASES["2.1"]
+    whole = state(VehicleState(release, frozenset()))
+    codec: Any = SimpleNamespace(split=lambda payload: ({}, json.loads(payload)))
+    link: Any = SimpleNamespace(subscribe=lambda _: None, unsubscribe=lambda _: None)
+    told: list[tuple[Health, str]] = []
+    health = VehicleHealth(patience())
+    follower = Follower(
+        link, "v2/m/s", TransportState(release), health, {"state": codec},
+        lambda *one: told.append(one),
+    )  # fmt: skip
+    try:
+        for body in ({key: whole[key] for key in whole if key != lacking}, whole):
+            event: Any = SimpleNamespace(payload=json.dumps(body))
+            follower._inbox.put(event)
+        wait(lambda: told and told[-1][0] is Health.OK, str(told))
+    finally:
+        follower.close()
+    assert told[0][0] is Health.DEGRADED
+    assert lacking in told[0][1]
+    assert follower.facts()["states_unreadable"] == 1
 
 
 def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:

@@ -122,17 +122,21 @@ class Follower:
                 self._do(self._transport.connection(online, why))
             return
         try:
-            header, body = self._codecs["state"].split(event.payload)
-        except MessageError as error:
+            self._take_state(event, now)
+        except (MessageError, LookupError, TypeError, ValueError) as error:
+            # A schema of the user's may allow what the rules of the standard cannot do without.
             self._unreadable += 1
-            self._tell(self._health.unreadable(str(error)))
-            return
+            why = str(error) if isinstance(error, MessageError) else repr(error)
+            self._tell(self._health.unreadable(why))
+
+    def _take_state(self, event: Incoming, now: float) -> None:
+        header, body = self._codecs["state"].split(event.payload)
         self._count_gap(header.get("headerId"))
         state: Any = body
         fatal = [words_of(one) for one in state["errors"] if one["errorLevel"] == "FATAL"]
-        self._tell(self._health.state(fatal, now))
         with self._lock:
             self._do(self._transport.state(state, now))
+        self._tell(self._health.state(fatal, now))
 
     def _count_gap(self, header_id: object) -> None:
         """Count the states between the last one and this one; a counter that went back is none."""
