@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import random
 import signal
@@ -263,9 +264,13 @@ def main(minutes: float, most: int, seed: int) -> None:
 
 
 def first_gap(lines: list[list[str]]) -> float | None:
-    """Return the seconds from the last command before the first stop to that."""
+    """Return the seconds from the last command before the first stop to that; None: there is none.
+
+    What comes before the first command is a stop of the round before, said again.
+    """
+    lines = list(itertools.dropwhile(lambda line: line[1] != "go", lines))
     stop = next((n for n, line in enumerate(lines) if line[1] == "stop"), None)
-    return None if not stop else float(lines[stop][0]) - float(lines[stop - 1][0])
+    return None if stop is None else float(lines[stop][0]) - float(lines[stop - 1][0])
 
 
 def of(values: list[float], share: float) -> float:
