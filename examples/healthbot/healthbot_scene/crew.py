@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import string
 import subprocess
 import sys
 import time
@@ -14,7 +15,7 @@ from types import TracebackType
 from attrs import frozen
 from typing_extensions import Self
 
-__all__ = ["Crew", "Part", "PartError", "Running"]
+__all__ = ["Crew", "Part", "PartError", "Running", "environment_of", "fill_in_robot"]
 
 _LOOK_SECONDS = 0.1
 _STOP_SECONDS = 8.0
@@ -170,3 +171,30 @@ class Crew:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def environment_of(run: Path, domain: int, paths: Sequence[Path], profiles: Path) -> dict[str, str]:
+    """Return the environment variables of every part of a scene: loopback only, its own domain.
+
+    Args:
+        run: folder of the run.
+        domain: of ROS 2.
+        paths: where its modules are.
+        profiles: of Fast DDS.
+    """
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(str, paths)),
+        "PYTHONUNBUFFERED": "1",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_LOG_DIR": str(run / "ros"),
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles),
+    }
+
+
+def fill_in_robot(template: Path, words: Mapping[str, object], run: Path) -> Path:
+    """Fill a robot file in, whose names stand behind dollar signs, and leave it with the run."""
+    file = run / "robot.yaml"
+    file.write_text(string.Template(template.read_text()).substitute(words))
+    return file

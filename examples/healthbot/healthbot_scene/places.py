@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
-import string
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from uoarm_vision.photos import photos_in
 from vision_demo.footage import prepare
 from vision_demo.ports import free_domain, free_ports, listens
 
+from healthbot_scene.crew import environment_of, fill_in_robot
 from healthbot_scene.separate import HOSTS
 
 __all__ = ["EXAMPLE", "Places", "make_places"]
@@ -71,15 +70,7 @@ class Places:
     def environment(self) -> dict[str, str]:
         """Return the environment variables of every part: loopback only, our own domain."""
         paths = (EXAMPLE, EXAMPLE / "records", EXAMPLE.parent / "vision")
-        return {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(map(str, paths)),
-            "PYTHONUNBUFFERED": "1",
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": str(self.domain),
-            "ROS_LOG_DIR": str(self.run / "ros"),
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(EXAMPLE / "discovery.xml"),
-        }
+        return environment_of(self.run, self.domain, paths, EXAMPLE / "discovery.xml")
 
     def write_robot(self, template: Path, hosts: Mapping[str, str] | None = None) -> Path:
         """Fill a robot file in and leave it in the folder of the run.
@@ -99,9 +90,7 @@ class Places:
             "names": self.nameserver,
             "records": self.records_url,
         }
-        file = self.run / "robot.yaml"
-        file.write_text(string.Template(template.read_text()).substitute(words))
-        return file
+        return fill_in_robot(template, words, self.run)
 
 
 def make_places(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import string
 import sys
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -12,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from attrs import frozen
-from healthbot_scene.crew import Part
+from healthbot_scene.crew import Part, environment_of, fill_in_robot
 from vision_demo.ports import free_domain, free_ports, listens
 
 __all__ = ["EXAMPLE", "Places", "make_places", "missing", "parts_of"]
@@ -71,16 +69,8 @@ class Places:
     def environment(self) -> dict[str, str]:
         """Return the environment variables of every part: loopback only, our own domain."""
         paths = (EXAMPLE, EXAMPLE.parent / "healthbot", EXAMPLE.parent / "vision")
-        return {
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(map(str, paths)),
-            "PYTHONUNBUFFERED": "1",
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": str(self.domain),
-            "ROS_LOG_DIR": str(self.run / "ros"),
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(EXAMPLE / "discovery.xml"),
-            "WAREHOUSE_FLOOR": str(self.floor),
-        }
+        common = environment_of(self.run, self.domain, paths, EXAMPLE / "discovery.xml")
+        return {**common, "WAREHOUSE_FLOOR": str(self.floor)}
 
     def write_robot(self, template: Path) -> Path:
         """Fill a robot file in and leave it in the folder of the run."""
@@ -91,9 +81,7 @@ class Places:
             "names": self.nameserver,
             "broker": self.broker_url,
         }
-        file = self.run / "robot.yaml"
-        file.write_text(string.Template(template.read_text()).substitute(words))
-        return file
+        return fill_in_robot(template, words, self.run)
 
 
 def make_places(run: Path) -> Places:
