@@ -11,7 +11,7 @@ import subprocess
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from types import TracebackType
 from typing import Any
 
@@ -50,6 +50,11 @@ def find_chromium() -> str | None:
     return next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
+def _is_removed(folder: str) -> bool:
+    shutil.rmtree(folder, ignore_errors=True)
+    return not Path(folder).exists()
+
+
 class Browser:
     """One Chromium with an empty profile, and one page in it."""
 
@@ -58,7 +63,9 @@ class Browser:
         self._ids = itertools.count(1)
         self.requests: list[str] = []
         self.complaints: list[str] = []
-        profile = self._stack.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
+        profile = mkdtemp()
+        # Its other processes end a little after the first one, and write there until then.
+        self._stack.callback(wait, lambda: _is_removed(profile), "chromium goes on writing")
         self._process = subprocess.Popen(
             [program, *OPTIONS, f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL,
