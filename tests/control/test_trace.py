@@ -5,22 +5,32 @@ Below `field` are logs of soaks that failed, pasted as they were written.
 
 from __future__ import annotations
 
+import importlib
 import logging
+import re
+from collections.abc import Callable, Mapping
+from http import HTTPStatus
 from pathlib import Path
 
 import pytest
 from tests.control.world import FACE, Plans
 
+import uoarm
 from uoarm import RobotManager
 from uoarm._control.discovery import candidate_watch
 from uoarm._control.reconciler import actions as act
 from uoarm._control.reconciler import events as ev
+from uoarm._control.reconciler.draft import InputInUseError
 from uoarm._control.reconciler.state import State, names
 from uoarm._control.reconciler.step import step
-from uoarm._control.reconciler.trace import read
+from uoarm._control.reconciler.trace import read, write
 from uoarm._control.runtime import executor
+from uoarm._resolve import NoPlanError
+from uoarm.client import ServerError
 from uoarm.config import loads
+from uoarm.errors import BridgeError, CommandRefusedError, FailureReason, UoarmError
 from uoarm.model import ConnectionState, FailoverPolicy, Health, Plan
+from uoarm.server.access._request_head import RefusedError
 from uoarm.testing import MemoryBridge, wait
 
 NUMBER = {"type": "integer"}
@@ -76,6 +86,64 @@ def test_a_log_of_events_replays_to_the_same_actions(
         event, now = read(line, find_plan)
         state, again = step(state, event, now)
         assert list(map(repr, again)) == list(map(repr, actions)), line
+
+
+# How those are made that need more than a text.
+MADE: Mapping[type[UoarmError], Callable[[str], UoarmError]] = {
+    NoPlanError: lambda text: NoPlanError(text, (), asked_in_vain=True),
+    InputInUseError: lambda text: InputInUseError(text, "best"),
+    CommandRefusedError: lambda text: CommandRefusedError(text, "leased"),
+    ServerError: lambda text: ServerError("busy", text),
+    RefusedError: lambda text: RefusedError(HTTPStatus.NOT_FOUND, text),
+}
+
+
+def _every_error() -> list[type[UoarmError]]:
+    source = Path(uoarm.__file__).parents[1]
+    for path in source.glob("uoarm/**/*.py"):
+        if re.search(r"^class \w+Error\(", path.read_text(encoding="utf-8"), re.MULTILINE):
+            importlib.import_module(".".join(path.relative_to(source).with_suffix("").parts))
+    found: list[type[UoarmError]] = [UoarmError]
+    for one in found:
+        found += one.__subclasses__()
+    own = [one for one in found if one.__module__.split(".")[0] == "uoarm"]
+    return sorted(own, key=lambda one: one.__name__)
+
+
+@pytest.mark.parametrize("kind", _every_error(), ids=lambda kind: kind.__name__)
+def test_every_error_is_read_back_as_itself(kind: type[UoarmError]) -> None:
+    assert [one.__name__ for one in _every_error()].count(kind.__name__) == 1
+    error = MADE.get(kind, kind)("it is 'hot'\nand \"wet\"")
+    _assert_same(error, ev.Resolved("c1", None, error))
+    _assert_same(error, ev.Opened(1, (), error))
+
+
+class _StalledError(BridgeError):
+    """An error of a plugin."""
+
+    def __init__(self, *, joint: int) -> None:
+        super().__init__(f"joint {joint} stalled", FailureReason.REFUSED)
+        self.joint = joint
+
+
+@pytest.mark.parametrize(
+    "error",
+    [_StalledError(joint=2), BridgeError("gone", FailureReason.UNAVAILABLE), RuntimeError("bug")],
+    ids=lambda error: type(error).__name__,
+)
+def test_the_errors_of_plugins_and_of_others_are_read_back_by_name_and_text(
+    error: Exception,
+) -> None:
+    _assert_same(error, ev.Opened(1, (), error))
+
+
+def _assert_same(error: Exception, event: ev.Event) -> None:
+    again, _ = read(write(event, 1.0), lambda *_: pytest.fail("there is no plan"))
+    assert type(again) is type(event)
+    got = getattr(again, "error", None)
+    assert isinstance(error, UoarmError) is (type(got) is type(error))
+    assert (repr(got), str(got)) == (repr(error), str(error))
+    assert getattr(got, "reason", None) == getattr(error, "reason", None)
 
 
 NEEDS = """

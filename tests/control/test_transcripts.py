@@ -154,6 +154,12 @@ class Player(World):
         """See that camera no more, whether it is in use or not."""
         self.discover(PLANS[self.robot])
 
+    def play_replaced(self, name: str) -> None:
+        """Have another component of this name for a candidate, while nobody uses it."""
+        number, bridges = self.state.candidates + 1, self.state.bridges
+        self.post(ev.CandidatesChanged(bridges, "so it is", number, frozenset({name})))
+        self.earlier, self.plans = self.plans, Plans(self.plans.text)
+
     def play_configure(self, change: str) -> None:
         """To one of the others of this robot, or back."""
         self.configure(self.first if change == "back" else CHANGED[self.robot, change])

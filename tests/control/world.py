@@ -229,8 +229,13 @@ class World:
             for robot in (self.plans.robot, plans.robot)
             for one in robot.components()
         }
-        self.seen |= {evolve(one, priority=0) for one in self.plans.robot.components()}
-        self.post(ev.CandidatesChanged(every, "so it is"))
+        # What is in use goes on as it runs; nothing else of the candidates before may be opened.
+        used = {one.name for one in self.state.components.values()}
+        in_use = (one for one in self.plans.robot.components() if one.name in used)
+        self.seen |= {evolve(one, priority=0) for one in in_use}
+        superseded = compare(self.plans.robot, plans.robot).superseded - used
+        number = self.state.candidates + 1
+        self.post(ev.CandidatesChanged(every, "so it is", number, superseded))
         self.earlier, self.plans = self.plans, plans
 
     def pass_time(self, seconds: float) -> None:
@@ -265,9 +270,7 @@ class World:
             assert isinstance(action, act.Resolve)
             event: ev.Event | None = self._resolve(action, self.before, self.state.revision - 1)
         elif is_old:
-            assert isinstance(action, act.Resolve)
-            assert self.earlier is not None
-            event = self._resolve(action, self.earlier, self.state.revision)
+            event = self._do_old(action)
         else:
             event = self._do(action, fails_at)
         if event is not None:
@@ -278,6 +281,8 @@ class World:
         for lane, actions in self.lanes.items():
             yield f"do {lane}", lambda world, lane=lane: world.do(lane)  # type: ignore[misc]
             first = actions[0]
+            if self.earlier is not None and isinstance(first, act.Resolve | act.FindReplacement):
+                yield f"old {lane}", lambda world, lane=lane: world.do(lane, is_old=True)  # type: ignore[misc]
             if isinstance(first, act.Open):
                 for at in range(len(first.parts)):
                     yield (
@@ -287,8 +292,6 @@ class World:
             elif isinstance(first, act.Resolve):
                 if self.state.revision:
                     yield f"late {lane}", lambda world, lane=lane: world.do(lane, is_late=True)  # type: ignore[misc]
-                if self.earlier is not None:
-                    yield f"old {lane}", lambda world, lane=lane: world.do(lane, is_old=True)  # type: ignore[misc]
             elif isinstance(first, act.SwitchInputs):
                 yield f"fail {lane}", lambda world, lane=lane: world.do(lane, fails_at=0)  # type: ignore[misc]
 
@@ -434,12 +437,23 @@ class World:
             return ev.PreferredChecked(action.connection, there)
         return ev.InputsSwitched(action.switchover, "" if fails_at is None else "no")
 
+    def _do_old(self, action: act.CallAction) -> ev.Event:
+        """Find a plan with the candidates before."""
+        assert self.earlier is not None
+        now, self.plans = self.plans, self.earlier
+        event = self._do(action, None)
+        self.plans = now
+        assert isinstance(event, ev.Resolved | ev.ReplacementSought)
+        return event
+
     def _resolve(self, action: act.Resolve, plans: Plans, revision: int) -> ev.Event:
         try:
             plan = plans(action.function, self.dead)
         except ResolutionError as error:
             return ev.Resolved(action.connection, None, error, revision)
-        return ev.Resolved(action.connection, plan, revision=revision)
+        return ev.Resolved(
+            action.connection, plan, revision=revision, candidates=self._candidates()
+        )
 
     def _find(self, action: act.FindReplacement) -> ev.Event:
         asked = action.connection, action.attempt
@@ -453,7 +467,13 @@ class World:
             )
         except ResolutionError as error:
             return ev.ReplacementSought(*asked, None, str(error), action.switchover)
-        return ev.ReplacementSought(*asked, plan, switchover=action.switchover)
+        return ev.ReplacementSought(
+            *asked, plan, switchover=action.switchover, candidates=self._candidates()
+        )
+
+    def _candidates(self) -> int:
+        """Return the number of the candidates with which a plan is found."""
+        return self.state.candidates - (self.plans is self.earlier)
 
     def _open(self, action: act.Open, fails_at: int | None) -> ev.Event:
         done: list[Part] = []

@@ -6,13 +6,13 @@ import asyncio
 import logging
 import time
 from abc import abstractmethod
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from functools import partial
+from functools import partial, wraps
 from os import PathLike
 from types import TracebackType
-from typing import Any, Generic, TypeVar, final, overload
+from typing import Any, Concatenate, Generic, ParamSpec, TypeVar, final, overload
 
 from typing_extensions import Self
 
@@ -25,23 +25,15 @@ from uoarm._renewal import HeldCommand
 from uoarm.bridge import Registry
 from uoarm.errors import ConnectionClosedError, UsageError
 from uoarm.model import (
-    BridgeFindings,
-    ConfigurationChange,
     ConnectionState,
-    ConnectionStatus,
     Deliver,
-    FunctionStatus,
     Gap,
     LeaseHolder,
     Message,
-    MessageStructure,
-    OfferStatus,
     Plan,
     QueuePolicy,
     Robot,
-    RouteStatus,
     StatusEvent,
-    StatusMap,
     StopReport,
     ValidationMode,
 )
@@ -49,15 +41,29 @@ from uoarm.model import (
 __all__ = ["AsyncConnection", "AsyncRobotManager"]
 
 Result = TypeVar("Result")
+Threaded = TypeVar("Threaded")
+P = ParamSpec("P")
 _AT_ONCE = 32
 _log = logging.getLogger("uoarm")
 
 
-class _Closing:
-    """Closed at the end of an `async with`."""
+class _Twin(Generic[Threaded]):
+    """What has the methods of something that blocks, awaited; closed at the end of `async with`.
+
+    Args:
+        threaded: that something.
+        executor: its threads wait.
+    """
+
+    def __init__(self, threaded: Threaded, executor: ThreadPoolExecutor) -> None:
+        self._threaded = threaded
+        self._executor = executor
 
     @abstractmethod
     async def close(self) -> None: ...
+
+    async def _outside(self, action: Callable[[], Result]) -> Result:
+        return await asyncio.wrap_future(self._executor.submit(action))
 
     async def __aenter__(self) -> Self:
         return self
@@ -70,9 +76,39 @@ class _Closing:
     ) -> None:
         await self.close()
 
+    def __repr__(self) -> str:
+        return f"<Async{repr(self._threaded)[1:]}"
+
+
+def _awaited(
+    method: Callable[Concatenate[Threaded, P], Result],
+) -> Callable[Concatenate[_Twin[Threaded], P], Coroutine[Any, Any, Result]]:
+    """Return the twin of a method that blocks: it runs outside the loop's thread, and is awaited.
+
+    Parameters, result and text are those of the method, for type checkers and documentation too.
+    """
+
+    @wraps(method)
+    async def twin(self: _Twin[Threaded], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+        return await self._outside(partial(method, self._threaded, *args, **kwargs))
+
+    return twin
+
+
+def _at_once(
+    method: Callable[Concatenate[Threaded, P], Result],
+) -> Callable[Concatenate[_Twin[Threaded], P], Result]:
+    """Return the twin of a method that does not block, which is called as it is."""
+
+    @wraps(method)
+    def twin(self: _Twin[Threaded], /, *args: P.args, **kwargs: P.kwargs) -> Result:
+        return method(self._threaded, *args, **kwargs)
+
+    return twin
+
 
 @final
-class AsyncConnection(_Closing, Generic[T]):
+class AsyncConnection(_Twin[Connection[T]], Generic[T]):
     """A connection read from an event loop: `async for`, `await get()`, `async with`.
 
     However many messages arrive, the loop is woken once until it has read them. Use it from the
@@ -80,8 +116,7 @@ class AsyncConnection(_Closing, Generic[T]):
     """
 
     def __init__(self, connection: Connection[T], executor: ThreadPoolExecutor) -> None:
-        self._connection = connection
-        self._executor = executor
+        super().__init__(connection, executor)
         self._loop = asyncio.get_running_loop()
         self._arrived = asyncio.Event()
         self._woken = False
@@ -91,50 +126,50 @@ class AsyncConnection(_Closing, Generic[T]):
     @property
     def id(self) -> str:
         """The connection's id in the status map."""
-        return self._connection.id
+        return self._threaded.id
 
     @property
     def plan(self) -> Plan:
         """The plan that runs."""
-        return self._connection.plan
+        return self._threaded.plan
 
     @property
     def state(self) -> ConnectionState:
         """Where in its life the connection is."""
-        return self._connection.state
+        return self._threaded.state
 
     @property
     def cause(self) -> str:
         """Why it ended, or for what it waits; empty while it runs and after `kill`."""
-        return self._connection.cause
+        return self._threaded.cause
 
     @property
     def output(self) -> str | None:
         """The output that the application receives, None where it receives none."""
-        return self._connection.output
+        return self._threaded.output
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
         """The changes of plan so far, oldest first, the newest thousand of them."""
-        return self._connection.gaps
+        return self._threaded.gaps
 
     @property
     def ended(self) -> bool:
         """Whether the connection is closed, for whatever reason."""
-        return self._connection.ended
+        return self._threaded.ended
 
     async def get(self, timeout: float | None = None) -> T:
         """Return the next message; raises as `Connection.get` does."""
         deadline = None if timeout is None else self._loop.time() + timeout
-        self._connection._on_wake(self._wake)  # noqa: SLF001 - its twin
+        self._threaded._on_wake(self._wake)  # noqa: SLF001 - its twin
         while True:
             self._arrived.clear()
             self._woken = False
             try:
-                return self._connection.get(0)
+                return self._threaded.get(0)
             except TimeoutError:
                 if deadline is not None and self._loop.time() >= deadline:
-                    trouble = self._connection._trouble()  # noqa: SLF001 - its twin
+                    trouble = self._threaded._trouble()  # noqa: SLF001 - its twin
                     raise TimeoutError(f"no message within {timeout:g} s{trouble}") from None
                 await event_by(self._arrived, deadline)
 
@@ -172,27 +207,14 @@ class AsyncConnection(_Closing, Generic[T]):
 
         return end
 
-    async def send(
-        self,
-        message: Message,
-        port: str | None = None,
-        *,
-        sender: LeaseHolder | None = None,
-        take_over: bool = False,
-    ) -> None:
-        """Hand one message to an input, as `Connection.send` does, outside the loop's thread."""
-        send = partial(self._connection.send, sender=sender, take_over=take_over)
-        await self._outside(partial(send, message, port))
-
-    async def stop(
-        self,
-        port: str | None = None,
-        *,
-        sender: LeaseHolder | None = None,
-        timeout: float = 2.0,
-    ) -> None:
-        """Stop an input that moves something, as `Connection.stop` does."""
-        await self._outside(partial(self._connection.stop, port, sender=sender, timeout=timeout))
+    send = _awaited(Connection.send)
+    stop = _awaited(Connection.stop)
+    leave = _awaited(Connection.leave)
+    flush = _awaited(Connection.flush)
+    kill = _awaited(Connection.kill)
+    lifetimes = _at_once(Connection.lifetimes)
+    status = _at_once(Connection.status)
+    routes = _at_once(Connection.routes)
 
     @asynccontextmanager
     async def hold(
@@ -208,7 +230,7 @@ class AsyncConnection(_Closing, Generic[T]):
 
         A thread renews it, so that a loop that is busy for a while does not stop what moves.
         """
-        hold = partial(self._connection.hold, message, port, period=period, sender=sender)
+        hold = partial(self._threaded.hold, message, port, period=period, sender=sender)
         held = await self._outside(partial(hold, take_over=take_over))
         command = await self._outside(held.__enter__)
         try:
@@ -216,36 +238,9 @@ class AsyncConnection(_Closing, Generic[T]):
         finally:
             await self._outside(partial(held.__exit__, None, None, None))
 
-    async def leave(self, sender: LeaseHolder) -> None:
-        """Give back what leases a sender holds, as `Connection.leave` does."""
-        await self._outside(partial(self._connection.leave, sender))
-
-    def lifetimes(self) -> Mapping[str, float]:
-        """Return for how many seconds a command lives, by input; those without one are left out."""
-        return self._connection.lifetimes()
-
-    async def flush(self, timeout: float) -> bool:
-        """Wait until the component has taken what was sent; False when time ran out."""
-        return await self._outside(partial(self._connection.flush, timeout))
-
-    async def kill(self) -> None:
-        """End the connection, outside the loop's thread."""
-        await self._outside(self._connection.kill)
-
     async def close(self) -> None:
         """End the connection: another name for `kill`, the word of the paper."""
         await self.kill()
-
-    def status(self) -> ConnectionStatus:
-        """Return what the status map shows."""
-        return self._connection.status()
-
-    def routes(self) -> tuple[RouteStatus, ...]:
-        """Return the counters of the routes that belong to this connection alone."""
-        return self._connection.routes()
-
-    def __repr__(self) -> str:
-        return f"<Async{repr(self._connection)[1:]}"
 
     async def _read(self) -> None:
         try:
@@ -258,9 +253,6 @@ class AsyncConnection(_Closing, Generic[T]):
         except ConnectionClosedError as error:
             _log.debug("%s", error)  # its state and cause say so to whoever asks
 
-    async def _outside(self, action: Callable[[], Result]) -> Result:
-        return await asyncio.wrap_future(self._executor.submit(action))
-
     def _wake(self) -> None:
         if not self._woken:
             self._woken = True
@@ -271,7 +263,7 @@ class AsyncConnection(_Closing, Generic[T]):
 
 
 @final
-class AsyncRobotManager(_Closing):
+class AsyncRobotManager(_Twin[RobotManager]):
     """A robot manager whose waiting calls are awaited; wraps one that lives on.
 
     Waiting calls run in threads of its own, 32 at once and 32 more of connections; further ones
@@ -282,8 +274,8 @@ class AsyncRobotManager(_Closing):
     """
 
     def __init__(self, robot: RobotManager) -> None:
+        super().__init__(robot, ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async"))
         self.robot = robot
-        self._asking = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async")
         # What ends a connection never waits for a bridge that hangs as another one is opened.
         self._handling = ThreadPoolExecutor(_AT_ONCE, thread_name_prefix="uoarm-async-handle")
 
@@ -318,15 +310,16 @@ class AsyncRobotManager(_Closing):
         """The bridge plugins."""
         return self.robot.registry
 
-    async def resolve(self, name: str, *, timeout: float = 60.0) -> Plan:
-        """Return the plan that `request` would open; raises as `RobotManager.resolve`."""
-        return await self._outside(partial(self.robot.resolve, name, timeout=timeout))
-
-    async def structures(
-        self, component: str, *, timeout: float = 60.0
-    ) -> Mapping[str, MessageStructure]:
-        """Return the structures of a component's ports, as `RobotManager.structures` does."""
-        return await self._outside(partial(self.robot.structures, component, timeout=timeout))
+    resolve = _awaited(RobotManager.resolve)
+    structures = _awaited(RobotManager.structures)
+    check_availability = _awaited(RobotManager.check_availability)
+    discover = _awaited(RobotManager.discover)
+    apply = _awaited(RobotManager.apply)
+    reload = _awaited(RobotManager.reload)
+    rollback = _awaited(RobotManager.rollback)
+    offer = _awaited(RobotManager.offer)
+    history = _at_once(RobotManager.history)
+    status = _at_once(RobotManager.status)
 
     @overload
     async def request(
@@ -368,7 +361,7 @@ class AsyncRobotManager(_Closing):
         closed as soon as it has opened.
         """
         ask = partial(self.robot.request, name, validate=validate, queue=queue, timeout=timeout)
-        asked = self._asking.submit(partial(ask, as_type=as_type))
+        asked = self._executor.submit(partial(ask, as_type=as_type))
         try:
             connection = AsyncConnection(await asyncio.wrap_future(asked), self._handling)
         except asyncio.CancelledError:
@@ -402,76 +395,6 @@ class AsyncRobotManager(_Closing):
         """
         return tuple(AsyncConnection(one, self._handling) for one in self.robot.connections())
 
-    def status(self) -> StatusMap:
-        """Return the whole system as it is at this moment."""
-        return self.robot.status()
-
-    async def discover(
-        self, *, timeout: float = 10.0, grace: float | None = None
-    ) -> tuple[BridgeFindings, ...]:
-        """Return what every bridge sees now, configured or not; opens nothing."""
-        return await self._outside(partial(self.robot.discover, timeout=timeout, grace=grace))
-
-    async def apply(
-        self,
-        robot: Robot,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        revision: int | None = None,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Change the configuration while the manager runs, as `RobotManager.apply` does."""
-        change = partial(
-            self.robot.apply,
-            robot,
-            dry_run=dry_run,
-            force=force,
-            revision=revision,
-            timeout=timeout,
-        )
-        return await self._outside(change)
-
-    async def reload(
-        self,
-        path: str | PathLike[str] | None = None,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Read a configuration file and apply it, as `RobotManager.reload` does."""
-        reload = partial(self.robot.reload, path, dry_run=dry_run, force=force, timeout=timeout)
-        return await self._outside(reload)
-
-    async def rollback(
-        self,
-        to: int,
-        *,
-        dry_run: bool = False,
-        force: bool = False,
-        revision: int | None = None,
-        timeout: float = 60.0,
-    ) -> ConfigurationChange:
-        """Apply an earlier revision's configuration again, as `RobotManager.rollback` does."""
-        change = partial(
-            self.robot.rollback,
-            to,
-            dry_run=dry_run,
-            force=force,
-            revision=revision,
-            timeout=timeout,
-        )
-        return await self._outside(change)
-
-    async def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
-        """Open what the configuration offers in frameworks, as `RobotManager.offer` does."""
-        return await self._outside(partial(self.robot.offer, timeout=timeout))
-
-    def history(self) -> tuple[ConfigurationChange, ...]:
-        """Return the last hundred revisions of the configuration, the one in force last."""
-        return self.robot.history()
-
     async def stop_all(self, *, timeout: float = 2.0) -> StopReport:
         """Stop every input that moves something, as `RobotManager.stop_all` does."""
         # Not among other calls, for which it might have to wait.
@@ -485,10 +408,6 @@ class AsyncRobotManager(_Closing):
     def is_stopped(self) -> bool:
         """Whether commands are refused, from `stop_all` to `release`."""
         return self.robot.is_stopped
-
-    async def check_availability(self) -> tuple[FunctionStatus, ...]:
-        """Return which functions and components can be had now; opens nothing."""
-        return await self._outside(self.robot.check_availability)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Tell a listener every change from now on, in order and in the loop; returns what ends it.
@@ -518,12 +437,6 @@ class AsyncRobotManager(_Closing):
     async def close(self) -> None:
         """Close the manager. Idempotent; bounded in time."""
         await asyncio.wrap_future(self._handling.submit(self.robot.close))
-
-    def __repr__(self) -> str:
-        return f"<Async{repr(self.robot)[1:]}"
-
-    async def _outside(self, action: Callable[[], Result]) -> Result:
-        return await asyncio.wrap_future(self._asking.submit(action))
 
     def _put_away(self, asked: Future[Connection]) -> None:
         """Close what was opened for a task that is gone."""

@@ -224,9 +224,14 @@ class Connection(Generic[T]):
         return {} if ports is None else ports.lifetimes()
 
     def flush(self, timeout: float) -> bool:
-        """Wait until the component has taken what was sent; False when time ran out.
+        """Wait until the component has taken what was sent, `timeout` seconds at most an input.
 
         `kill` discards what a slower component has not taken yet; call this before it.
+
+        Returns:
+            False when time ran out, or when a message since the last flush was refused or
+            raised something, whose text `status` has. What a queue dropped for newer messages
+            does not matter; for a component in a host it is the link that has taken it.
         """
         ports = self._runtime.ports
         return ports is None or ports.flush(timeout)

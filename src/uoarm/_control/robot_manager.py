@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -15,31 +13,30 @@ from typing import Any, final, overload
 
 from uoarm import _bounded
 from uoarm._control.bridges.bridge_set import BridgeSet
+from uoarm._control.configuration_changes import ConfigurationChanges
 from uoarm._control.connection import Connection
 from uoarm._control.discovery.availability import check_availability
 from uoarm._control.discovery.candidate_watch import CandidateWatch
-from uoarm._control.discovery.discovery import Discovery
-from uoarm._control.live.connection_runtime import ConnectionRuntime
+from uoarm._control.discovery.discovery import Discovery, with_rates
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.staleness import StalenessWatch
 from uoarm._control.live.stop_file import StopFile
 from uoarm._control.offers.offered_function import offered_structures
 from uoarm._control.offers.offers import Offers
-from uoarm._control.reconciler.events import Requested
 from uoarm._control.reconciler.state import State, recently
+from uoarm._control.requests import Requests
 from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.executor import Executor
-from uoarm._control.runtime.revisions import Revision, Revisions, StagedRevision
+from uoarm._control.runtime.kept_file import KeptFile
+from uoarm._control.runtime.revisions import Revisions
 from uoarm._control.services import Services
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
 from uoarm._mistakes import choose
 from uoarm._resolve import Unavailable
-from uoarm._spans import span
 from uoarm.bridge import Bridge, HealthEvent, Registry
 from uoarm.config import assign, load
 from uoarm.errors import (
-    ConfigurationError,
     ConnectionClosedError,
     ResolutionError,
     UsageError,
@@ -48,15 +45,12 @@ from uoarm.model import (
     BridgeFindings,
     ConfigurationChange,
     Deliver,
-    Effect,
     FunctionStatus,
-    Health,
     Message,
     MessageStructure,
     Offer,
     OfferStatus,
     Plan,
-    PortRef,
     QueuePolicy,
     Robot,
     StatusEvent,
@@ -101,9 +95,8 @@ class RobotManager:
         stop_file: str | PathLike[str] | None = None,
     ) -> None:
         self.registry = registry or Registry()
+        file = KeptFile(robot)
         robot = assign(robot, self.registry.types)
-        self._clock = clock
-        self._numbers = itertools.count(1)
         self._events = EventDispatcher(clock)
         self._bridges = BridgeSet(
             robot.bridges,
@@ -135,6 +128,9 @@ class RobotManager:
         self._candidates = CandidateWatch(
             self._revisions, self._executor, self._bridges.get, self.registry.types, clock
         )
+        self._requests = Requests(
+            self._revisions, self._executor, self._candidates, self._events, clock
+        )
         self._services = Services(
             self._bridges.get,
             lambda: self._executor.state.policy.failing,
@@ -151,6 +147,14 @@ class RobotManager:
             self._executor.edges,
             lambda event: self._executor.report(event, is_avoided=True),
             clock,
+        )
+        self._changes = ConfigurationChanges(
+            file,
+            self.registry.types,
+            self._revisions,
+            self._executor,
+            self._offers,
+            self._watch_rates,
         )
         self._watch_rates(robot)
         self._bridges.machines.begin()
@@ -198,19 +202,7 @@ class RobotManager:
             BridgeTimeoutError: no plan within `timeout` seconds; the text says what hung.
         """
         self._require_open()
-        self._candidates.wait(timeout)
-        function = _reference(name).function
-        revision = self._revisions.current
-        known = self._known(function, revision)
-        if known is not None:
-            return known
-        avoided = recently(self._executor.state.avoided, self._clock())
-        with span("resolve", function=function):
-            return _bounded.run(
-                f"resolving {function!r}",
-                timeout,
-                lambda: revision.resolve(function, avoided=avoided),
-            )
+        return self._requests.resolve(name, timeout)
 
     @overload
     def request(
@@ -270,34 +262,7 @@ class RobotManager:
         """
         self._require_open()
         mode = choose(ValidationMode, validate, "validate", UsageError)
-        wanted = _reference(name)
-        self._candidates.wait(timeout)
-        wanted_type = self._typed(as_type, name, timeout)
-        revision = self._revisions.current
-        identity = f"c{next(self._numbers)}"
-        tell = partial(self._events.post, f"connection {identity}", Health.DEGRADED.value)
-        runtime = ConnectionRuntime(identity, queue or _INBOX, tell)
-        if on_message is not None:
-            take = on_message if wanted_type is None else wanted_type.callback(on_message)
-            runtime.receiver.inbox.subscribe(take)
-        event = Requested(
-            runtime.id,
-            wanted,
-            mode,
-            waiter=f"request {runtime.id}",
-            plan=self._known(wanted.function, revision),
-            is_heard=on_message is not None,
-            revision=revision.number,
-        )
-        connection = Connection(runtime, self._executor, wanted_type)
-        self._executor.request(runtime, event, f"request for {name!r}", timeout)
-        if wanted_type is not None:
-            try:  # of the plan that was opened, which may be another one than was found above
-                wanted_type.require(_given(connection.plan, connection.output, name).schema)
-            except UsageError:
-                connection.kill()
-                raise
-        return connection
+        return self._requests.open(name, as_type, mode, queue or _INBOX, on_message, timeout)
 
     @overload
     def call(
@@ -440,10 +405,10 @@ class RobotManager:
         base = self._revisions.current.base
         if grace is not None:
             with self._discovering:
-                return self._discovery.look(base, timeout, grace)
+                return self._with_rates(self._discovery.look(base, timeout, grace))
         discovery = Discovery(self._bridges.get)
         try:
-            return discovery.look(base, timeout)
+            return self._with_rates(discovery.look(base, timeout))
         finally:
             discovery.close()
 
@@ -461,6 +426,8 @@ class RobotManager:
         dry_run: bool = False,
         force: bool = False,
         revision: int | None = None,
+        keep: bool = False,
+        reload_code: bool = False,
         timeout: float = 60.0,
     ) -> ConfigurationChange:
         """Change the configuration while the manager runs; one change at a time.
@@ -477,41 +444,32 @@ class RobotManager:
                 started for that, asked for structures and closed again.
             force: whether connections may end for it that find no other plan.
             revision: of the configuration that the change was made for; None: any.
+            keep: whether it is written to the file of the configuration in force, whose comments
+                and order stay; else the file stays as it is.
+            reload_code: whether the code of Python components is read again. Each is then a new
+                instance, which takes the place of the one that runs. Where one cannot be had with
+                its new code, nothing changes.
             timeout: seconds, for finding out what would happen, and once more for moving.
 
         Raises:
-            ConfigurationError: connections would end, or it changes what cannot be changed while
-                the manager runs: other machines, and where they join. Nothing has changed.
-            UsageError: another revision is in force. Nothing has changed.
+            ConfigurationError: connections would end, a component cannot be had with its new code,
+                or other machines cannot join at the address that it has for them. Or the file
+                cannot be written. Nothing has changed, unless the text says that it is in force.
+            UsageError: another revision is in force. Or it cannot be kept: nothing was read from a
+                file, or somebody else has changed the file. Nothing has changed, unless likewise.
             BridgeTimeoutError: a bridge hangs. Nothing has changed, unless the text says that
                 connections were changing already.
         """
         self._require_open()
-        what = "finding out what the change of configuration would do"
-        with self._revisions.alone(timeout):
-            self._revisions.require(revision)
-            staged = _bounded.run(
-                what, timeout, lambda: self._stage(robot), on_late=lambda late: late.bridges.close()
-            )
-            gone = self._offers.connections_without(robot)
-            ending = [
-                one
-                for one in staged.change.connections
-                if one.effect is Effect.ENDS and one.connection not in gone
-            ]
-            if dry_run or (ending and not force):
-                staged.bridges.close()
-            if dry_run:
-                return staged.change
-            if ending and not force:
-                told = "\n".join(f"  {one}" for one in ending)
-                raise ConfigurationError(
-                    f"the change would end connections; force it, or kill them first:\n{told}"
-                )
-            self._watch_rates(robot)
-            self._executor.configure(staged, timeout)
-            self._offers.follow()
-            return self._revisions.history()[-1]
+        return self._changes.apply(
+            robot,
+            is_dry_run=dry_run,
+            is_forced=force,
+            revision=revision,
+            keeps=keep,
+            reloads_code=reload_code,
+            timeout=timeout,
+        )
 
     def reload(
         self,
@@ -519,9 +477,12 @@ class RobotManager:
         *,
         dry_run: bool = False,
         force: bool = False,
+        reload_code: bool = False,
         timeout: float = 60.0,
     ) -> ConfigurationChange:
         """Read a configuration file and `apply` it; None: the file that is in force, again.
+
+        The code of Python components goes on as it is, unless `reload_code` asks for it anew.
 
         Raises:
             UsageError: the configuration in force is of no file, and no other is named.
@@ -531,7 +492,12 @@ class RobotManager:
         if not path:
             raise UsageError("the configuration was not read from a file: name one")
         robot = load(path, self.registry.types)
-        return self.apply(robot, dry_run=dry_run, force=force, timeout=timeout)
+        change = self.apply(
+            robot, dry_run=dry_run, force=force, reload_code=reload_code, timeout=timeout
+        )
+        if change.is_applied:
+            self._changes.note(robot)
+        return change
 
     def rollback(
         self,
@@ -540,15 +506,17 @@ class RobotManager:
         dry_run: bool = False,
         force: bool = False,
         revision: int | None = None,
+        keep: bool = False,
         timeout: float = 60.0,
     ) -> ConfigurationChange:
         """Apply the configuration of an earlier revision again, as a revision of its own.
 
         Args:
             to: the number of the revision.
-            dry_run: as `apply` has it, and so `force`, `revision` and `timeout`.
+            dry_run: as `apply` has it, and so `force`, `revision`, `keep` and `timeout`.
             force: likewise.
             revision: likewise.
+            keep: likewise.
             timeout: likewise.
 
         Raises:
@@ -559,7 +527,9 @@ class RobotManager:
         robot = kept.get(to)
         if robot is None:
             raise UsageError(f"revision {to} is not kept: {min(kept)} to {max(kept)} are")
-        return self.apply(robot, dry_run=dry_run, force=force, revision=revision, timeout=timeout)
+        return self.apply(
+            robot, dry_run=dry_run, force=force, revision=revision, keep=keep, timeout=timeout
+        )
 
     def history(self) -> tuple[ConfigurationChange, ...]:
         """Return the last hundred revisions of the configuration, the one in force last."""
@@ -606,24 +576,11 @@ class RobotManager:
             _log.warning("%s", failure)
         self._events.close()
 
-    def _typed(self, hint: Any, name: str, timeout: float) -> MessageType[Any] | None:
-        """Return the type that an application wants, proven to be what the function gives."""
-        if hint is None:
-            return None
-        wanted: MessageType[Any] = MessageType(hint, f"function {name!r}")
-        reference = _reference(name)
-        plan = self.resolve(reference.function, timeout=timeout)
-        wanted.require(_given(plan, reference.port, name).schema)
-        return wanted
-
-    def _known(self, function: str, revision: Revision) -> Plan | None:
-        """Return the plan that was found before, unless it may use what is avoided now."""
-        avoided = recently(self._executor.state.avoided, self._clock())
-        return None if avoided else revision.resolver.known(function)
-
-    def _stage(self, robot: Robot) -> StagedRevision:
-        robot = assign(robot, self.registry.types)
-        return self._revisions.stage(robot, lambda: self._executor.state)
+    def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
+        shared = [route for one in self._executor.edges() if (route := one.status()) is not None]
+        own = [route for connection in self.connections() for route in connection.routes()]
+        rates = {one.producer: one.rate for one in (*shared, *own) if one.rate is not None}
+        return with_rates(findings, rates, self.config)
 
     def _watch_rates(self, robot: Robot) -> None:
         if any(one.expect for each in robot.components() for one in each.outputs):
@@ -657,22 +614,3 @@ class RobotManager:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-def _given(plan: Plan, output: str | None, name: str) -> MessageStructure:
-    """Return the structure of the messages that an application receives of a plan."""
-    component = plan.provider.component
-    given = component.output(output)
-    if given is None:
-        names = ", ".join(one.name for one in component.outputs)
-        has = (
-            f"has the outputs {names}" if names else "has no output, so that `as_type` says nothing"
-        )
-        raise UsageError(f"function {name!r} {has}")
-    return plan.provider.structures[f"output.{given.name}"]
-
-
-def _reference(name: str) -> PortRef:
-    """Read `function` or `function.output`."""
-    function, dot, port = name.partition(".")
-    return PortRef(function, port if dot else None)

@@ -103,8 +103,8 @@ class Services:
         if endpoint.command is not None and endpoint.command.lifetime is not None:
             timeout = min(timeout, endpoint.command.lifetime)
         try:
-            with self._emergency_stop.calling(bridge, endpoint, name):
-                reply = _answer(bridge, step, endpoint, message, timeout)
+            with self._emergency_stop.calling(bridge, endpoint, name) as number:
+                reply = _answer(bridge, step, endpoint, message, timeout, number)
         except CommandRefusedError:
             raise  # nobody is to blame
         except Exception as error:
@@ -165,11 +165,11 @@ class Services:
 
 
 def _answer(
-    bridge: Bridge, step: Step, endpoint: Endpoint, message: Message, timeout: float
+    bridge: Bridge, step: Step, endpoint: Endpoint, message: Message, timeout: float, number: int
 ) -> Message:
     """Call a service; what raises here is the service, or its bridge."""
     structures = ServiceStructures(step.structures["request"], step.structures["reply"])
-    reply = bridge.call(endpoint, message, structures, timeout=timeout)
+    reply = bridge.call(endpoint, message, structures, timeout=timeout, number=number)
     try:
         _check(reply, structures.reply, f"the reply of the service {step.component.name}")
     except MessageError as error:

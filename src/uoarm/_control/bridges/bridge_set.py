@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 from uoarm import _bounded
 from uoarm._control.bridges.hosted import start_hosted
-from uoarm._control.bridges.machines import Machines
+from uoarm._control.bridges.machines import Machines, StagedMachines
 from uoarm._control.bridges.restarts import Restarts
 from uoarm._dataplane import Clock
 from uoarm.bridge import Bridge, HealthEvent, Registry
@@ -84,7 +84,7 @@ class BridgeSet:
             if bridge is not None:
                 return bridge
             spec = self._specs.get(name)
-            bridge = self._start(name, spec)
+            bridge = self._start(name, spec, self.machines)
             with self._lock:
                 # What another configuration has no more is closed where it would go unnoticed.
                 keep = not self._closed and self._specs.get(name) == spec
@@ -127,17 +127,23 @@ class BridgeSet:
                 self._retiring.add(thread)
                 thread.start()
 
-    def stage(self, specs: Mapping[str, BridgeSpec]) -> StagedBridges:
-        """Return the bridges of another configuration: these, where they stay as they are."""
-        return StagedBridges(self, self._specs, specs, self._start)
+    def stage(self, specs: Mapping[str, BridgeSpec], listening: Listening | None) -> StagedBridges:
+        """Return the bridges of another configuration: these, where they stay as they are.
+
+        Raises:
+            BridgeError: other machines cannot join at its address.
+            PluginError: the extra `uoarm[hosts]` is missing.
+        """
+        machines = self.machines.stage(specs, listening)
+        return StagedBridges(self, self._specs, specs, self._start, machines)
 
     def adopt(self, staged: StagedBridges) -> None:
         """Have these bridges in place of those so far, which go on for who uses them. Quick."""
         with self._lock:
             before, self._specs = self._specs, staged.specs
-            for name in {*before, *staged.specs}:
-                if before.get(name) == staged.specs.get(name):
-                    continue
+            names = {*before, *staged.specs}
+            changed = {one for one in names if before.get(one) != staged.specs.get(one)}
+            for name in changed:
                 self._health.pop(name, None)
                 replaced = self._bridges.pop(name, None)
                 if replaced is not None:
@@ -147,6 +153,7 @@ class BridgeSet:
                 if new is not None:
                     self._bridges[name] = new
                     new.watch(self._heard)
+        self.machines.adopt(staged.machines, frozenset(changed))
 
     def retire_replaced(self, in_use: Callable[[Bridge], bool]) -> None:
         """Close those that were replaced and that nobody uses any more; returns at once."""
@@ -229,11 +236,13 @@ class BridgeSet:
                 self._restarts.died(event.bridge, event.cause)
         self._listener(event)
 
-    def _start(self, name: str, spec: BridgeSpec | None) -> Bridge:
+    def _start(
+        self, name: str, spec: BridgeSpec | None, machines: Machines | StagedMachines
+    ) -> Bridge:
         if spec is None:
             raise BridgeError(f"there is no bridge {name!r}", FailureReason.NOT_FOUND)
         if spec.host is not None:
-            return start_hosted(spec, spec.host, self._restarts, self.machines, self._origin)
+            return start_hosted(spec, spec.host, self._restarts, machines, self._origin)
         return _bounded.run(
             f"starting bridge {name!r}",
             _START_SECONDS,
@@ -250,6 +259,7 @@ class StagedBridges:
         before: their configuration.
         specs: the bridges of the new one.
         start: starts a bridge.
+        machines: other machines, as the new configuration has them.
     """
 
     def __init__(
@@ -257,13 +267,15 @@ class StagedBridges:
         running: BridgeSet,
         before: Mapping[str, BridgeSpec],
         specs: Mapping[str, BridgeSpec],
-        start: Callable[[str, BridgeSpec | None], Bridge],
+        start: Callable[[str, BridgeSpec | None, StagedMachines], Bridge],
+        machines: StagedMachines,
     ) -> None:
         self._running = running
         self._before = before
         self._start = start
         self._lock = threading.Lock()
         self.specs = specs
+        self.machines = machines
         self.made: dict[str, Bridge] = {}
 
     def get(self, name: str) -> Bridge:
@@ -277,7 +289,7 @@ class StagedBridges:
             return self._running.get(name)
         with self._lock:
             if name not in self.made:
-                self.made[name] = self._start(name, spec)
+                self.made[name] = self._start(name, spec, self.machines)
             return self.made[name]
 
     def close(self) -> None:
@@ -288,3 +300,4 @@ class StagedBridges:
                 bridge.close()
             except BridgeError as error:
                 _log.warning("%s", error)
+        self.machines.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uoarm._control.bridges.machines import Machines
+from uoarm._control.bridges.machines import Machines, StagedMachines
 from uoarm._control.bridges.restarts import Restarts
 from uoarm._origin import install_command
 from uoarm.bridge import Bridge
@@ -13,7 +13,11 @@ __all__ = ["start_hosted"]
 
 
 def start_hosted(
-    spec: BridgeSpec, host: Options, restarts: Restarts, machines: Machines, origin: str
+    spec: BridgeSpec,
+    host: Options,
+    restarts: Restarts,
+    machines: Machines | StagedMachines,
+    origin: str,
 ) -> Bridge:
     """Start the host of a bridge, or find it on its machine, and return when it is ready.
 

@@ -15,9 +15,10 @@ from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 if TYPE_CHECKING:
     from uoarm._host import MachineRegistry
 
-__all__ = ["Machines"]
+__all__ = ["Machines", "StagedMachines"]
 
 _log = logging.getLogger("uoarm")
+_LET_GO_SECONDS = 10.0
 
 
 class Machines:
@@ -40,30 +41,25 @@ class Machines:
         heard: Callable[[HealthEvent], None],
         state: Callable[[str], Health | None],
     ) -> None:
-        self._listening = listening
         self._heard = heard
         self._state = state
-        self._bridges: dict[str, list[str]] = {}
-        for name, spec in specs.items():
-            machine = (spec.host or {}).get("machine")
-            if machine is not None:
-                self._bridges.setdefault(str(machine), []).append(name)
-        self._lock = threading.Lock()
+        self._bridges = _by_machine(specs)
         self._telling = threading.Lock()
-        self._registry: MachineRegistry | None = None
-        self._closed = False
         self._told: dict[str, bool] = {}
-        self._problem = ""
+        self._listener = _Listener(listening, frozenset(self._bridges))
+        self._retired: list[_Listener] = []
+        self._beginning: set[threading.Thread] = set()
+        self._closed = False
 
     def begin(self) -> None:
         """Listen, where there is a machine to wait for; what is in the way is logged."""
-        if not self._bridges:
+        if not self._bridges or self._closed:
             return
         try:
             self.registry()
         except (BridgeError, PluginError) as error:
             _log.warning("no other machine can join: %s", error)
-            for machine in self._bridges:
+            for machine in tuple(self._bridges):
                 self._changed(machine, None)
 
     def registry(self) -> MachineRegistry:
@@ -73,45 +69,86 @@ class Machines:
             BridgeError: the address cannot be had, the certificate is missing, or it is closed.
             PluginError: the extra `uoarm[hosts]` is missing.
         """
-        try:
-            from uoarm._host import MachineRegistry  # noqa: PLC0415 - needs an extra
-        except ImportError as error:
-            command = install_command("uoarm", "hosts")
-            raise PluginError(f"bridges on other machines need: {command} ({error})") from error
-        with self._lock:
-            if self._closed or self._listening is None:
-                text = "the manager does not listen for other machines"
-                raise BridgeError(text, FailureReason.UNAVAILABLE)
-            if self._registry is not None:
-                return self._registry
-            try:
-                registry = self._registry = MachineRegistry(
-                    self._listening, self._bridges, self._changed
-                )
-            except BridgeError as error:
-                self._problem = f", which cannot join: {error}"
-                raise
-            self._problem = ""
-        for machine in self._bridges:  # who came before anybody listened
-            self._changed(machine, None)
-        return registry
+        found, is_new = self._listener.registry(self._changed)
+        if is_new:
+            for machine in tuple(self._bridges):  # who came before anybody listened
+                self._changed(machine, None)
+        return found
+
+    def stage(self, specs: Mapping[str, BridgeSpec], listening: Listening | None) -> StagedMachines:
+        """Return the machines of another configuration, which can join it from now on.
+
+        Where the address is another one, both are listened at. Where it is the same, and must be
+        listened at otherwise, that begins when the configuration is adopted.
+
+        Raises:
+            BridgeError: the address cannot be had, or the certificate not be used.
+            PluginError: the extra `uoarm[hosts]` is missing.
+        """
+        bridges = _by_machine(specs)
+        before, names = self._listener, frozenset(bridges)
+        if before.listening == listening and (bridges == self._bridges or before.can_watch(names)):
+            before.watch(names | set(self._bridges))
+            return StagedMachines(self, bridges, before)
+        is_elsewhere = not before.is_open or _place(before.listening) != _place(listening)
+        listener = _Listener(listening, names, None if is_elsewhere else before)
+        if is_elsewhere and bridges:
+            listener.registry(self._changed)
+        return StagedMachines(self, bridges, listener, is_cut=not is_elsewhere and bool(names))
+
+    def adopt(self, staged: StagedMachines, changed: frozenset[str]) -> None:
+        """Have these machines in place of those so far; returns at once.
+
+        Args:
+            staged: what is in force from now on.
+            changed: names of the bridges that are others, or gone.
+        """
+        before, after = self._listener, staged.listener
+        if after is before and staged.bridges == self._bridges and not changed:
+            return
+        self._bridges, self._listener = staged.bridges, after
+        for name in changed:
+            self._told.pop(name, None)
+        lost = staged.cut_bridges() - changed
+        if after is not before:
+            self._retired = [one for one in self._retired if one.is_open]
+            self._retired.append(before)
+
+        def begin() -> None:
+            for name in sorted(lost):
+                if self._state(name) not in {None, Health.LOST}:
+                    cause = "the manager listens anew for other machines"
+                    self._heard(HealthEvent(name, Health.LOST, cause))
+            before.retire() if after is not before else before.watch(frozenset(self._bridges))
+            self.begin()
+            self._beginning.discard(thread)
+
+        thread = threading.Thread(target=begin, name="uoarm-machines", daemon=True)
+        self._beginning.add(thread)
+        thread.start()
 
     def statuses(self) -> tuple[MachineStatus, ...]:
         """Return what the status map shows of every machine of the configuration."""
-        return tuple(self._status(machine) for machine in self._bridges)
+        return tuple(self._status(machine, names) for machine, names in self._bridges.items())
 
     def close(self) -> None:
         """Let every machine go. Once is enough."""
-        with self._lock:
-            self._closed = True
-            registry, self._registry = self._registry, None
-        if registry is not None:
-            registry.close()
+        self._closed = True
+        for one in (self._listener, *self._retired):
+            one.close()
+        for thread in tuple(self._beginning):
+            thread.join(_LET_GO_SECONDS)
 
-    def _status(self, machine: str) -> MachineStatus:
-        registry = self._registry
-        bridges = tuple(self._bridges[machine])
-        missing = [one for one in bridges if registry is None or not registry.here(machine, one)]
+    def discard(self, staged: StagedMachines) -> None:
+        """Listen no more for what only a configuration needed that is not taken."""
+        if staged.listener is self._listener:
+            self._listener.watch(frozenset(self._bridges))
+        else:
+            staged.listener.close()
+
+    def _status(self, machine: str, bridges: tuple[str, ...]) -> MachineStatus:
+        missing = [one for one in bridges if not self._here(machine, one)]
+        registry = self._listener.opened
         offset = None if registry is None else registry.offset(machine)
         known = offset is not None and offset.known
         return MachineStatus(
@@ -123,13 +160,16 @@ class Machines:
             cause=self._waiting(machine, missing) if missing else "",
         )
 
+    def _here(self, machine: str, bridge: str) -> bool:
+        opened = [one.opened for one in (self._listener, *self._retired)]
+        return any(one is not None and one.here(machine, bridge) for one in opened)
+
     def _changed(self, machine: str, bridge: str | None) -> None:
         """Tell what is new of each bridge of a machine."""
-        mine = self._bridges[machine]
+        mine = self._bridges.get(machine, ())
         with self._telling:
             for name in mine if bridge is None else {bridge}.intersection(mine):
-                registry = self._registry
-                present = registry is not None and registry.here(machine, name)
+                present = self._here(machine, name)
                 if self._told.get(name) != present:
                     self._told[name] = present
                     self._tell(machine, name, present=present)
@@ -142,4 +182,155 @@ class Machines:
             self._heard(HealthEvent(bridge, Health.DEGRADED, self._waiting(machine, [bridge])))
 
     def _waiting(self, machine: str, bridges: list[str]) -> str:
-        return f"waiting for machine {machine!r}: {', '.join(bridges)}{self._problem}"
+        problem = self._listener.problem
+        return f"waiting for machine {machine!r}: {', '.join(bridges)}{problem}"
+
+
+class StagedMachines:
+    """The machines of a configuration that is not in force yet.
+
+    Args:
+        machines: those in force.
+        bridges: names by machine.
+        listener: where they join.
+        is_cut: whether machines that have joined must join anew, since the address is the same.
+    """
+
+    def __init__(
+        self,
+        machines: Machines,
+        bridges: Mapping[str, tuple[str, ...]],
+        listener: _Listener,
+        *,
+        is_cut: bool = False,
+    ) -> None:
+        self._machines = machines
+        self.bridges = bridges
+        self.listener = listener
+        self.is_cut = is_cut
+
+    def registry(self) -> MachineRegistry:
+        """Return where machines join.
+
+        Raises:
+            BridgeError: the address cannot be had, or not before the configuration is in force.
+            PluginError: the extra `uoarm[hosts]` is missing.
+        """
+        if self.is_cut:
+            text = "it can join once the configuration is in force"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+        return self.listener.registry(self._machines._changed)[0]  # noqa: SLF001 - one with it
+
+    def cut_bridges(self) -> frozenset[str]:
+        """Return the bridges that machines must take up anew."""
+        if not self.is_cut:
+            return frozenset()
+        return frozenset(name for names in self.bridges.values() for name in names)
+
+    def close(self) -> None:
+        """Listen no more for what only this configuration needed."""
+        self._machines.discard(self)
+
+
+class _Listener:
+    """Listens at one address, from the first need on; tries again where that failed.
+
+    Args:
+        listening: the address; None: there is none.
+        names: the machines that may join.
+        before: who listens there until this one does.
+    """
+
+    def __init__(
+        self, listening: Listening | None, names: frozenset[str], before: _Listener | None = None
+    ) -> None:
+        self.listening = listening
+        self._names = names
+        self._before = before
+        self._lock = threading.Lock()
+        self._closed = False
+        self.opened: MachineRegistry | None = None
+        self.problem = ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it listens."""
+        return self.opened is not None and not self.opened.closed.is_set()
+
+    def can_watch(self, names: frozenset[str]) -> bool:
+        """Say whether it listens, and would let these machines join."""
+        with self._lock:
+            return self.opened is not None and self.opened.can_watch(names)
+
+    def watch(self, names: frozenset[str]) -> None:
+        """Let these machines join, all of which it serves, and no others."""
+        with self._lock:
+            self._names = names
+            if self.opened is not None and not self._closed:
+                self.opened.watch(names)
+
+    def registry(self, changed: Callable[[str, str | None], None]) -> tuple[MachineRegistry, bool]:
+        """Return where machines join, and whether that was opened for this.
+
+        Raises:
+            BridgeError: as `Machines.registry`.
+            PluginError: likewise.
+        """
+        try:
+            from uoarm._host import MachineRegistry  # noqa: PLC0415 - needs an extra
+        except ImportError as error:
+            command = install_command("uoarm", "hosts")
+            raise PluginError(f"bridges on other machines need: {command} ({error})") from error
+        with self._lock:
+            if self._closed or self.listening is None:
+                text = "the manager does not listen for other machines"
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+            if self.opened is not None:
+                return self.opened, False
+            try:
+                if self._before is not None:
+                    self._before.require_gone()
+                    self._before = None
+                self.opened = MachineRegistry(self.listening, self._names, changed)
+            except BridgeError as error:
+                self.problem = f", which cannot join: {error}"
+                raise
+            self.problem = ""
+            return self.opened, True
+
+    def require_gone(self) -> None:
+        """Wait until it listens no more.
+
+        Raises:
+            BridgeError: it still does, since a bridge there does not close.
+        """
+        if self.opened is not None and not self.opened.closed.wait(_LET_GO_SECONDS):
+            text = f"machines that joined at {_place(self.listening)} before are still let go"
+            raise BridgeError(text, FailureReason.UNAVAILABLE)
+
+    def retire(self) -> None:
+        """Take no more hosts; end with the last bridge that uses it."""
+        with self._lock:
+            self._closed = True
+        if self.opened is not None:
+            self.opened.retire()
+
+    def close(self) -> None:
+        """Let every machine go. Idempotent."""
+        with self._lock:
+            self._closed = True
+        if self.opened is not None:
+            self.opened.close()
+
+
+def _by_machine(specs: Mapping[str, BridgeSpec]) -> Mapping[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {}
+    for name, spec in specs.items():
+        machine = (spec.host or {}).get("machine")
+        if machine is not None:
+            found.setdefault(str(machine), []).append(name)
+    return {machine: tuple(names) for machine, names in found.items()}
+
+
+def _place(listening: Listening | None) -> str:
+    return "" if listening is None else listening.place

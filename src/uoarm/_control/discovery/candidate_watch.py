@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -13,10 +14,10 @@ from uoarm._control.discovery.discovery import Discovery
 from uoarm._control.runtime.executor import Executor
 from uoarm._control.runtime.revisions import Revisions
 from uoarm._dataplane import Clock
-from uoarm._resolve import Proofs, add_candidates
+from uoarm._resolve import Proofs, Structures, Unavailable, add_candidates
 from uoarm.bridge import Bridge, BridgeType
 from uoarm.errors import BridgeTimeoutError, UoarmError
-from uoarm.model import Endpoint, Robot
+from uoarm.model import Component, Endpoint, Robot
 
 __all__ = ["CandidateWatch", "Rounds"]
 
@@ -60,9 +61,10 @@ class Rounds:
         if self._settling is not base or not is_whole:  # the last one may have just started
             self._settling, self._settles_at = base, now + _SETTLE_SECONDS
         is_settled = is_whole and (now >= self._settles_at or has_all)
-        if is_settled:
-            self.matched = base
-        return max(_EVERY_SECONDS if is_settled else _SETTLE_EVERY, _REST * (now - begun))
+        if not is_settled:
+            return _SETTLE_EVERY  # requests wait, and rounds in which hosts start are long
+        self.matched = base
+        return max(_EVERY_SECONDS, _REST * (now - begun))
 
 
 class CandidateWatch:
@@ -72,9 +74,9 @@ class CandidateWatch:
     takes. However often components come and go meanwhile, a round changes the candidates once at
     most. The thread begins with the first who needs candidates. A bridge that answers later than
     others is in a later round, and one that fails shows what it showed before, for three answers.
-    In a new configuration's first three seconds the rounds are shorter, until every function with
-    needs has a candidate: so long those wait who ask for one, and until each bridge has answered
-    once.
+    In a new configuration's first three seconds the rounds follow each other closely, however long
+    they take, until every function with needs has a candidate: so long those wait who ask for one,
+    and until each bridge has answered once.
 
     Args:
         revisions: of the configuration.
@@ -102,15 +104,20 @@ class CandidateWatch:
         self._thread: threading.Thread | None = None
         self._is_closed = False
         self._discovery = Discovery(get, _KEPT_ANSWERS)
+        self._step = "no bridge was asked yet"
 
-    def wait(self, timeout: float) -> None:
+    def wait(self, timeout: float) -> float:
         """Wait until the configuration in force has its candidates; at once without needs.
 
+        Returns:
+            How many of the seconds are left.
+
         Raises:
-            BridgeTimeoutError: it has none in time.
+            BridgeTimeoutError: it has none in time; the text says what is waited for.
         """
         if not self._revisions.current.needs_candidates:
-            return
+            return timeout
+        deadline = time.monotonic() + timeout
         with self._changed:
             if self._thread is None and not self._is_closed:
                 self._thread = threading.Thread(
@@ -119,7 +126,10 @@ class CandidateWatch:
                 self._thread.start()
             self._changed.notify_all()  # the thread may rest, and not know this configuration
             if not self._changed.wait_for(self._is_known, timeout):
-                raise BridgeTimeoutError("bridges have not yet told what components they see")
+                said = "bridges have not yet told what components they see"
+                text = f"{said}, after {timeout:g} s: {self._step}"
+                raise BridgeTimeoutError(text)
+        return max(0.1, round(deadline - time.monotonic(), 1))
 
     def close(self) -> None:
         """Ask bridges no more. Idempotent; waits for a round no longer than a second."""
@@ -169,6 +179,7 @@ class CandidateWatch:
         )
 
     def _round(self, base: Robot) -> None:
+        self._step = "bridges are started, and asked what they see"
         findings = self._discovery.look(base, _ASK_SECONDS, _GRACE_SECONDS)
         types, bridges = self._types, base.bridges
 
@@ -179,11 +190,24 @@ class CandidateWatch:
             return kind.topic(end.address, end.options) or None
 
         revision = self._revisions.current
+        asked: dict[str, Structures | Unavailable] = {}
+
+        def structures(component: Component) -> Structures | Unavailable:
+            name = component.name
+            if name not in asked:  # what cannot be told takes its time each time
+                self._step = f"bridge {component.bridge!r} is asked for the structures of {name!r}"
+                asked[name] = revision.structures.structures(component)
+            return asked[name]
+
+        for one in base.components():
+            if one.outputs:
+                structures(one)  # before the time for proofs begins
+        self._step = "what bridges see is compared with what functions need"
         self._proofs.begin_round()
         robot = add_candidates(
             base,
             findings,
-            structures=revision.structures.structures,
+            structures=structures,
             topic=topic,
             proofs=self._proofs,
         )

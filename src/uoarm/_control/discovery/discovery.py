@@ -6,10 +6,10 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
-from attrs import define
+from attrs import define, evolve
 
 from uoarm import _bounded
 from uoarm._workers import WorkerPool
@@ -26,7 +26,7 @@ from uoarm.model import (
     message_octets,
 )
 
-__all__ = ["Discovery"]
+__all__ = ["Discovery", "with_rates"]
 
 _REST = 4.0
 _MOST_PORTS = 10_000
@@ -44,7 +44,7 @@ class _Question:
         spec: of the bridge.
         answer: the last one: what it sees, why it sees nothing, or None before the first.
         missed: how many were no better than the one that is kept.
-        begun: when it was asked last, its start not included.
+        begun: when it was asked last; once it has started, since then.
         rests_until: when it may be asked again.
     """
 
@@ -61,14 +61,17 @@ class Discovery:
 
     A bridge is asked once at a time. One that was too slow for a look is told as it answered last,
     and what it answers then is in a later look. With a grace, a bridge rests after each answer for
-    four times as long as that took. For one thread at a time, but for `close`.
+    four times as long as that took, and its start is not given up before the limit of starts: one
+    that takes longer than an answer may would else be begun again and again. For one thread at a
+    time, but for `close`.
 
     Args:
         get: gives a bridge, starting it where it must.
         kept: for how many answers a bridge that fails is told as it answered last.
 
     Attributes:
-        is_whole: whether every bridge had answered once at least by the end of the last look.
+        is_whole: whether every bridge had answered once at least by the end of the last look, or
+            had had the time for it, which begins anew once it has started.
     """
 
     def __init__(self, get: Callable[[str], Bridge], kept: int = 0) -> None:
@@ -86,7 +89,7 @@ class Discovery:
 
         Args:
             robot: the configuration.
-            timeout: seconds for each bridge, its start included.
+            timeout: seconds for each bridge; without a grace its start is included.
             grace: seconds that the others have after the first answer, or from now where some
                 bridge rests; None: all are waited for.
         """
@@ -106,12 +109,16 @@ class Discovery:
                 )
 
             if asked:
-                self._changed.wait_for(has_begun)
+                self._changed.wait_for(has_begun, timeout=None if grace is None else timeout)
                 self._changed.wait_for(
                     lambda: not any(one.is_under_way for one in asked), timeout=grace
                 )
             answers = {name: one.answer for name, one in self._questions.items()}
-            self.is_whole = None not in answers.values()
+            now = time.monotonic()
+            self.is_whole = all(
+                one.answer is not None or now >= one.begun + timeout
+                for one in self._questions.values()
+            )
         users = _users(robot)
         return tuple(
             _findings(name, robot.bridges[name].plugin, answer, users)
@@ -130,6 +137,8 @@ class Discovery:
         """Ask a bridge, unless it may rest and does; say whether it is asked."""
 
         def ask() -> tuple[Discovered, ...] | None:
+            if rests:
+                self._get(name)
             return _bounded.run(f"discovery by bridge {name!r}", timeout, see)
 
         def see() -> tuple[Discovered, ...] | None:
@@ -204,6 +213,7 @@ def _findings(
                 said.request,
                 said.reply,
                 tuple(dict.fromkeys(users.get(_place(endpoint), ()))),
+                _stated(one, endpoint),
             )
             for endpoint, said in bounded
         )
@@ -216,6 +226,45 @@ def _is_too_large(said: Description) -> bool:
     """Say whether a port's structures are more than a robot's configuration may be made of."""
     told = [one.schema for one in (said.message, said.request, said.reply) if one is not None]
     return message_octets(told, most=_MOST_OCTETS) > _MOST_OCTETS
+
+
+def _stated(one: Discovered, endpoint: Endpoint) -> float | None:
+    rate = one.rates.get(endpoint.port) if endpoint.role is Role.OUTPUT else None
+    return rate if rate is not None and 0 < rate < math.inf else None
+
+
+def with_rates(
+    findings: tuple[BridgeFindings, ...], rates: Mapping[str, float], robot: Robot
+) -> tuple[BridgeFindings, ...]:
+    """Return findings with the rates at which what is open gives messages now.
+
+    Args:
+        findings: what bridges see.
+        rates: messages a second, by component and output, `head_camera.default`.
+        robot: the configuration in force, which says where these are.
+    """
+    if not rates:
+        return findings
+    measured = {
+        _place(port.endpoint): rates[f"{one.name}.{port.name}"]
+        for one in robot.components()
+        for port in one.outputs
+        if f"{one.name}.{port.name}" in rates
+    }
+
+    def port_with(port: FoundPort) -> FoundPort:
+        rate = measured.get(_place(port.endpoint))
+        return port if rate is None else evolve(port, rate=rate, is_measured=True)
+
+    return tuple(
+        evolve(
+            each,
+            components=tuple(
+                evolve(one, ports=tuple(map(port_with, one.ports))) for one in each.components
+            ),
+        )
+        for each in findings
+    )
 
 
 def _place(endpoint: Endpoint) -> _Place:

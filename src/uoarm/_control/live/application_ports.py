@@ -142,6 +142,7 @@ class Sender:
         self._last_sender: LeaseHolder | None = None
         self._numbers = itertools.count(1)
         self._stopped = 0
+        self._failures = 0
 
         def is_over() -> bool:
             return self._route.closed
@@ -242,8 +243,13 @@ class Sender:
             self._live.halt(self._name, _LAST_SECONDS)
 
     def flush(self, timeout: float) -> bool:
-        """Wait until the component has taken what was sent; False when time ran out."""
-        return self._route.drain(timeout)
+        """Wait until nothing waits; False when time ran out, or what was sent was not taken.
+
+        Each failure is told by one flush, the next after it.
+        """
+        drained = self._route.drain(timeout)
+        told, self._failures = self._failures, self._route.failures
+        return drained and self._failures == told
 
     def status(self) -> RouteStatus:
         """Return what the status map shows."""
@@ -316,8 +322,9 @@ class ApplicationPorts:
         return sender
 
     def flush(self, timeout: float) -> bool:
-        """Wait until the component has taken what was sent; False when time ran out."""
-        return all(sender.flush(timeout) for sender in tuple(self.senders.values()))
+        """Wait until nothing waits; False when time ran out, or what was sent was not taken."""
+        flushed = [sender.flush(timeout) for sender in tuple(self.senders.values())]
+        return all(flushed)
 
     def leave(self, sender: LeaseHolder) -> None:
         """Give back what leases a sender holds, and stop what it moves with them."""

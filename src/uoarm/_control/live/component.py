@@ -54,7 +54,6 @@ class LiveComponent:
 
     Attributes:
         leases: of the inputs that one sender at a time may command, by name.
-        lost: messages that its channels knew to have taken and not delivered when they closed.
     """
 
     def __init__(
@@ -87,7 +86,6 @@ class LiveComponent:
         self._closed: list[Channel] = []
         self._busy = threading.Lock()
         self._doomed = False
-        self.lost = 0
 
     @property
     def is_closed(self) -> bool:
@@ -102,9 +100,14 @@ class LiveComponent:
         )
 
     @property
-    def unheard(self) -> int:
-        """How many messages it emitted while nobody took them, as it was being let go."""
-        return sum(outlet.unheard for outlet in self.outlets.values())
+    def lost(self) -> int:
+        """How many messages were lost with it, as known now.
+
+        What its closed channels took and did not deliver, what came when they were closed, and
+        what it emitted while nobody took it, as it was being let go.
+        """
+        unheard = sum(outlet.unheard for outlet in self.outlets.values())
+        return unheard + sum(_lost(channel) for channel in tuple(self._closed))
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -140,7 +143,7 @@ class LiveComponent:
     ) -> tuple[Callable[[Any], None], QueuePolicy | None]:
         """Return a send for an input that several connections share, and the queue it needs.
 
-        None is needed where sending does not block. `admit` is asked of each message when its turn
+        None is needed where sending does not block. `admit` is asked of each command when its turn
         has come, and refuses it by raising, or gives what is to be sent and its age in seconds.
 
         One call at a time; one that waits for its turn ends with a ConnectionClosedError once
@@ -164,23 +167,19 @@ class LiveComponent:
         finally:
             self._end_turn()
 
-        def send(given: Any) -> None:
-            while not turn.acquire(timeout=_TURN_SECONDS):
-                if is_over():
-                    raise ConnectionClosedError("the connection has ended")
-            try:
-                self._emergency_stop.refuse(sink)
-                message, age = admit(given)
-                if not self._are_replaced_stopped and sink.endpoint.command is not None:
-                    self._stop_replaced()
-                sink.send(message, age)
-            finally:
-                turn.release()
+        if sink.endpoint.command is None:
+            send = _in_turn(turn, is_over, sink.send)
+            return send, sink.default_queue if sink.blocking else None
 
-        if not sink.blocking:
-            return send, None
+        def send_command(given: Any) -> None:
+            self._emergency_stop.refuse(sink)
+            message, age = admit(given)
+            if not self._are_replaced_stopped:
+                self._stop_replaced()
+            sink.send(message, age)
+
         # Of commands that wait, only the newest one is worth sending.
-        return send, sink.default_queue if sink.endpoint.command is None else _NEWEST
+        return _in_turn(turn, is_over, send_command), _NEWEST if sink.blocking else None
 
     def _stop_replaced(self) -> None:
         """Stop what was replaced; any other thread with a command for here waits for that."""
@@ -244,7 +243,10 @@ class LiveComponent:
             channel.drain(timeout)
 
     def close(self) -> None:
-        """Close every channel, sources first; failures are logged. Bounded in time."""
+        """Close every channel; failures are logged. Bounded in time.
+
+        Inputs first: what comes of the messages that were taken arrives, and is counted.
+        """
         self._doomed = True
         self._sweep()
         # Where it was opened in vain, what it was to replace goes on.
@@ -257,8 +259,8 @@ class LiveComponent:
     def channel_statuses(self) -> tuple[ChannelStatus, ...]:
         """Return what the status map shows of its channels."""
         return (
-            *_channel_statuses("output", self._sources, {}),
-            *_channel_statuses("input", self._sinks, self.leases),
+            *_channel_statuses("output", self._sources, {}, self.outlets),
+            *_channel_statuses("input", self._sinks, self.leases, {}),
         )
 
     def _take_turn(self) -> None:
@@ -282,15 +284,33 @@ class LiveComponent:
                 self._busy.release()
 
     def _close_all(self) -> None:
-        for channels in (self._sources, self._sinks):
+        for channels in (self._sinks, self._sources):
             while channels:
-                _, channel = channels.popitem()
+                name, channel = next(iter(channels.items()))
                 try:
                     channel.close(timeout=_CLOSE_SECONDS)
                 except BridgeError as error:
                     _log.warning("%s", error)
+                # Not before: what comes in its place asks here whether it has stopped.
+                del channels[name]
                 self._closed.append(channel)
-                self.lost += _lost(channel)
+
+
+def _in_turn(
+    turn: threading.Lock, is_over: Callable[[], bool], send: Callable[[Any], None]
+) -> Callable[[Any], None]:
+    """Return a send that waits for its turn, but not when nobody waits for it any more."""
+
+    def send_in_turn(given: Any) -> None:
+        while not turn.acquire(timeout=_TURN_SECONDS):
+            if is_over():
+                raise ConnectionClosedError("the connection has ended")
+        try:
+            send(given)
+        finally:
+            turn.release()
+
+    return send_in_turn
 
 
 def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
@@ -303,15 +323,21 @@ def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
 
 def _lost(channel: Channel) -> int:
     counts = (value for name, value in facts_of(channel) if name in _LOSSES)
-    return sum(count for count in counts if isinstance(count, int))
+    refused = channel.refused if isinstance(channel, Source) else 0
+    return refused + sum(count for count in counts if isinstance(count, int))
 
 
 def _channel_statuses(
-    direction: str, channels: Mapping[str, Channel], leases: Mapping[str, InputLease]
+    direction: str,
+    channels: Mapping[str, Channel],
+    leases: Mapping[str, InputLease],
+    outlets: Mapping[str, Outlet],
 ) -> Iterator[ChannelStatus]:
     # A copy at once: channels open and close meanwhile.
     for name, channel in tuple(channels.items()):
         facts = facts_of(channel)
+        if name in outlets and outlets[name].unheard:
+            facts = (*facts, ("unheard", outlets[name].unheard))
         lost = dict(facts).get("lost_on_link", 0)
         command = channel.command_status() if isinstance(channel, Sink) else None
         lost = lost if isinstance(lost, int) else 0

@@ -56,6 +56,8 @@ class ConnectionRuntime:
     def hand_over(self, action: HandOver, ports: ApplicationPorts) -> None:
         """Hear the next plan and no other, and note the gap, whose losses are not counted yet.
 
+        Whoever sees the gap sees the plan behind it.
+
         Args:
             action: which plan takes over from which, when and why.
             ports: where the application touches the next one.
@@ -75,6 +77,8 @@ class ConnectionRuntime:
             counted=False,
         )
         self._uncounted[before.user] = gap
+        if action.is_heard:  # else it was published before
+            self.record = action.record
         self.losses.add(gap)
 
     def take_gap(self, before: Placement) -> Gap:

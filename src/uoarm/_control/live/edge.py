@@ -126,11 +126,11 @@ class LiveEdge:
         """
         bridge = self.producer.bridge
         return (
-            bridge is self.consumer.bridge
+            bridge.capabilities.link
+            and bridge is self.consumer.bridge
             and self.edge.mapping is None
             and self._input.endpoint.command is None
             and self.edge.producer_structure == self.edge.consumer_structure
-            and bridge.capabilities.link
         )
 
     def _open_link(self, clock: Clock) -> None:

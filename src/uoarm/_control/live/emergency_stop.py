@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
 import time
@@ -30,6 +31,7 @@ class _Call:
     Args:
         bridge: in which it runs.
         endpoint: of the service.
+        number: by which the bridge knows the call.
 
     Attributes:
         is_cancelled: whether it was cancelled by an emergency stop.
@@ -37,8 +39,9 @@ class _Call:
 
     closed = False
 
-    def __init__(self, bridge: Bridge, endpoint: Endpoint) -> None:
+    def __init__(self, bridge: Bridge, endpoint: Endpoint, number: int) -> None:
         self.endpoint = endpoint
+        self._number = number
         self.ended = threading.Event()
         self.is_cancelled = False
         self._bridge = bridge
@@ -46,7 +49,7 @@ class _Call:
     def hold(self, timeout: float) -> CommandStatus | str:
         """Cancel it, and wait for its end; say what came of it."""
         self.is_cancelled = True
-        is_told = self._bridge.cancel_calls(self.endpoint.component)
+        is_told = self._bridge.cancel_call(self._number)
         if self.ended.wait(timeout):
             return CommandStatus(CommandPhase.STOPPED, since=0.0, held=True)
         if is_told:
@@ -70,6 +73,7 @@ class EmergencyStop:
         self._lock = threading.Lock()
         self._sinks: dict[Sink, str] = {}
         self._calls: dict[_Call, str] = {}
+        self._numbers = itertools.count(1)
         self._asked = 0
         self._since = clock() if file is not None and file.is_there() else None
 
@@ -107,23 +111,26 @@ class EmergencyStop:
             raise CommandRefusedError(text, "held")
 
     @contextmanager
-    def calling(self, bridge: Bridge, endpoint: Endpoint, function: str) -> Iterator[None]:
+    def calling(self, bridge: Bridge, endpoint: Endpoint, function: str) -> Iterator[int]:
         """Have a call of a service cancelled by a stop, where the service moves something.
+
+        Gives the number that the call is to be made with.
 
         Raises:
             CommandRefusedError: all is held, or was meanwhile, so that the call was cancelled.
         """
+        number = next(self._numbers)
         if endpoint.command is None:
-            yield
+            yield number
             return
-        call = _Call(bridge, endpoint)
+        call = _Call(bridge, endpoint, number)
         with self._lock:  # a stop sees it listed, or it sees the stop
             if self._since is not None:
                 text = f"{endpoint}: calls are refused until the emergency stop is released"
                 raise CommandRefusedError(text, "held")
             self._calls[call] = function
         try:
-            yield
+            yield number
         except UoarmError as error:
             if call.is_cancelled:
                 text = f"{endpoint}: the emergency stop cancelled the call: {error}"

@@ -107,71 +107,64 @@ class InputWatch:
     """Watches one input: what a route that feeds it tells of its messages.
 
     Args:
-        component: watches all of it.
+        component: watches all of it; the attribute, too.
         port: name of the input.
 
     Attributes:
         is_later: whether the channel tells what became of messages, later than `send` returns.
     """
 
-    __slots__ = ("_component", "_place", "is_later")
+    __slots__ = ("_place", "component", "is_later")
 
     def __init__(self, component: FailureWatch, port: str) -> None:
-        self._component = component
+        self.component = component
         self._place = f"its input {port!r}"
         self.is_later = False
 
-    @property
-    def is_alert(self) -> bool:
-        """Whether a success should be told."""
-        return self._component.is_alert and not self.is_later
-
     def took(self) -> None:
-        """Take in that a message was taken."""
-        self._component.took()
+        """Take in that a message was taken, unless the channel tells that itself."""
+        if not self.is_later:
+            self.component.took()
 
     def raised(self, error: Exception) -> bool:
         """Take in what a message came to; say whether it was the component's failure."""
         if not is_raised(error):
             return False
-        self._component.raised(self._place, error)
+        self.component.raised(self._place, error)
         return True
 
     def told_later(self, taken: int, failed: int, text: str) -> None:
         """Take in what became of messages that were sent before."""
-        if failed or self._component.is_alert:
-            self._component.told_later(self._place, taken, failed, text)
+        if failed or self.component.is_alert:
+            self.component.told_later(self._place, taken, failed, text)
 
 
 class OutputWatch:
     """Watches one output: what the checks of its messages find, those of each route by themselves.
 
     Args:
-        component: watches all of it.
+        component: watches all of it; the attribute, too.
         port: name of the output.
     """
 
-    __slots__ = ("_component", "_deed")
+    __slots__ = ("_port", "component")
 
     def __init__(self, component: FailureWatch, port: str) -> None:
-        self._component = component
-        self._deed = _Deed(
-            f"its output {port!r} gave what does not match its structure:",
-            f"its output {port!r} gives again and again what does not match its structure",
-        )
-
-    @property
-    def is_alert(self) -> bool:
-        """Whether a message that matches should be told."""
-        return self._component.is_alert
+        self.component = component
+        self._port = port
 
     def took(self) -> None:
         """Take in that a message matched."""
-        self._component.took()
+        self.component.took()
 
     def mismatched(self, error: MessageError) -> None:
         """Take in that a message did not match; the route logs it."""
-        self._component.note(self._deed, 0, 1, str(error))
+        wrong = "what does not match its structure"
+        deed = _Deed(
+            f"its output {self._port!r} gave {wrong}:",
+            f"its output {self._port!r} gives again and again {wrong}",
+        )
+        self.component.note(deed, 0, 1, str(error))
 
 
 def _cause(health: Health, deed: _Deed, count: int, text: str) -> str:

@@ -6,7 +6,7 @@ It watches what ends and knows nothing of why.
 from __future__ import annotations
 
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Protocol, TypeAlias
 from weakref import WeakSet
@@ -20,8 +20,10 @@ from uoarm.model import Gap, RouteStatus
 __all__ = ["Counting", "LossAccount"]
 
 Sums: TypeAlias = Mapping[tuple[str, str], RouteStatus]
+Gone: TypeAlias = tuple[LiveComponent, ...]
 
 _GAPS = 1000
+_RECENT = 8
 
 
 class Counting(Protocol):
@@ -34,32 +36,43 @@ class Counting(Protocol):
 class LossAccount:
     """The gaps of a connection, and the counters of its routes that ended.
 
-    Routes that ended last are still asked for their counters, since a thread that was about to
-    use one may do so late; earlier ones are added up. Bounded: the newest thousand gaps, and one
-    row for each pair of ends, of which a configuration has only so many.
+    What ended last, components and routes, is still asked for its counters, since a thread that
+    was about to use one may do so late; what ended earlier is added up. Bounded: the newest
+    thousand gaps, the last few ends, and one row for each pair of ends, of which a configuration
+    has only so many.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.gaps: tuple[Gap, ...] = ()
-        self.lost = 0
-        self._ended: tuple[Sums, tuple[Counting, ...]] = ({}, ())
+        self._lost = 0
+        self._sums: Sums = {}
+        self._recent: deque[tuple[Gone, tuple[Counting, ...]]] = deque()
         self._counted: WeakSet[LiveComponent | LiveEdge] = WeakSet()
 
     @property
     def ended(self) -> tuple[RouteStatus, ...]:
         """The routes that ended, those between the same ends as one."""
-        return tuple(_added(*self._ended).values())
+        with self._lock:
+            sums, recent = self._sums, tuple(self._recent)
+        return tuple(_added(sums, (route for _, routes in recent for route in routes)).values())
 
-    def lost_with(self, lives: Iterable[LiveComponent]) -> int:
-        """Close components that died or were let go; return what was lost with them, once each."""
-        lost = 0
+    @property
+    def lost(self) -> int:
+        """How many messages were lost with components, as known now."""
+        with self._lock:
+            lost, recent = self._lost, tuple(self._recent)
+        return lost + sum(_lost_with(gone) for gone, _ in recent)
+
+    def close(self, lives: Iterable[LiveComponent]) -> Gone:
+        """Close components that died or were let go; return those not counted yet."""
+        gone = []
         for live in lives:
             live.close()
             if live not in self._counted:
                 self._counted.add(live)
-                lost += live.lost + live.unheard
-        return lost
+                gone.append(live)
+        return tuple(gone)
 
     def ended_edges(self, edges: Iterable[LiveEdge]) -> Iterator[Counting]:
         """Yield the routes of those of the edges that have ended, once each."""
@@ -73,22 +86,30 @@ class LossAccount:
         with self._lock:
             self.gaps = (*self.gaps, gap)[-_GAPS:]
 
-    def count(self, gap: Gap, lost: int, routes: Iterable[Counting]) -> None:
-        """Take in what was lost in a change of plan, and the routes that ended with it."""
+    def count(self, gap: Gap, gone: Gone, routes: Iterable[Counting]) -> None:
+        """Take in a change of plan, with components that are gone and routes that ended."""
         ended = tuple(routes)
         dropped = _dropped_by_reason(route.status() for route in ended)
-        counted = evolve(gap, lost=lost, dropped=dropped, counted=True)
-        self.settle(lost, ended)
+        counted = evolve(gap, lost=_lost_with(gone), dropped=dropped, counted=True)
+        self.settle(gone, ended)
         with self._lock:
             self.gaps = tuple(counted if one is gap else one for one in self.gaps)
 
-    def settle(self, lost: int, routes: Iterable[Counting]) -> None:
-        """Take in what was lost with components, and routes that ended."""
+    def settle(self, gone: Gone, routes: Iterable[Counting]) -> None:
+        """Take in components that are gone, and routes that ended."""
         ended = tuple(routes)
+        if not gone and not ended:
+            return
         with self._lock:
-            self.lost += lost
-            if ended:
-                self._ended = _added(*self._ended), ended
+            self._recent.append((gone, ended))
+            if len(self._recent) > _RECENT:
+                gone, ended = self._recent.popleft()
+                self._lost += _lost_with(gone)
+                self._sums = _added(self._sums, ended)
+
+
+def _lost_with(gone: Gone) -> int:
+    return sum(live.lost for live in gone)
 
 
 def _added(sums: Sums, routes: Iterable[Counting]) -> Sums:
@@ -127,4 +148,5 @@ def _sum(one: RouteStatus, two: RouteStatus) -> RouteStatus:
         dropped=tuple(sorted(dropped.items())),
         invalid=one.invalid + two.invalid,
         last_error=two.last_error or one.last_error,
+        copies=one.copies + two.copies,
     )

@@ -187,9 +187,9 @@ class LiveParts:
         losses = ending.runtime.losses
         if ends:
             ended = losses.ended_edges(ending.placed_edges)
-            losses.settle(losses.lost_with(ending.lost), ended)
+            losses.settle(losses.close(ending.lost), ended)
         else:
-            losses.settle(losses.lost_with(ending.gone()), ending.ended())
+            losses.settle(losses.close(ending.gone()), ending.ended())
 
     def finish(self, ending: Ending, placement: Placement) -> None:
         """Let a plan run out: what is under way passes, new messages stay out. Then close it."""
@@ -202,7 +202,7 @@ class LiveParts:
         if ending.runtime is not None:
             losses = ending.runtime.losses
             gap = ending.runtime.take_gap(placement)
-            losses.count(gap, losses.lost_with(ending.gone()), ending.ended())
+            losses.count(gap, losses.close(ending.gone()), ending.ended())
 
     def release(self, components: Iterable[int]) -> None:
         """Close components whose plans have not ended yet."""
@@ -239,7 +239,9 @@ class LiveParts:
         """Return what of a connection's running plan an instance is to do from now on."""
         runtime = self.runtimes.get(action.connection)
         record = None if runtime is None else runtime.record
-        if record is None or record.current is None or record.current is action.placement:
+        if record is None or record.current is None:
+            return ()
+        if record.current.user == action.placement.user:  # this is what it runs, or its first plan
             return ()
         function = self._state().components[number].step.component.function
         return tuple(

@@ -199,6 +199,7 @@ class HandOver:
         lane: where it is done when that may call the application: see `is_heard`.
         is_heard: whether the application hears the next plan already, from when it was opened;
             otherwise it may get a retained message now.
+        record: the connection from then on, for who sees the gap before it is published.
         since: when messages ceased.
         time: of the change.
     """
@@ -208,6 +209,7 @@ class HandOver:
     before: Placement
     after: Placement
     is_heard: bool
+    record: ConnectionRecord
     since: float
     time: float
     cause: str

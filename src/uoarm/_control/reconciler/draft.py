@@ -20,6 +20,7 @@ from uoarm._control.reconciler.state import (
     Parts,
     Placement,
     State,
+    names,
     recently,
 )
 from uoarm.errors import ResolutionError
@@ -77,6 +78,8 @@ class Draft:
         self.outdated = state.outdated
         self.postponed = state.postponed
         self.configurers = state.configurers
+        self.candidates = state.candidates
+        self.replaced = state.replaced
 
     def state(self) -> State:
         """Return the state as it is now."""
@@ -101,6 +104,8 @@ class Draft:
             outdated=self.outdated,
             postponed=self.postponed,
             configurers=self.configurers,
+            candidates=self.candidates,
+            replaced=self.replaced,
         )
 
     def new_id(self) -> int:
@@ -110,13 +115,25 @@ class Draft:
 
     def put(self, record: ConnectionRecord, **changes: Any) -> ConnectionRecord:
         """Keep a connection with some changes, and return it."""
-        changed = self.connections[record.id] = record._replace(**changes)
+        changed = record._replace(**changes) if changes else record
+        self.connections[record.id] = changed
         return changed
 
     def resolve(self, record: ConnectionRecord) -> None:
         """Have the first plan of a request sought, without what is avoided now."""
         avoided = recently(self.avoided, self.now)
         self.actions.append(Resolve(record.waiter, record.id, record.wanted.function, avoided))
+
+    def is_outdated(self, plan: Plan, candidates: int) -> bool:
+        """Say whether a plan, found with earlier candidates, has one that is another by now.
+
+        Of changes that are too long ago to be known, any plan may be.
+        """
+        missed = self.candidates - candidates
+        if missed > len(self.replaced):
+            return True
+        since = self.replaced[-missed:] if missed > 0 else ()
+        return any(name in others for others in since for name in names(plan))
 
     def place(
         self, record: ConnectionRecord, plan: Plan, user: str, *, beside: bool = False
@@ -210,29 +227,28 @@ class Draft:
                 if joined.consumer == one:
                     self._unlist(joined)
 
-    def missing(self, placement: Placement) -> list[Part]:
-        """Return the parts of a plan that are not open, in the order in which they open."""
-        return [part for part in placement.parts if self.parts.get(part) != OPEN]
-
     def open(
         self, record: ConnectionRecord, placement: Placement, lane: str, *, is_heard: bool
-    ) -> Placement:
+    ) -> tuple[Placement, bool]:
         """Have what is missing of a plan opened, unless somebody else is opening some of it.
 
         Who waits for the batch of somebody else looks again when that is over.
+
+        Returns:
+            The plan with its batch, and whether all of it is open already.
         """
-        missing = self.missing(placement)
+        missing = [part for part in placement.parts if self.parts.get(part) != OPEN]
         if placement.batch or not missing or not self.parts.keys().isdisjoint(missing):
-            return placement
+            return placement, not missing
         batch = self.new_id()
         for part in missing:
             self.parts[part] = batch
         self.batches[batch] = Batch(record.id, tuple(missing))
-        placement = evolve(placement, batch=batch)
+        placement = placement.opened_by(batch)
         self.actions.append(
             Open(lane, batch, record.id, placement, tuple(missing), is_heard=is_heard)
         )
-        return placement
+        return placement, False
 
     def settle(self, number: int, done: Iterable[Part]) -> Parts:
         """Note what became of a batch; return what was opened for nobody."""

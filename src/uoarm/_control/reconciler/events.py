@@ -41,6 +41,7 @@ class Requested:
         plan: the one that is known already, None when it must be sought.
         is_heard: whether a callback waits for the messages.
         revision: of the configuration that the plan was found with.
+        candidates: number of the candidates that it was found with.
     """
 
     connection: str
@@ -50,6 +51,7 @@ class Requested:
     plan: Plan | None = None
     is_heard: bool = False
     revision: int = 0
+    candidates: int = 0
 
 
 @frozen
@@ -58,12 +60,14 @@ class Resolved:
 
     Attributes:
         revision: of the configuration in which the search began.
+        candidates: number of the candidates with which it began.
     """
 
     connection: str
     plan: Plan | None
     error: BaseException | None = None
     revision: int = 0
+    candidates: int = 0
 
 
 @frozen
@@ -95,10 +99,14 @@ class CandidatesChanged:
     Attributes:
         bridges: the bridge of each component, those that are no candidates any more included.
         told: what is different.
+        number: how many changes of candidates led to these, in one configuration.
+        superseded: those before that are gone or are others; none of them is in use.
     """
 
     bridges: Mapping[str, str]
     told: str
+    number: int
+    superseded: frozenset[str]
 
 
 @frozen
@@ -173,6 +181,7 @@ class ReplacementSought:
     Attributes:
         attempt: of the connection, as it was when the search began.
         switchover: id of the switchover that it is for; 0: it is for a failover.
+        candidates: number of the candidates with which it began.
     """
 
     connection: str
@@ -180,6 +189,7 @@ class ReplacementSought:
     plan: Plan | None
     error: str = ""
     switchover: int = 0
+    candidates: int = 0
 
 
 @frozen

@@ -210,6 +210,9 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     failure = record.failure
     if failure is None:
         return
+    if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
+        seek(draft, record)
+        return
     if event.plan is not None:
         try:
             placement = draft.place(record, event.plan, f"{record.id}#{record.attempt}")
@@ -253,10 +256,10 @@ def look_again(draft: Draft, record: ConnectionRecord) -> None:
 def advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what is missing of the next plan opened; hand over when all of it is open."""
     assert record.next is not None, "there is a plan to open"
-    placement = draft.open(record, record.next, record.next.user, is_heard=True)
+    placement, is_open = draft.open(record, record.next, record.next.user, is_heard=True)
     record = draft.put(record, next=placement)
     failure = record.failure
-    if failure is not None and not draft.missing(placement):
+    if failure is not None and is_open:
         hand_over(draft, record, failure.time, failure.cause)
 
 
@@ -297,7 +300,7 @@ def hand_over(
     subject = f"connection {record.id}"
     lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
     draft.actions += [
-        HandOver(lane, record.id, before, after, is_heard, since, draft.now, cause),
+        HandOver(lane, record.id, before, after, is_heard, record, since, draft.now, cause),
         Publish(record),
     ]
     if waited:

@@ -15,15 +15,18 @@ from uoarm._control.reconciler.endings import cancel_switchover, drop_next
 from uoarm._control.reconciler.events import CandidatesChanged, Configured
 from uoarm._control.reconciler.failover import replace, seek
 from uoarm._control.reconciler.state import ComponentFailure, ConnectionRecord
-from uoarm._control.reconciler.switchover import begin
+from uoarm._control.reconciler.switchover import begin, seek_outdated
 from uoarm.model import ConnectionState
 
 __all__ = ["candidates_changed", "configured", "go_on"]
+
+_KNOWN_CHANGES = 16
 
 
 def configured(draft: Draft, event: Configured) -> None:
     """Take a configuration over, and have every connection that it concerns look for its plan."""
     draft.revision, draft.policy, draft.bridges = event.revision, event.policy, event.bridges
+    draft.candidates, draft.replaced = 0, ()
     draft.configurers = (*draft.configurers, event.waiter)
     draft.supersede(event.superseded)
     for name in event.superseded:
@@ -44,8 +47,12 @@ def candidates_changed(draft: Draft, event: CandidatesChanged) -> None:
 
     A connection that waits for a candidate looks again by itself, and one that runs goes back to a
     better candidate only where `failover.return_after` says so: what comes and goes moves nobody.
+    A plan that is being sought, or was found and is not in use yet, must not have what is gone.
     """
     draft.bridges = event.bridges
+    draft.candidates = event.number
+    draft.replaced = (*draft.replaced, event.superseded)[-_KNOWN_CHANGES:]
+    seek_outdated(draft)
     draft.actions.append(Announce("candidates", "changed", event.told))
 
 

@@ -182,6 +182,12 @@ class Placement:
         """Id of the component that the application asked for."""
         return self.components[self.plan.provider.component.name]
 
+    def opened_by(self, batch: int) -> Placement:
+        """Return it with another batch; built directly, as each request does it twice."""
+        return Placement(
+            self.user, self.plan, self.components, self.edges, self.ports, self.parts, batch
+        )
+
 
 @frozen
 class Batch:
@@ -328,6 +334,8 @@ class State:
         outdated: connections whose plan may be another in this revision.
         postponed: connections whose first plan, placed now, would be in the way of those.
         configurers: who waits until all those have moved.
+        candidates: how many changes of candidates there were in this revision.
+        replaced: the candidates that were superseded by the last of these, newest last.
     """
 
     policy: FailoverPolicy
@@ -350,6 +358,8 @@ class State:
     outdated: frozenset[str] = frozenset()
     postponed: tuple[str, ...] = ()
     configurers: tuple[str, ...] = ()
+    candidates: int = 0
+    replaced: tuple[frozenset[str], ...] = ()
 
 
 def names(plan: Plan) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The reconciler: one event and the state before it give the state after it, and what to do.
 
 `step` touches no thread, clock, lock, log or bridge. Requests, sharing, kills and ends are here;
-`_failover` and `_failback` have what happens when components die and come back, `_switchover` how
+`failover` and `failback` have what happens when components die and come back, `switchover` how
 connections change to better plans.
 """
 
@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
-
-from attrs import evolve
 
 from uoarm._control.reconciler import failback, failover, reconfiguration, switchover
 from uoarm._control.reconciler.actions import Action, Announce, Close, Forget, Publish, Reply
@@ -65,22 +63,29 @@ def _requested(draft: Draft, event: Requested) -> None:
             event.connection, event.wanted, event.validate, event.waiter, is_heard=event.is_heard
         )
     )
-    if event.plan is not None and event.revision == draft.revision:
-        _begin(draft, record, event.plan)
-    else:
+    if event.plan is None or _is_outdated(draft, event):
         draft.resolve(record)
+    else:
+        _begin(draft, record, event.plan)
 
 
 def _resolved(draft: Draft, event: Resolved) -> None:
     record = draft.connections.get(event.connection)
     if record is None or record.current is not None:
         return
-    if event.revision != draft.revision:  # the configuration was changed meanwhile
+    if _is_outdated(draft, event):
         draft.resolve(record)
     elif event.plan is None:
         _refuse(draft, record, event.error)
     else:
         _begin(draft, record, event.plan)
+
+
+def _is_outdated(draft: Draft, event: Requested | Resolved) -> bool:
+    """Say whether the configuration changed meanwhile, or a candidate that was found."""
+    return event.revision != draft.revision or (
+        event.plan is not None and draft.is_outdated(event.plan, event.candidates)
+    )
 
 
 def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
@@ -129,10 +134,10 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
 def _advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what a connection still needs opened; go on where that is all there."""
     if record.state is ConnectionState.OPENING and record.current is not None:
-        placement = draft.open(record, record.current, record.waiter, is_heard=True)
+        placement, is_open = draft.open(record, record.current, record.waiter, is_heard=True)
         if placement is not record.current:
             draft.put(record, current=placement)
-        elif not placement.batch and not draft.missing(placement):
+        elif is_open and not placement.batch:
             _run(draft, record)
     elif record.next is not None and record.switchover:
         switchover.advance(draft, draft.switchovers[record.switchover])
@@ -167,9 +172,9 @@ def _opened(draft: Draft, event: Opened) -> None:
 def _batch_over(draft: Draft, record: ConnectionRecord, event: Opened) -> None:
     """Note that nothing is opened any more for the plan that the batch was for."""
     if record.current is not None and record.current.batch == event.batch:
-        record = draft.put(record, current=evolve(record.current, batch=0))
+        record = draft.put(record, current=record.current.opened_by(0))
     elif record.next is not None and record.next.batch == event.batch:
-        record = draft.put(record, next=evolve(record.next, batch=0))
+        record = draft.put(record, next=record.next.opened_by(0))
     else:
         return
     if event.error is not None:

@@ -25,7 +25,15 @@ from uoarm._control.reconciler.state import (
 from uoarm.errors import ResolutionError
 from uoarm.model import ConnectionState, Plan
 
-__all__ = ["abandon", "advance", "begin", "found", "inputs_switched", "may_move"]
+__all__ = [
+    "abandon",
+    "advance",
+    "begin",
+    "found",
+    "inputs_switched",
+    "may_move",
+    "seek_outdated",
+]
 
 _RETURNED = "its preferred components are available again"
 _RECONFIGURED = "the configuration was changed"
@@ -48,6 +56,9 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     """Note the better plan of a member; open all when each has one."""
     group = draft.switchovers.get(event.switchover)
     if group is None or record.switchover != group.id:
+        return
+    if event.plan is not None and draft.is_outdated(event.plan, event.candidates):
+        _seek_for(draft, record)
         return
     members = {**group.members, record.id: event.plan}
     rivals = set[str]() if event.plan is None else draft.rivals(event.plan)
@@ -85,6 +96,22 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     advance(draft, group)
 
 
+def seek_outdated(draft: Draft) -> None:
+    """Have plans sought anew that were found and not placed yet, with candidates that changed."""
+    for group in draft.switchovers.values():
+        if group.is_switching:  # nothing is sought any more, and members may have ended meanwhile
+            continue
+        members = {
+            identity: None
+            if plan is not None
+            and draft.connections[identity].next is None
+            and draft.is_outdated(plan, draft.candidates - 1)
+            else plan
+            for identity, plan in group.members.items()
+        }
+        draft.switchovers[group.id] = evolve(group, members=members)
+
+
 def advance(draft: Draft, group: Switchover) -> None:
     """Have what is missing opened; let the inputs change hands when all is open."""
     if group.is_switching:
@@ -95,9 +122,10 @@ def advance(draft: Draft, group: Switchover) -> None:
         record = draft.connections[identity]
         if record.next is None:
             return
-        placement = draft.open(record, record.next, f"switchover {group.id}", is_heard=False)
+        lane = f"switchover {group.id}"
+        placement, is_all = draft.open(record, record.next, lane, is_heard=False)
         draft.put(record, next=placement)
-        is_open = is_open and not draft.missing(placement)
+        is_open = is_open and is_all
         edges += placement.edges
     if not is_open:
         return

@@ -1,7 +1,8 @@
 """Events as lines of a log, and back: what happened in the field becomes a test by pasting it.
 
 A plan is written as its function and its components, by which whoever reads the log finds it in the
-robot's configuration. An error is written as its type and text.
+robot's configuration. An error is written as the name of its class, its text and, where it has one,
+its reason; it is read back as of that class, without the class's other attributes.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from typing import Any
 
 import attrs
 
-from uoarm import errors
 from uoarm._control.reconciler import events
 from uoarm._control.reconciler.state import Kind, Part
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import FailoverPolicy, FailureLimits, Health, Plan, PortRef, Role, ValidationMode
 
 __all__ = ["FindPlan", "read", "write"]
@@ -49,7 +50,9 @@ def _plain(value: object) -> object:
     if isinstance(value, Plan):
         return [value.function, *(step.component.name for step in value.steps)]
     if isinstance(value, BaseException):
-        return [type(value).__name__, str(value)]
+        reason = getattr(value, "reason", None)
+        told = [type(value).__name__, str(value)]
+        return told if reason is None else [*told, _plain(reason)]
     if isinstance(value, PortRef):
         return [value.function, value.port]
     if isinstance(value, Enum):
@@ -70,9 +73,26 @@ def _plan(told: list[str] | None, find_plan: FindPlan) -> Plan | None:
 def _error(told: list[str] | str | None) -> BaseException | str | None:
     if not isinstance(told, list):
         return told
-    kind = getattr(errors, told[0], errors.UoarmError)
-    made: BaseException = kind(told[1])
+    name, text, *reason = told
+    kind = _error_class(name)
+    made = kind.__new__(kind)  # its own __init__ may want what the log does not have
+    made.args = (text,)
+    for one in reason:
+        vars(made)["reason"] = FailureReason(one) if isinstance(made, BridgeError) else one
     return made
+
+
+def _error_class(name: str) -> type[BaseException]:
+    """Return the error of uoarm or of a plugin that has this name; a stand-in where there is none.
+
+    Only what is imported already is found: no line of a log has anything imported.
+    """
+    kinds: list[type[BaseException]] = [UoarmError]
+    for kind in kinds:
+        if kind.__name__ == name:
+            return kind
+        kinds += kind.__subclasses__()
+    return type(name, (Exception,), {})
 
 
 def _part(told: list[str] | str) -> object:

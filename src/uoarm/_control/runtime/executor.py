@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
+import time
 from collections import deque
 from collections.abc import Iterable
 
@@ -36,6 +37,7 @@ from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
 from uoarm.bridge import HealthEvent
 from uoarm.config import compare
+from uoarm.errors import BridgeTimeoutError
 from uoarm.model import Component, ComponentStatus, Health, Robot
 
 __all__ = ["Executor"]
@@ -147,6 +149,8 @@ class Executor:
     def configure(self, staged: StagedRevision, timeout: float) -> None:
         """Put a configuration into force; wait until every connection has moved that can.
 
+        What is sent and emitted from then on goes the new ways.
+
         Raises:
             BridgeTimeoutError: they have not in time; they go on with it.
         """
@@ -163,11 +167,15 @@ class Executor:
         self._lanes.reserve(event.waiter)
         self.post(event)
         step_name = f"changing to revision {event.revision} of the configuration"
+        deadline = time.monotonic() + timeout
         try:
             _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
         except BaseException:
             self._lanes.abandon(event.waiter)
             raise
+        if not self._performer.wait_heard(max(0.0, deadline - time.monotonic())):
+            text = f"{step_name}: an application that is called now holds it up"
+            raise BridgeTimeoutError(text)
 
     def change_candidates(self, robot: Robot) -> None:
         """Have other discovered candidates from now on; those in use stay as they run.
@@ -183,7 +191,8 @@ class Executor:
         self._work()  # what was left to the owner meanwhile
 
     def _change_candidates(self, robot: Robot) -> None:
-        before = self._revisions.current.robot
+        revision = self._revisions.current
+        before, number = revision.robot, revision.candidates
         robot = keep_candidates(robot, self._candidates_in_use(before))
         if before.functions == robot.functions:
             return
@@ -191,9 +200,11 @@ class Executor:
         if difference.told:
             both = (*before.components(), *robot.components())
             every = {one.name: one.bridge for one in both}
+            number += 1
+            told, superseded = "; ".join(difference.told[:_TOLD]), difference.superseded
             # A plan with a new candidate can be found only after the state knows its bridge.
-            self._handle(ev.CandidatesChanged(every, "; ".join(difference.told[:_TOLD])))
-        self._revisions.use_candidates(robot, difference.superseded)
+            self._handle(ev.CandidatesChanged(every, told, number, superseded))
+        self._revisions.use_candidates(robot, difference.superseded, number)
 
     def _candidates_in_use(self, robot: Robot) -> Iterable[Component]:
         """Return the discovered components that are in use, as they run where they are shared."""

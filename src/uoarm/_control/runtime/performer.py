@@ -8,6 +8,8 @@ them comes back as events.
 from __future__ import annotations
 
 import logging
+import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -77,6 +79,7 @@ class Performer:
         self._announcements = announcements
         self._revisions = revisions
         self._cancelled: set[int] = set()
+        self._unheard: tuple[_LetThrough, ...] = ()
         self._doers: dict[type[Any], Callable[[Any], None]] = {
             act.Publish: self._publish,
             act.Announce: self._announce,
@@ -158,10 +161,21 @@ class Performer:
         if action.is_heard:
             runtime.hand_over(action, ports)
         else:
-            self._lanes.put(action.lane, lambda: _let_through(action, runtime, ports))
+            letting = _LetThrough(action, runtime, ports)
+            self._unheard = (*(one for one in self._unheard if not one.is_over), letting)
+            self._lanes.put(action.lane, letting)
         if runtime.context is not None:
             # In a lane, as everything foreign: what takes a finished span may export it at once.
             self._lanes.put(action.lane, lambda: _record_takeover(action, runtime))
+
+    def wait_heard(self, timeout: float) -> bool:
+        """Wait until applications hear the plans that have taken over; False when time ran out.
+
+        Any thread; one in which an application is given a retained message now does not wait for
+        itself.
+        """
+        deadline = time.monotonic() + timeout
+        return all(one.wait(max(0.0, deadline - time.monotonic())) for one in self._unheard)
 
     def _listen(self, action: act.Listen) -> None:
         ports = self._live.ports.get(action.ports)
@@ -261,7 +275,8 @@ class Performer:
                 plan = revision.resolve(action.function, avoided=action.avoided)
         except BaseException as error:  # noqa: BLE001 - handed to who asked
             return ev.Resolved(action.connection, None, error, revision.number)
-        return ev.Resolved(action.connection, plan, revision=revision.number)
+        number, candidates = revision.number, revision.candidates
+        return ev.Resolved(action.connection, plan, revision=number, candidates=candidates)
 
     def _switch_inputs(self, action: act.SwitchInputs) -> ev.Event:
         try:
@@ -274,10 +289,32 @@ class Performer:
         return ev.InputsSwitched(action.switchover)
 
 
-def _let_through(action: act.HandOver, runtime: ConnectionRuntime, ports: ApplicationPorts) -> None:
-    """Have the application hear a plan that was open already, its retained message first."""
-    with ports.letting_through():
-        runtime.hand_over(action, ports)
+class _LetThrough:
+    """A job: have an application hear a plan that was open already, its retained message first."""
+
+    def __init__(
+        self, action: act.HandOver, runtime: ConnectionRuntime, ports: ApplicationPorts
+    ) -> None:
+        self._action = action
+        self._runtime = runtime
+        self._ports = ports
+        self._thread = 0
+        self._over = threading.Event()
+
+    @property
+    def is_over(self) -> bool:
+        return self._over.is_set()
+
+    def wait(self, timeout: float) -> bool:
+        return self._thread == threading.get_ident() or self._over.wait(timeout)
+
+    def __call__(self) -> None:
+        self._thread = threading.get_ident()
+        try:
+            with self._ports.letting_through():
+                self._runtime.hand_over(self._action, self._ports)
+        finally:
+            self._over.set()
 
 
 def _record_takeover(action: act.HandOver, runtime: ConnectionRuntime) -> None:

@@ -16,14 +16,26 @@ from uoarm._control.reconciler.state import ConnectionRecord, State, names, rece
 from uoarm._control.runtime.searches import find_replacement
 from uoarm._dataplane import Clock
 from uoarm._lock import LockGuard, guard_of
-from uoarm._resolve import Hold, Resolver, StructureCache, without_candidates
+from uoarm._resolve import Hold, Resolver, StructureCache, Unavailable, without_candidates
 from uoarm.config import Difference, compare
-from uoarm.errors import BridgeTimeoutError, ConfigurationError, ResolutionError, UsageError
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    ConfigurationError,
+    PluginError,
+    ResolutionError,
+    UsageError,
+)
 from uoarm.model import ConfigurationChange, ConnectionEffect, Effect, Plan, Robot
 
 __all__ = ["Revision", "Revisions", "StagedRevision"]
 
 _KEPT = 100
+_ANEW = (
+    "other machines must join anew at the same address; without failover: {wait: SECONDS} it is "
+    "not waited for them. `hosts` can have another address beside, and a machine whose "
+    "certificate was in the folder when the manager began to listen can join at this one"
+)
 
 
 @frozen(eq=False)
@@ -35,6 +47,7 @@ class Revision:
         robot: the configuration with the candidates that were discovered.
         base: the configuration alone.
         guard: holds structures to the lock; None where the configuration asks for none.
+        candidates: how many changes of candidates there were in this revision.
         needs_candidates: whether it has functions with needs.
     """
 
@@ -44,6 +57,7 @@ class Revision:
     resolver: Resolver
     base: Robot
     guard: LockGuard | None = None
+    candidates: int = 0
     needs_candidates: bool = field(init=False)
 
     def __attrs_post_init__(self) -> None:
@@ -144,20 +158,28 @@ class Revisions:
         """Return the last hundred revisions, the one in force last."""
         return tuple(self._history)
 
-    def use_candidates(self, robot: Robot, superseded: Collection[str]) -> None:
+    def note_kept(self) -> None:
+        """Note that the revision in force stands in the file."""
+        self._history[-1] = evolve(self._history[-1], is_kept=True)
+
+    def use_candidates(self, robot: Robot, superseded: Collection[str], number: int) -> None:
         """Have other candidates in the revision in force; what they do not concern stays known.
 
         Args:
             robot: the configuration in force with other candidates.
             superseded: candidates that are gone or are others.
+            number: of these candidates.
         """
         before = self.current
         for name in superseded:
             before.structures.forget(name)
+        # Then the number: what is found with them and said to be older is only sought once more.
         before.resolver.use(robot.functions)
-        self.current = evolve(before, robot=robot)
+        self.current = evolve(before, robot=robot, candidates=number)
 
-    def stage(self, base: Robot, state: Callable[[], State]) -> StagedRevision:
+    def stage(
+        self, base: Robot, state: Callable[[], State], *, is_new_code: bool = False
+    ) -> StagedRevision:
         """Find what a configuration would change; start the bridges that it needs for that.
 
         Candidates of the configuration in force stay, where their functions still have needs and
@@ -166,25 +188,33 @@ class Revisions:
         Args:
             base: the configuration.
             state: gives the state of this moment.
+            is_new_code: whether Python components must be there with their new code that are
+                there with the old one.
 
         Raises:
-            ConfigurationError: it changes what cannot be changed while the manager runs, or the
-                lock that it asks for cannot be read.
+            ConfigurationError: some are not. Other machines cannot join at the address that it
+                has for them, or the lock that it asks for cannot be read.
         """
         before = self.current
         base = without_candidates(base)
         guard = guard_of(base, self._tell, before.guard)
         robot = _with_candidates_of(before.robot, base)
         difference = compare(before.robot, robot)
-        _require_same_machines(before.robot, robot, difference)
-        bridges = self._bridges.stage(robot.bridges)
-        structures = before.structures.carried_over(
-            bridges.get, difference.superseded, _hold(guard)
-        )
-        resolver = Resolver(robot, structures, check_edge, clock=self._clock)
-        revision = Revision(before.number + 1, robot, structures, resolver, base, guard)
         try:
-            effects = tuple(self._effects(revision, difference, state()))
+            bridges = self._bridges.stage(robot.bridges, robot.hosts)
+        except (BridgeError, PluginError) as error:
+            text = f"other machines cannot join as `hosts` of the new configuration says: {error}"
+            raise ConfigurationError(text) from error
+        try:
+            cut = _cut(robot, bridges.machines.cut_bridges())
+            structures = before.structures.carried_over(
+                bridges.get, difference.superseded, _hold(guard)
+            )
+            resolver = Resolver(robot, structures, check_edge, clock=self._clock)
+            revision = Revision(before.number + 1, robot, structures, resolver, base, guard)
+            if is_new_code:
+                self._require_code(revision, difference)
+            effects = tuple(self._effects(revision, difference, state(), cut))
         except BaseException:
             bridges.close()
             raise
@@ -204,14 +234,31 @@ class Revisions:
         applied = evolve(staged.change, is_applied=True, time=time.time())
         self._history.append(applied)
 
+    def _require_code(self, revision: Revision, difference: Difference) -> None:
+        wrong: list[str] = []
+        old = {one.name: one for one in self.current.robot.components()}
+        for one in revision.robot.components():
+            if one.name not in old or one.name not in difference.superseded:
+                continue
+            if isinstance(self.current.structures.structures(old[one.name]), Unavailable):
+                continue
+            now = revision.structures.structures(one)
+            if isinstance(now, Unavailable):
+                wrong.append(f"  component {one.name!r}: {now.sentence}")
+        if wrong:
+            told = "\n".join(wrong)
+            raise ConfigurationError(
+                f"components cannot be had with their new code; the code that runs goes on:\n{told}"
+            )
+
     def _effects(
-        self, revision: Revision, difference: Difference, state: State
+        self, revision: Revision, difference: Difference, state: State, cut: frozenset[str]
     ) -> list[ConnectionEffect]:
         avoided = recently(state.avoided, self._clock()) - difference.superseded
         failed = recently(state.failed, self._clock()) - difference.superseded
         last = tuple(name for name in state.failed if name in failed)
         effects = (
-            self._effect(revision, difference, record, last, avoided)
+            self._effect(revision, difference, record, last, avoided, cut)
             for record in state.connections.values()
             if record.goes_on and record.current is not None
         )
@@ -224,16 +271,21 @@ class Revisions:
         record: ConnectionRecord,
         failed: tuple[str, ...],
         avoided: frozenset[str],
+        cut: frozenset[str],
     ) -> ConnectionEffect | None:
         before = names(record.placement.plan)
-        is_superseded = not difference.superseded.isdisjoint(before)
+        is_cut = not cut.isdisjoint(before)
+        is_superseded = is_cut or not difference.superseded.isdisjoint(before)
         if record.wanted.function not in difference.functions and not is_superseded:
             return None
+        if is_cut and revision.base.failover.wait > 0:  # which is how long the machine may take
+            function = record.wanted.function
+            return ConnectionEffect(record.id, function, Effect.MOVES, before, before)
         try:
             plan = find_replacement(
                 record.placement.plan,
                 record.output,
-                frozenset(),
+                cut,
                 failed,
                 lambda name, excluded: revision.resolve(name, excluded, avoided),
             )
@@ -241,6 +293,8 @@ class Revisions:
             if not is_superseded:
                 return None
             function, cause = record.wanted.function, str(error)
+            if is_cut:
+                cause = f"{_ANEW}: {cause}"
             return ConnectionEffect(record.id, function, Effect.ENDS, before, cause=cause)
         after = names(plan)
         if after == before and not is_superseded:
@@ -272,16 +326,6 @@ def _with_candidates_of(before: Robot, base: Robot) -> Robot:
     return evolve(base, functions=functions)
 
 
-def _require_same_machines(before: Robot, after: Robot, difference: Difference) -> None:
-    """Refuse what the link to other machines was made with."""
-    told = "restart the manager for that"
-    if before.hosts != after.hosts:
-        raise ConfigurationError(f"`hosts` cannot be changed while the manager runs: {told}")
-    for name in sorted(difference.bridges):
-        for robot in (before, after):
-            spec = robot.bridges.get(name)
-            if spec is not None and "machine" in (spec.host or {}):
-                raise ConfigurationError(
-                    f"bridge {name!r} runs on another machine and cannot be added, changed or "
-                    f"taken away while the manager runs: {told}"
-                )
+def _cut(robot: Robot, bridges: frozenset[str]) -> frozenset[str]:
+    """Return the components of bridges."""
+    return frozenset(one.name for one in robot.components() if one.bridge in bridges)

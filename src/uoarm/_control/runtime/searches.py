@@ -28,6 +28,10 @@ Resolve = Callable[[str, frozenset[str]], Plan]
 class Resolving(Protocol):
     """A revision of the configuration, in which plans are found."""
 
+    @property
+    def candidates(self) -> int:
+        """How many changes of candidates there were in it."""
+
     def resolve(
         self, name: str, excluded: frozenset[str] = ..., avoided: frozenset[str] = ...
     ) -> Plan:
@@ -52,7 +56,9 @@ def seek_replacement(action: act.FindReplacement, revision: Resolving) -> ev.Rep
         if not isinstance(error, UoarmError):
             _log.exception("looking for a replacement failed")
         return ev.ReplacementSought(*asked, None, str(error), action.switchover)
-    return ev.ReplacementSought(*asked, plan, switchover=action.switchover)
+    return ev.ReplacementSought(
+        *asked, plan, switchover=action.switchover, candidates=revision.candidates
+    )
 
 
 def check_preferred(action: act.CheckPreferred, revision: Resolving) -> ev.PreferredChecked:
