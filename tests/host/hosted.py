@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from uoarm._host.remote_bridge import RemoteBridge
+from uoarm._host.transport import liveness
 from uoarm.bridge import HealthEvent
 from uoarm.model import BridgeSpec, Endpoint, MessageStructure, Role
 from uoarm.testing import patience
 
 COMPONENTS = """
-import ctypes, os, time
+import ctypes, os, sys, time
 from collections.abc import Iterator
 
 def count() -> Iterator[int]:
     yield from range(1000)
-
-def few() -> Iterator[int]:
-    yield from range(64)
 
 def forever() -> Iterator[int]:
     number = 0
@@ -53,6 +54,9 @@ def hang(value: int) -> int:
 
 def process_id(value: int) -> int:
     return os.getpid()
+
+def turns(value: int) -> float:
+    return sys.getswitchinterval()
 
 class takes_long:
     def __init__(self) -> None:
@@ -90,16 +94,38 @@ def echo(message: dict) -> dict:
 ANY = MessageStructure(True)
 
 
+PATIENT = {
+    "PYTHONPATH": str(Path(__file__).parent / "patient"),
+    "UOARM_TEST_PATIENCE": str(patience()),
+}
+"""Variables with which a host gives up no message of a manager that is starved."""
+
+
 def spec(folder: Path, **host: object) -> BridgeSpec:
     """Write the components to a folder and describe a hosted bridge that finds them."""
     (folder / "hosted_parts.py").write_text(COMPONENTS)
-    patient = {"silence": patience(), "start": patience()}
+    patient = {"silence": patience(), "start": patience(), "variables": PATIENT}
     return BridgeSpec("far", "python", {"path": [str(folder)]}, patient | host)
 
 
 def bridge(folder: Path, **host: object) -> RemoteBridge:
     """Start a hosted bridge."""
     return RemoteBridge(spec(folder, **host))
+
+
+def hasten(bridge: RemoteBridge, silence: float) -> None:
+    """Have a bridge give its host up after so long from now on.
+
+    One that has such a silence from the beginning may take a host for dead that has not come to run
+    yet, before the test has done anything to it.
+    """
+    heartbeat: Any = vars(bridge._host)["_heartbeat"]
+    heartbeat._silence = silence
+
+
+def doubt_soon(patched: pytest.MonkeyPatch) -> None:
+    """Have a host that does not answer doubted after two seconds, long before it is given up."""
+    patched.setattr(liveness, "_DOUBT", 2.0 / patience())
 
 
 def at(name: str, role: Role = Role.OUTPUT, port: str = "default") -> Endpoint:
@@ -115,12 +141,3 @@ class Events:
 
     def __call__(self, event: HealthEvent) -> None:
         self.all.append(event)
-
-
-def lives(process: int) -> bool:
-    """Say whether a process is there and has not ended."""
-    try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-    except OSError:
-        return False
-    return state != "Z"

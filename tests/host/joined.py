@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
-from random import SystemRandom
 from types import TracebackType
 
 from tests.host import hosted
+from tests.processes import states, thread_names
 from typing_extensions import Self
 
 from uoarm._certificates import Authority
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import patience, wait
 
 ROBOT = """
 version: 1
 hosts: {{listen: "tls/{address}:{port}", certificates: certificates, silence: {silence}}}
 failover: {failover}
 bridges:
-  far: {{plugin: python, host: {{machine: arm, silence: {silence}}}}}
+  far: {{plugin: python, host: {{machine: arm, silence: {silence}, start: {start}}}}}
   near: {{plugin: python}}
 functions:
   ticks:
@@ -43,27 +41,9 @@ functions:
     components:
       - {{name: asker, bridge: far, service: {{endpoint: ["hosted_parts:process_id"]}}}}
 """
-_GIVEN_PORTS = Path("/proc/sys/net/ipv4/ip_local_port_range")
-_LOWEST_PORT = 10_000
 SPARE = """
       - {name: spare, bridge: near, priority: 1, output: {endpoint: ["hosted_parts:forever"]}}
 """
-
-
-def free_port() -> int:
-    """Return a port that is free, and that the system gives to nobody who does not ask for it.
-
-    One that the system chose itself may be given to the next connection of any process before
-    the test listens on it.
-    """
-    first_given = 32768
-    with suppress(OSError):
-        first_given = int(_GIVEN_PORTS.read_text().split()[0])
-    for port in SystemRandom().sample(range(_LOWEST_PORT, max(first_given, 2 * _LOWEST_PORT)), 100):
-        with socket.socket() as one, suppress(OSError):
-            one.bind(("127.0.0.1", port))
-            return port
-    raise AssertionError("none of a hundred ports is free")
 
 
 def robot(
@@ -74,6 +54,7 @@ def robot(
     spare: bool = False,
     failover: str = "{}",
     silence: float | None = None,
+    start: float | None = None,
 ) -> Path:
     """Write a robot with bridges on machine `arm`, its components, and certificates."""
     (folder / "hosted_parts.py").write_text(hosted.COMPONENTS)
@@ -85,7 +66,8 @@ def robot(
         port=port,
         address=address,
         failover=failover,
-        silence=silence or 3 * slowness(),
+        silence=silence or patience(),
+        start=start or patience(),
         others=SPARE if spare else "",
     )
     file = folder / "robot.yaml"
@@ -104,6 +86,7 @@ class Joined:
         machine: str = "arm",
         certificates: Path | None = None,
         within: Sequence[str] = (),
+        patient: bool = True,
     ) -> None:
         self._log = folder / f"host-{machine}.log"
         command = ["uoarm", "host", "--join", place, "--machine", machine, *more]
@@ -114,6 +97,7 @@ class Joined:
                 stdout=log,
                 stderr=log,
                 stdin=subprocess.DEVNULL,
+                env={**os.environ, **(hosted.PATIENT if patient else {})},
             )
 
     @property
@@ -126,20 +110,16 @@ class Joined:
 
     def holdings(self) -> tuple[int, int]:
         """Return how many threads of Python's it has, and how many descriptors. Linux."""
-        home = Path(f"/proc/{self._process.pid}")
-        names = [(one / "comm").read_text() for one in (home / "task").iterdir()]
-        main = (home / "comm").read_text()
-        return names.count(main), sum(1 for _ in (home / "fd").iterdir())
+        main, *others = thread_names(self._process.pid)
+        return 1 + others.count(main), sum(
+            1 for _ in Path(f"/proc/{self._process.pid}/fd").iterdir()
+        )
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal; for SIGSTOP return when all its threads stand."""
         os.kill(self._process.pid, number)
         if number == signal.SIGSTOP:
-            wait(self._stands)
-
-    def _stands(self) -> bool:
-        tasks = Path(f"/proc/{self._process.pid}/task").iterdir()
-        return all((one / "stat").read_text().rpartition(") ")[2][0] == "T" for one in tasks)
+            wait(lambda: set(states(self._process.pid)) == {"T"})
 
     def end(self) -> int:
         """Ask it to end, and return its exit status."""

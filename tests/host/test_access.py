@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from tests.host.joined import Joined, free_port
+from tests.host.joined import Joined
 
 from uoarm._certificates import Authority
 from uoarm._host import HostAgent, Identity, MachineRegistry
@@ -19,7 +19,7 @@ from uoarm._host.transport.codec import pack
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Listening
-from uoarm.testing import patience, wait
+from uoarm.testing import free_port, patience, wait
 
 _numbers = itertools.count(1)
 
@@ -50,14 +50,15 @@ def registry(
     folder: Path, place: str, came: list[tuple[str, str | None]]
 ) -> Iterator[MachineRegistry]:
     made = MachineRegistry(
-        Listening(place, str(folder)), ["arm", "leg"], lambda *news: came.append(news)
+        Listening(place, str(folder), patience()), ["arm", "leg"], lambda *news: came.append(news)
     )
     yield made
     made.close()
 
 
-def _join(place: str, identity: Identity, timeout: float = 10.0) -> Transport:
-    return Transport(place, listen=False, timeout=timeout, more=identity.settings(listen=False))
+def _join(place: str, identity: Identity, timeout: float | None = None) -> Transport:
+    limit = patience() if timeout is None else timeout
+    return Transport(place, listen=False, timeout=limit, more=identity.settings(listen=False))
 
 
 def _settle(registry: MachineRegistry, link: Transport, machine: str) -> None:
@@ -118,7 +119,7 @@ def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
 
     assert not registry.here("arm", "any")
     with pytest.raises(BridgeError, match="nobody answers"):
-        registry.attach("arm", "thief", None, 10.0)
+        registry.attach("arm", "thief", None, patience())
     with pytest.raises(BridgeError) as refused:
         as_arm.ask("attach/owner", None, timeout=patience())
     assert refused.value.reason in {FailureReason.UNAVAILABLE, FailureReason.TIMEOUT}

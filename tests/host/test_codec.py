@@ -7,6 +7,7 @@ import math
 import sys
 import tracemalloc
 from array import array
+from types import ModuleType
 
 import msgpack
 import numpy as np
@@ -95,6 +96,14 @@ def test_without_numpy_other_shapes_are_refused(monkeypatch: pytest.MonkeyPatch)
 def test_other_values_are_refused_by_name(value: object) -> None:
     with pytest.raises(MessageError, match=f"cannot carry a {type(value).__name__}"):
         pack({"x": value})
+
+
+def test_a_value_is_refused_by_name_while_another_thread_imports_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "numpy", ModuleType("numpy"))
+    with pytest.raises(MessageError, match="cannot carry a set"):
+        pack({"x": {1, 2}})
 
 
 def test_a_message_nested_too_deep_is_refused() -> None:

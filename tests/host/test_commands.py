@@ -39,7 +39,7 @@ functions:
           endpoint: ["moving:base"]
           lifetime: 0.2
           stop: {message: {v: 0.0}}
-          limits: {v: {maximum: 1}}
+          limits: {v: {maximum: 1, rate: 3}}
 """
 SENDER = """
 import sys, time
@@ -97,10 +97,16 @@ def test_the_status_has_what_the_host_says_and_an_emergency_stop_reaches_it(fold
             (component,) = manager.status().components
             return component.channels[0].command
 
+        def refused() -> dict[str, int]:
+            told = status()
+            return {} if told is None else dict(told.dropped)
+
         drive.send({"v": 0.5})
         wait(lambda: (told := status()) is not None and told.phase is CommandPhase.STOPPED)
         drive.send({"v": 2.0})
-        wait(lambda: (told := status()) is not None and bool(told.dropped))
+        wait(lambda: refused() == {"beyond-limits": 1})
+        drive.send({"v": 0.9})  # from rest it may be 0.6 at most
+        wait(lambda: refused() == {"beyond-limits": 2})
         assert taken(folder) == ["0.5", "0.0"]
         report = manager.stop_all(timeout=patience())
         assert [one.stopped for one in report.inputs] == [True]

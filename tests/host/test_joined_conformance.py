@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.host.joined import Joined, free_port
+from tests.host.joined import Joined
 from tests.host.test_hosted_conformance import TESTS, HostedWorld
 
 from uoarm._host import MachineRegistry, RemoteBridge
 from uoarm.bridge import Bridge
 from uoarm.model import BridgeSpec, Listening
-from uoarm.testing import wait
+from uoarm.testing import free_port, patience, wait
 from uoarm.testing.conformance import BridgeConformance, World
 
 
@@ -25,17 +25,17 @@ class JoinedWorld(HostedWorld):
 
     def bridge(self) -> Bridge:
         path = [str(TESTS / "local"), str(TESTS / "host" / "parts")]
-        spec = BridgeSpec(
-            "python", "python", {"path": path, "discover": ["parts:Numbers"]}, {"machine": "arm"}
-        )
-        return RemoteBridge(spec, self._desk)
+        options = {"path": path, "discover": ["parts:Numbers"]}
+        host = {"machine": "arm", "silence": patience(), "start": patience()}
+        return RemoteBridge(BridgeSpec("python", "python", options, host), self._desk)
 
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MachineRegistry]:
     place = f"tcp/127.0.0.1:{free_port()}"
-    made = MachineRegistry(Listening(place), ["arm"], lambda *_: None)
-    with Joined(tmp_path_factory.mktemp("arm"), place):
+    listening = Listening(place, silence=patience())
+    made = MachineRegistry(listening, ["arm"], lambda *_: None)
+    with Joined(tmp_path_factory.mktemp("arm"), place, "--silence", str(patience())):
         wait(lambda: made.here("arm", "python"))
         yield made
     made.close()

@@ -7,7 +7,6 @@ import threading
 from typing import Any
 
 import pytest
-from tests.host.joined import free_port
 
 from uoarm._host.transport.zenoh_transport import Reply, Transport
 from uoarm.errors import (
@@ -18,7 +17,7 @@ from uoarm.errors import (
     PluginError,
     UoarmError,
 )
-from uoarm.testing import patience, slowness
+from uoarm.testing import free_port, patience, slowness
 
 Ends = tuple[Transport, Transport]
 

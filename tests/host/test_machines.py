@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from tests.host.joined import Joined, free_port, robot
+from tests.host.joined import Joined, robot
 
-from uoarm import BridgeError, ResolutionError, RobotManager
+from uoarm import BridgeError, ResolutionError, RobotManager, UoarmError
 from uoarm._host import MachineRegistry
 from uoarm.cli import main
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Health, MachineStatus, StatusEvent
-from uoarm.testing import Census, patience, slowness, wait
+from uoarm.testing import Census, free_port, patience, slowness, wait
 
 
 @pytest.fixture
@@ -109,8 +109,7 @@ def test_an_address_that_is_taken_is_told_and_tried_again(tmp_path: Path, port: 
 
 
 def test_who_has_not_come_in_time_is_not_waited_for_again(tmp_path: Path, port: int) -> None:
-    file = robot(tmp_path, port)
-    file.write_text(file.read_text().replace("machine: arm", "machine: arm, start: 0.1"))
+    file = robot(tmp_path, port, start=0.1)
     with RobotManager.from_file(file) as manager:
         for _ in range(2):
             with pytest.raises(
@@ -212,25 +211,26 @@ def test_a_host_that_hangs_is_given_up_but_never_killed(tmp_path: Path, port: in
     lease = ("--silence", str(patience()))
     with Joined(tmp_path, _place(port), *lease) as host, RobotManager.from_file(file) as manager:
         events: list[StatusEvent] = []
-        manager.listen(events.append)
-        manager.call("where", 0, timeout=patience())
-        host.signal(signal.SIGSTOP)
-        wait(lambda: any("machine 'arm' has not answered for" in one.cause for one in events))
-        with pytest.raises(Exception, match=r"host of machine 'arm' (does not|is there)"):
-            manager.call("where", 0, timeout=patience())
-        assert host.runs
-        host.signal(signal.SIGCONT)
         answers: list[int] = []
 
-        def again() -> bool:
+        def answered() -> bool:
+            """Ask until it answers: one that is starved is given up, too."""
             try:
                 answers.append(manager.call("where", 0, timeout=patience()))
-            except Exception:  # noqa: BLE001 - until it answers
+            except UoarmError:
                 return False
             return True
 
-        wait(again)
-        assert answers
+        manager.listen(events.append)
+        wait(answered)
+        host.signal(signal.SIGSTOP)
+        wait(lambda: any("machine 'arm' has not answered for" in one.cause for one in events))
+        with pytest.raises(UoarmError, match=r"host of machine 'arm' (does not|is there)"):
+            manager.call("where", 0, timeout=patience())
+        assert host.runs
+        host.signal(signal.SIGCONT)
+        wait(answered)
+        assert answers[0] == answers[1]  # of the same process
         bridge = manager._bridges.get("far")
         with pytest.raises(BridgeError, match="not started or killed from here"):
             bridge.process  # type: ignore[attr-defined] # noqa: B018 - a RemoteBridge has it
@@ -270,7 +270,8 @@ def test_a_host_closes_its_bridges_when_the_manager_is_killed(tmp_path: Path, po
 def test_two_hosts_share_the_bridges_of_a_machine(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     text = file.read_text().replace(
-        "  near: {plugin: python}", "  near: {plugin: python, host: {machine: arm}}"
+        "  near: {plugin: python}",
+        f"  near: {{plugin: python, host: {{machine: arm, start: {patience()}}}}}",
     )
     there = """  there:
     components:

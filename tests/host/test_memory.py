@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from tests.host import hosted
-from tests.host.hosted import Events, at, lives
+from tests.host.hosted import Events, at
+from tests.processes import lives
 
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
@@ -50,6 +51,11 @@ def test_a_host_that_cannot_start_within_its_memory_says_so(tmp_path: Path) -> N
 
 def test_a_host_keeps_the_memory_of_large_messages(tmp_path: Path) -> None:
     bridge = hosted.bridge(tmp_path)
-    variables = Path(f"/proc/{bridge.process}/environ").read_bytes().split(b"\0")
-    assert {b"MALLOC_MMAP_THRESHOLD_=33554432", b"MALLOC_TRIM_THRESHOLD_=268435456"} <= {*variables}
-    bridge.close()
+    try:
+        environment = Path(f"/proc/{bridge.process}/environ").read_bytes()
+        interval = bridge.call(at("turns", Role.SERVICE), 0)
+    finally:
+        bridge.close()
+    variables = {*environment.split(b"\0")}
+    assert {b"MALLOC_MMAP_THRESHOLD_=33554432", b"MALLOC_TRIM_THRESHOLD_=268435456"} <= variables
+    assert interval == pytest.approx(0.0005)

@@ -21,7 +21,6 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Role
 from uoarm.testing import Census, MemoryBridge, patience
 
-SECONDS = 20.0
 NUMBER = {"type": "integer", "maximum": 2**40}
 
 
@@ -93,7 +92,7 @@ def test_requests_from_elsewhere_and_long_ones_are_refused(
 
 
 def _post(face: XmlRpcServer, body: bytes) -> str:
-    connection = HTTPConnection("127.0.0.1", face.port, timeout=SECONDS)
+    connection = HTTPConnection("127.0.0.1", face.port, timeout=patience())
     connection.request("POST", "/RPC2", body)
     answer = connection.getresponse().read().decode()
     connection.close()
@@ -153,7 +152,7 @@ def test_idle_connections_cost_few_threads_and_end(
     with ExitStack() as stack, monkeypatch.context() as hasty:
         hasty.setattr(xmlrpc_server, "_CONNECTION_SECONDS", 0.05)
         idle = [
-            stack.enter_context(socket.create_connection(("127.0.0.1", face.port), SECONDS))
+            stack.enter_context(socket.create_connection(("127.0.0.1", face.port), patience()))
             for _ in range(2 * xmlrpc_server._CONNECTIONS)
         ]
         for one in idle[::2]:

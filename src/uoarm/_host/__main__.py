@@ -20,6 +20,7 @@ from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_pa
 from uoarm._host.transport import keys
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.zenoh_transport import Reply, Transport
+from uoarm._switch_interval import switch_interval_seconds
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.model import BridgeSpec
@@ -62,6 +63,10 @@ def main() -> int:
         return _ORPHANED
     limit_memory(orders["memory"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    try:
+        sys.setswitchinterval(switch_interval_seconds())
+    except UoarmError as error:
+        logging.getLogger("uoarm.host").warning("%s; it stays as it is", error)
     main_thread = _MainThread()
     watching = orders["folder"], main_thread
     threading.Thread(target=_watch_manager, args=watching, daemon=True).start()

@@ -175,9 +175,11 @@ class RemoteBridge(Bridge):
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
-        with self.cancelling(lambda: self._ask("cancel_calls", component=endpoint.component)):
+        number = next(self._numbers)
+        with self.cancelling(lambda: self._ask("cancel_call", call=number)):
             return self._ask(
                 "call",
+                call=number,
                 endpoint=to_json(endpoint),
                 structures=to_json(structures),
                 message=message,

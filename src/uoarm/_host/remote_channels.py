@@ -39,6 +39,7 @@ class RemoteChannel(Channel):
         self._ask = ask
         self._finally = when_closed
         self.host_facts: Mapping[str, object] = {}
+        self._taken: int | None = None  # by its source in the host, once that is closed
 
     def facts(self) -> Mapping[str, object]:
         """Return what the host's framework knew of the link a second ago at most."""
@@ -46,7 +47,8 @@ class RemoteChannel(Channel):
 
     def _close(self) -> None:
         try:
-            self._ask("close_channel", flow=self.number, sent=self._sent())
+            taken = self._ask("close_channel", flow=self.number, sent=self._sent())
+            self._taken = taken if isinstance(taken, int) else None
         finally:
             self._finally()
 
@@ -73,9 +75,9 @@ class RemoteSource(RemoteChannel, Source):
 
     def facts(self) -> Mapping[str, object]:
         """Return the host's facts, and what was lost on the link; latency in seconds."""
-        lost = self.incoming.lost
-        given = self.given - self.refused
-        taken = given + lost if self.counter is None else self.counter.read()
+        given, lost = self.given, self.incoming.lost
+        # Of one on another machine that is known at its end only.
+        taken = self._taken or 0 if self.counter is None else self.counter.read()
         ours = {
             "under_way": max(0, taken - given - lost),
             "lost_on_link": lost + self._lost_in_host(),

@@ -63,7 +63,7 @@ class RequestDispatcher:
             "source": self._source,
             "sink": self._sink,
             "call": self._call,
-            "cancel_calls": lambda request: self._bridge.cancel_calls(request["component"]),
+            "cancel_call": lambda request: self._bridge.cancel_call(request["call"]),
             "serve": self._serve,
             "link": self._native_link,
             "sent": lambda request: self._flows.sent(request["flow"]),
@@ -154,9 +154,8 @@ class RequestDispatcher:
     def _call(self, request: Request) -> Message:
         endpoint = from_json(request["endpoint"], Endpoint)
         structures = from_json(request["structures"], ServiceStructures)
-        return self._bridge.call(
-            endpoint, request["message"], structures, timeout=request["timeout"]
-        )
+        message, limit, number = request["message"], request["timeout"], request["call"]
+        return self._bridge.call(endpoint, message, structures, timeout=limit, number=number)
 
     def _serve(self, request: Request) -> None:
         endpoint = from_json(request["endpoint"], Endpoint)
@@ -197,8 +196,8 @@ class RequestDispatcher:
         if sink is not None:
             sink.release()
 
-    def _close_channel(self, request: Request) -> None:
-        self._flows.close(request["flow"], request["sent"], request["timeout"])
+    def _close_channel(self, request: Request) -> int:
+        return self._flows.close(request["flow"], request["sent"], request["timeout"])
 
     def _close(self, request: Request) -> None:
         self._bridge.close(timeout=request["timeout"])

@@ -15,7 +15,7 @@ from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm._raised import LimitedLog
-from uoarm.bridge import Channel, Sink
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, to_json
 
@@ -35,6 +35,7 @@ class OutboundFlow:
 
     Attributes:
         channel: the source, from when it is open.
+        taken: how many messages the source has delivered, or tried to once it was closed.
     """
 
     def __init__(
@@ -42,8 +43,8 @@ class OutboundFlow:
     ) -> None:
         self.endpoint = endpoint
         self._counter = counter
-        self._taken = 0
-        self.channel: Channel | None = None
+        self.taken = 0
+        self.channel: Source | None = None
         self._outgoing = outgoing
         self._closed = False
         self._records = LimitedLog(_log)
@@ -55,18 +56,24 @@ class OutboundFlow:
 
     def deliver(self, message: Message) -> None:
         """Send one message. Never raises: what cannot be sent is counted as lost."""
-        if self._counter is not None:
-            self._taken += 1
-            self._counter.set(self._taken)
-            # A death from here on finds both sides counted: what came of a message may wait long
-            # to be sent, and the message would be lost as well as what came of it delivered.
-            HANDLING.answered()
+        self.count()
         try:
             self._outgoing.send(message)
         except UoarmError as error:
             self._outgoing.skip()
             if not self._closed:
                 self._records.write(logging.WARNING, f"{self.endpoint}: a message is lost: {error}")
+
+    def count(self) -> None:
+        """Count one message as taken, whether it is sent or came too late.
+
+        A death from here on finds both sides counted: what came of a message may wait long to be
+        sent, and the message would be lost as well as what came of it delivered.
+        """
+        self.taken += 1
+        if self._counter is not None:
+            self._counter.set(self.taken)
+            HANDLING.answered()
 
     def finish(self, ending: Ending) -> None:
         """Have the manager told, behind the last message, that the source has ended."""
@@ -115,6 +122,7 @@ class OpenFlows:
             with self._lock:
                 self._opening.remove(outbound)
                 if outbound.channel is not None:
+                    outbound.channel.watch_refused(outbound.count)
                     self._open[number] = _Open(outbound.channel, outbound=outbound)
 
     def inbound(self, number: int, slot: int | None, sink: Sink) -> None:
@@ -190,8 +198,8 @@ class OpenFlows:
                 facts = {"facts": f"{type(error).__name__}: {error}"}
             one.facts = facts
 
-    def close(self, number: int, sent: int, timeout: float) -> None:
-        """Close a channel and end its flow. Idempotent.
+    def close(self, number: int, sent: int, timeout: float) -> int:
+        """Close a channel and end its flow; return how many messages a source took. Idempotent.
 
         A sink is given a second to handle the messages up to the number `sent`.
 
@@ -201,7 +209,7 @@ class OpenFlows:
         with self._lock:
             found = self._open.pop(number, None)
         if found is None:
-            return
+            return 0
         if found.inbound is not None:
             found.inbound.drain(sent, min(_PATIENCE_SECONDS, timeout / 2))
             found.inbound.close()
@@ -210,6 +218,7 @@ class OpenFlows:
         finally:
             if found.outbound is not None:
                 found.outbound.close()
+        return 0 if found.outbound is None else found.outbound.taken
 
     def _counter(self, slot: int | None) -> SharedCounter | None:
         return (

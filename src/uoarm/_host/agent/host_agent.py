@@ -25,7 +25,7 @@ __all__ = ["HostAgent", "HostedBridge"]
 
 _TRY_SECONDS = 2.0
 _AGAIN_SECONDS = 0.3
-_UNASKED_SECONDS = 10.0
+_UNASKED_SECONDS = 5.0  # several times as long as a manager takes to ask; half of `start`
 _log = logging.getLogger("uoarm")
 
 Orders = Mapping[str, Any]
@@ -72,41 +72,51 @@ class HostAgent:
         self._hosted: list[HostedBridge] = []
         self._asked = Event()
         self._closed = Event()
+        self._warned = False
 
     def run(self) -> None:
         """Join, and serve until `close` is called from another thread or a signal's handler."""
-        whole = self._connect()
-        if whole is None:
-            return
-        _log.info("the manager at %s is reached", self._address)
-        transport = self._transport = whole.part(keys.MACHINES)
-        try:
-            transport.answer(keys.attach(self._machine, self._name), self._take)
-            transport.answer(keys.clock(self._machine, self._name), self._tell_time)
-            for bridge in self._bridges:
-                transport.show_alive(keys.here(self._machine, bridge, self._name))
-            if not self._asked.wait(_UNASKED_SECONDS) and not self._closed.is_set():
-                _log.warning(
-                    "%s is reached, but does not ask: does its configuration know the machine %r, "
-                    "and is this the name in the certificate?",
-                    self._address,
-                    self._machine,
-                )
-            self._closed.wait()
-        finally:
-            with self._lock:
-                hosted = list(self._hosted)
-            for one in hosted:
-                one.let_go()  # all at once, since each may take its time
-            for one in hosted:
-                one.end()
-            self._workers.close()
-            whole.close()
+        while (whole := self._connect()) is not None:
+            try:
+                if self._is_asked(whole):
+                    self._closed.wait()
+                    return
+                # A link that went while it was made, as the manager listened anew, may never tell
+                # it of us.
+            finally:
+                with self._lock:
+                    hosted = list(self._hosted)
+                for one in hosted:
+                    one.let_go()  # all at once, since each may take its time
+                for one in hosted:
+                    one.end()
+                if self._closed.is_set():
+                    self._workers.close()
+                whole.close()
 
     def close(self) -> None:
         """Have `run` close every bridge and return. From any thread; idempotent."""
         self._closed.set()
         self._asked.set()
+
+    def _is_asked(self, whole: Transport) -> bool:
+        """Show over a link which bridges are here; False if the manager asks for none in time."""
+        _log.info("the manager at %s is reached", self._address)
+        transport = self._transport = whole.part(keys.MACHINES)
+        transport.answer(keys.attach(self._machine, self._name), self._take)
+        transport.answer(keys.clock(self._machine, self._name), self._tell_time)
+        for bridge in self._bridges:
+            transport.show_alive(keys.here(self._machine, bridge, self._name))
+        is_asked = self._asked.wait(_UNASKED_SECONDS)
+        if not is_asked and not self._warned:
+            self._warned = True
+            _log.warning(
+                "%s is reached, but does not ask: does its configuration know the machine %r, "
+                "and is this the name in the certificate?",
+                self._address,
+                self._machine,
+            )
+        return is_asked
 
     def _connect(self) -> Transport | None:
         """Try until the manager is there; what is in the way is told once, not at each try."""

@@ -67,6 +67,8 @@ class MachineConnection:
         except BridgeError as error:
             text = f"the host of {self._subject} does not answer"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+        self._registry = registry
+        registry.hold(self)
         deadline = time.monotonic() + settings.start
         prefix = keys.bridge_prefix(machine, spec.name, uuid.uuid4().hex[:12])
         self.transport: Transport = registry.part(prefix)
@@ -138,6 +140,7 @@ class MachineConnection:
             if self._heartbeat is not None:
                 self._heartbeat.join(_JOIN_SECONDS)
             self.transport.close()
+            self._registry.let_go(self)
 
     def _seen(self, present: bool) -> None:  # noqa: FBT001 - a callback
         self._liveness.seen(present)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from uoarm._host.transport import keys
-from uoarm._host.transport.security import MANAGER, Identity, access_list
+from uoarm._host.transport.security import MANAGER, Identity, access_list, certified
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm.errors import UoarmError
 from uoarm.model import Listening
@@ -28,11 +29,18 @@ _KEPT = 16
 class MachineRegistry:
     """Waits for hosts on other machines at one address, from its making until it is closed.
 
+    The link itself keeps out whoever has no certificate, and everybody from the keys of others. It
+    knows the machines that are watched at first, and those that had a certificate in the folder
+    then: only these can be watched later.
+
     Args:
         listening: the address, and the folder of the manager's certificate.
-        machines: the names that may join; everybody else is denied everything.
+        machines: the names that may join, see `watch`.
         changed: called in the transport's thread when a host of a machine has come or gone: with
             the machine's name, and the bridge that it serves, None for every one. Must not block.
+
+    Attributes:
+        closed: set once it is closed.
 
     Raises:
         BridgeError: the address cannot be had, or the certificate not be used.
@@ -44,39 +52,91 @@ class MachineRegistry:
         machines: Iterable[str],
         changed: Callable[[str, str | None], None],
     ) -> None:
-        names = tuple(machines)
-        more = dict(access_list(names, named=listening.certificates is not None))
-        if listening.certificates is not None:
+        names = frozenset(machines)
+        self._admitted: frozenset[str] | None = None
+        if listening.certificates is None:
+            more = dict(access_list(None))
+        else:
+            self._admitted = names | certified(listening.certificates)
             identity = Identity.find(listening.certificates, MANAGER)
-            more.update(identity.settings(listen=True))
+            more = {**access_list(self._admitted), **identity.settings(listen=True)}
         self._changed = changed
         self._news = threading.Condition()
-        self._hosts: dict[str, list[tuple[str, str]]] = {name: [] for name in names}
-        self._came: dict[str, set[str]] = {name: set() for name in names}
-        self._offsets = {name: ClockOffset() for name in names}
-        self._since = time.monotonic()
+        self._watching = threading.Lock()
+        self._watched: dict[str, Callable[[], None]] = {}
+        self._hosts: dict[str, list[tuple[str, str]]] = {}
+        self._came: dict[str, set[str]] = {}
+        self._since: dict[str, float] = {}
+        self._offsets: defaultdict[str, ClockOffset] = defaultdict(ClockOffset)
+        self._users: set[object] = set()
+        self._is_retired = False
         self._stopped = threading.Event()
+        self.closed = threading.Event()
         self._whole = Transport(listening.place, listen=True, lease=listening.silence, more=more)
         self._whole.clock = time.time_ns
         self._transport = self._whole.part(keys.MACHINES)
-        self._transport.watch_tokens(keys.here("*", "*", "*"), self._seen)
+        self.watch(names)
         self._asking = threading.Thread(
             target=self._ask_for_times, name="uoarm-clocks", daemon=True
         )
         self._asking.start()
 
+    def can_watch(self, machines: Iterable[str]) -> bool:
+        """Say whether the link would let these machines join."""
+        return self._admitted is None or self._admitted.issuperset(machines)
+
+    def watch(self, machines: Iterable[str]) -> None:
+        """Let these machines join and no others: what others say is read by nobody.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+        with self._watching:
+            names = set(machines)
+            for name in set(self._watched) - names:
+                self._watched.pop(name)()
+                with self._news:
+                    self._hosts.pop(name, None)
+            for name in names - set(self._watched):
+                with self._news:
+                    self._hosts[name], self._came[name] = [], set()
+                    self._since[name] = time.monotonic()
+                tokens = keys.here(name, "*", "*")
+                self._watched[name] = self._transport.watch_tokens(tokens, self._seen)
+
+    def hold(self, user: object) -> None:
+        """Have a user, for whom it stays open after `retire`, until `let_go`."""
+        with self._news:
+            self._users.add(user)
+
+    def let_go(self, user: object) -> None:
+        """Have a user less; the last one closes what is retired. Idempotent."""
+        with self._news:
+            self._users.discard(user)
+            is_over = self._is_retired and not self._users
+        if is_over:
+            self.close()
+
+    def retire(self) -> None:
+        """Take no more hosts, and close with the last user. Idempotent."""
+        with self._news:
+            self._is_retired = True
+            is_over = not self._users
+        if is_over:
+            self.close()
+
     def find(self, machine: str, bridge: str, patience: float) -> str | None:
         """Return the name of the host that serves a bridge, None when none comes in time.
 
-        Waits for the first one until hosts could join for `patience` seconds. Who has not joined by
-        then, or has left again, is not waited for.
+        Waits for the first one until hosts of this machine could join for `patience` seconds. Who
+        has not joined by then, or has left again, is not waited for.
         """
-        deadline = self._since + patience
         with self._news:
+            deadline = self._since.get(machine, 0.0) + patience
             self._news.wait_for(
                 lambda: (
                     self._stopped.is_set()
-                    or not self._came[machine].isdisjoint({bridge, keys.ANY_BRIDGE})
+                    or not self._came.get(machine, set()).isdisjoint({bridge, keys.ANY_BRIDGE})
                 ),
                 max(0.0, deadline - time.monotonic()),
             )
@@ -123,24 +183,27 @@ class MachineRegistry:
             self._news.notify_all()
         if threading.current_thread() is not self._asking:
             self._asking.join(_JOIN_SECONDS)
-        self._whole.close()
+        try:
+            self._whole.close()
+        finally:
+            self.closed.set()
 
     def _serving(self, machine: str, bridge: str) -> str | None:
         """Return the newest host that serves just this bridge, else the newest that serves all."""
-        newest = self._hosts[machine][::-1]
+        newest = self._hosts.get(machine, [])[::-1]
         just = (host for served, host in newest if served == bridge)
         every = (host for served, host in newest if served == keys.ANY_BRIDGE)
         return next(just, next(every, None))
 
     def _seen(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
         machine, _, bridge, host = key.split("/")
-        if machine not in self._hosts:
-            return
         with self._news:
-            hosts = self._hosts[machine]
+            hosts = self._hosts.get(machine)
+            if hosts is None:
+                return
             if (bridge, host) in hosts:
                 hosts.remove((bridge, host))
-            if present and len(hosts) < _MOST_HOSTS:
+            if present and len(hosts) < _MOST_HOSTS and not self._is_retired:
                 hosts.append((bridge, host))
                 if len(self._came[machine]) < _MOST_BRIDGES:
                     self._came[machine].add(bridge)

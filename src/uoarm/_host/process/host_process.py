@@ -99,14 +99,15 @@ class HostProcess:
         """See the process end: by itself, after SIGTERM, after SIGKILL; at last free its pipes.
 
         Args:
-            patience: seconds that it has for ending by itself.
+            patience: seconds that it has for ending by itself; 0: nobody asked it to.
 
         Raises:
             BridgeError: it did not end even then.
         """
         process = self._process
         if not self.wait(patience):
-            self._log.warning("it does not end by itself: SIGTERM")
+            if patience > 0:
+                self._log.warning("it does not end by itself: SIGTERM")
             self._signal(signal.SIGTERM)
             if not self.wait(_POLITE_SECONDS):
                 self._log.warning("it does not end after SIGTERM: SIGKILL")

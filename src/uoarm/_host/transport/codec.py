@@ -71,10 +71,13 @@ def pack(message: Message) -> bytes:
             return msgpack.ExtType(
                 _BIG, value.to_bytes(value.bit_length() // 8 + 1, "big", signed=True)
             )
-        numpy = sys.modules.get("numpy")
-        if numpy is not None and isinstance(value, numpy.generic) and value.dtype.kind in "biuf":
+        numpy: Any = sys.modules.get("numpy")
+        # Without a class of that name another thread is importing it at this moment.
+        scalar: Any = getattr(numpy, "generic", ())
+        several: Any = getattr(numpy, "ndarray", ())
+        if isinstance(value, scalar) and value.dtype.kind in "biuf":
             return value.item()
-        if numpy is not None and isinstance(value, numpy.ndarray) and value.dtype.kind in "biuf":
+        if isinstance(value, several) and value.dtype.kind in "biuf":
             whole = numpy.ascontiguousarray(value)
             return _outside(buffers, whole.reshape(-1).view("u1"), value.dtype.str, value.shape)
         raise MessageError(

@@ -19,7 +19,7 @@ from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
 from uoarm._host.transport.zenoh_transport import Transport
 from uoarm._raised import LimitedLog, is_raised, text_of
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
 from uoarm.model import Message
 
 __all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
@@ -145,7 +145,11 @@ class FlowSender:
     def _put(self, frame: bytes, ending: tuple[str, str] | None, sent_at: int) -> None:
         self._number += 1
         header = msgpack.packb((self._number, self._skipped, sent_at, ending))
-        self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
+        try:
+            self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
+        except BridgeError:
+            self._number -= 1  # who gets the error counts it: as sent, it would be lost as well
+            raise
 
     def _wait_for_room(self) -> None:
         """Return when there is room; without any, let one message a while through as a try.
@@ -305,7 +309,8 @@ class FlowReceiver:
         self.failed += 1
         self.raised += is_raised(error)
         self.last_error = text_of(error)
-        self._records.write(logging.INFO, f"{self._name} raised {self.last_error}", error)
+        trace = None if isinstance(error, CommandRefusedError) else error
+        self._records.write(logging.INFO, f"{self._name} raised {self.last_error}", trace)
 
     def _confirm(self, *, at_once: bool) -> None:
         """Tell how far it is: every few messages or moments, and the first failure at once."""

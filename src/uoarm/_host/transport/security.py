@@ -7,6 +7,7 @@ keys that begin with it.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -15,11 +16,14 @@ from attrs import frozen
 from uoarm._host.transport import keys
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["MANAGER", "Identity", "access_list"]
+__all__ = ["MANAGER", "Identity", "access_list", "certified"]
 
 MANAGER = "manager"
 """The name of the manager's files in a folder of certificates."""
 
+_AUTHORITY = "ca"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+_MOST_CERTIFIED = 1024
 _OTHERS = 0o077
 _MESSAGES = (
     "put",
@@ -75,37 +79,43 @@ class Identity:
         }
 
 
-def access_list(machines: Iterable[str], *, named: bool) -> Mapping[str, object]:
+def certified(folder: str | Path) -> frozenset[str]:
+    """Return the machines whose certificates are in a folder, a thousand at most."""
+    found = sorted(file.stem for file in Path(folder).expanduser().glob("*.pem"))
+    names = [one for one in found if one not in {_AUTHORITY, MANAGER} and _NAME.fullmatch(one)]
+    return frozenset(names[:_MOST_CERTIFIED])
+
+
+def access_list(machines: Iterable[str] | None) -> Mapping[str, object]:
     """Return Zenoh's settings under which each machine reaches its own keys, and nobody any other.
 
     Args:
-        machines: their names.
-        named: whether certificates tell who is who; without, as on a loopback without TLS,
-            whoever connects may touch the keys of every machine.
+        machines: their names, as in their certificates; None where nobody has one, as on a
+            loopback without TLS: whoever connects may touch the keys of every machine.
     """
-    names = sorted(machines)
-    rules = [
-        {
-            "id": name,
-            "permission": "allow",
-            "flows": ["ingress", "egress"],
-            "messages": list(_MESSAGES),
-            "key_exprs": [f"{keys.MACHINES}/{name}/**"],
-        }
-        for name in names
-    ]
-    if named:
-        subjects = [{"id": name, "cert_common_names": [name]} for name in names]
-        policies = [{"rules": [name], "subjects": [name]} for name in names]
+    if machines is None:
+        rules = [_rule("anybody", f"{keys.MACHINES}/**")]
+        subjects: list[dict[str, object]] = [{"id": "anybody"}]
     else:
-        subjects = [{"id": "anybody"}]
-        policies = [{"rules": names, "subjects": ["anybody"]}]
+        names = sorted(machines)
+        rules = [_rule(name, f"{keys.MACHINES}/{name}/**") for name in names]
+        subjects = [{"id": name, "cert_common_names": [name]} for name in names]
     return {
         "access_control": {
             "enabled": True,
             "default_permission": "deny",
             "rules": rules,
             "subjects": subjects,
-            "policies": policies,
+            "policies": [{"rules": [one["id"]], "subjects": [one["id"]]} for one in subjects],
         }
+    }
+
+
+def _rule(name: str, key: str) -> dict[str, object]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": list(_MESSAGES),
+        "key_exprs": [key],
     }

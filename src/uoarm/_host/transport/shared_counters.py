@@ -28,7 +28,7 @@ class SharedCounters:
         with path.open("r+b") as file:
             shared = mmap.mmap(file.fileno(), _SLOTS * _WIDTH)
         self.numbers: memoryview | array[int] = memoryview(shared).cast("q")
-        self._free = deque(range(_SLOTS) if make else ())
+        self._free = deque(SharedCounter(self, slot) for slot in range(_SLOTS if make else 0))
         self._lock = threading.Lock()
 
     def counter(self) -> SharedCounter | None:
@@ -36,15 +36,17 @@ class SharedCounters:
         with self._lock:
             if not self._free:
                 return None
-            counter = SharedCounter(self, self._free.popleft())
+            before = self._free.popleft()
+            before.end()
+            counter = SharedCounter(self, before.slot)
         counter.set(0)
         return counter
 
     def take_back(self, counter: SharedCounter | None) -> None:
-        """Have a counter given out again, after all those that are free now."""
+        """Have a counter given out again, after all those that are free; it counts till then."""
         if counter is not None:
             with self._lock:
-                self._free.append(counter.slot)
+                self._free.append(counter)
 
     def close(self) -> None:
         """Let go of the memory; counters stand still from now on."""
@@ -79,16 +81,21 @@ class SharedCounter:
         slot: where; the end that gave it out has told the other.
     """
 
-    __slots__ = ("_counters", "slot")
+    __slots__ = ("_counters", "_last", "slot")
 
     def __init__(self, counters: SharedCounters, slot: int) -> None:
         self._counters = counters
         self.slot = slot
+        self._last: int | None = None
 
     def set(self, value: int) -> None:
         """Write the number."""
         self._counters.numbers[self.slot] = value
 
     def read(self) -> int:
-        """Return the number as it is now, or was when they were closed."""
-        return self._counters.numbers[self.slot]
+        """Return the number as it is now, or was when they were closed or it was given out anew."""
+        return self._counters.numbers[self.slot] if self._last is None else self._last
+
+    def end(self) -> None:
+        """Stand still from now on."""
+        self._last = self.read()

@@ -34,7 +34,7 @@ _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built i
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
 _log = logging.getLogger("uoarm")
 NO_MORE: Mapping[str, object] = MappingProxyType({})
-_FULL_MICROSECONDS = 200_000
+_FULL_SECONDS = 0.2
 _RETRY_MILLISECONDS = 200
 
 
@@ -206,8 +206,11 @@ class Transport:
         """Have the coming and going of a token told, in the transport's thread."""
         self.watch_tokens(key, lambda _, alive: seen(alive))
 
-    def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> None:
-        """Have the coming and going of every token that matches told, each with its key."""
+    def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> Callable[[], None]:
+        """Have the coming and going of every token that matches told, each with its key.
+
+        Those that are there are told first. Returns what ends it.
+        """
 
         def handle(sample: zenoh.Sample) -> None:
             key = str(sample.key_expr).removeprefix(self._prefix)
@@ -217,7 +220,7 @@ class Transport:
             tokens = self._session.liveliness()
             address = self._prefix + keys
             subscriber = tokens.declare_subscriber(address, _directly(handle), history=True)
-        self._keep(subscriber)
+        return self._keep(subscriber)
 
     def close(self) -> None:
         """End everything of this end, or of this part of it. Idempotent."""
@@ -293,6 +296,7 @@ def configuration(
     more: Mapping[str, object] = NO_MORE,
 ) -> zenoh.Config:
     """Return settings under which nothing is found by itself and nothing listens elsewhere."""
+    full_microseconds = int(_FULL_SECONDS * 1e6)
     settings: dict[str, object] = {
         "mode": "router" if listen else "client",
         "listen/endpoints": [address] if listen else [],
@@ -308,9 +312,9 @@ def configuration(
         "transport/shared_memory/enabled": shared_memory,
         "transport/unicast/open_timeout": int(timeout * 1000),
         "transport/link/tx/lease": int(lease * 1000),
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _FULL_MICROSECONDS,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": full_microseconds,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
-            _FULL_MICROSECONDS
+            full_microseconds
         ),
         **more,
     }
