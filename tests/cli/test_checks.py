@@ -8,9 +8,9 @@ from importlib.metadata import EntryPoint, entry_points
 import pytest
 from attrs import evolve
 
+from uoarm import _checks
+from uoarm._checks import plugin_facts
 from uoarm.bridge import Registry
-from uoarm.cli import _checks
-from uoarm.cli._checks import plugin_facts
 from uoarm.errors import PluginError
 from uoarm.plugins import Check, hookimpl
 

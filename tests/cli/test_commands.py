@@ -189,6 +189,12 @@ def test_a_function_without_an_output_that_dies_says_why(robot: str) -> None:
     assert "the source is worn out" in result.stderr
 
 
+def test_a_service_is_called_and_not_requested(robot: str) -> None:
+    result = run("request", "-f", robot, "greeting", "--duration", "0")
+    assert result.exit_code == 1
+    assert "function 'greeting' is a service: use call, not request" in result.stderr
+
+
 def test_request_ends_after_so_many(robot: str) -> None:
     assert len(run("request", "doubled", "-f", robot, "-n", "2").output.splitlines()) == 2
 

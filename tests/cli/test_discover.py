@@ -62,10 +62,22 @@ def test_the_suggestion_is_added_to_a_file(file: Path) -> None:
     assert file.read_text(encoding="utf-8") == merged
 
 
+def test_the_file_of_the_folder_is_meant_where_none_is_named(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(file.parent)
+    assert "lab  2 components" in run("discover").output
+    assert "# bridges: those of the configuration" in run("suggest").output
+    assert "lab  memory  reachable\n" in run("status", "--bridges").output
+    file.unlink()
+    assert "lab" not in run("discover").output
+
+
 def test_frameworks_are_shown_with_what_they_offer(file: Path) -> None:
     done = run("status", "--bridges", "-f", file)
     assert done.exit_code == 0, done.output
     assert "lab  memory  reachable\n" in done.output
+    assert "  sees components: 2, ports: 3\n" in done.output
     assert "  for camera\n" in done.output
     told = json.loads(run("status", "--bridges", "-f", file, "--json").output)
     (lab,) = [one for one in told if one["bridge"] == "lab"]

@@ -65,8 +65,7 @@ def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
         lab.loop("faceDetection", IMAGE)
         looking.look()
         assert "+ lab  faceDetection" in lines
-        told = "no function feeds its input default"
-        assert told in lines[-1], lines
+        assert lines[-1] == "faceDetection  cannot be had: no function feeds its input default"
 
         camera = lab.emitter("camera", IMAGE)
         look_until(looking, lines, "-> faceDetection@lab/faceDetection")
@@ -78,6 +77,16 @@ def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
         before, revision = len(lines), manager.revision
         looking.look()
         assert (len(lines), manager.revision) == (before, revision)
+
+
+def test_a_plugin_that_cannot_go_without_options_says_which_a_file_must_give() -> None:
+    registry = Registry([])
+    schema = {"type": "object", "properties": {"url": {}, "port": {}}, "required": ["url", "port"]}
+    registry.add(BridgeType("memory", "", MemoryBridge, options_schema=schema, contract=2))
+    with RobotManager(loads(EMPTY), registry=registry) as manager:
+        [lab] = manager.discover()
+    needs = "plugin 'memory' needs the options url, port, which a file gives under `bridges`"
+    assert lab.cause == f"bridge 'lab': {needs}"
 
 
 def test_as_json_each_change_is_a_line() -> None:

@@ -1,8 +1,4 @@
-"""The command line: `uoarm check`, `list`, `resolve`, `request`, `call`, `bridges`, `doctor`.
-
-Exit codes: 0 done; 1 refused (no plan fits, a message does not match); 2 wrong usage;
-3 the configuration has mistakes; 4 a bridge failed; 130 interrupted.
-"""
+"""The command line, `uoarm`. docs/cli.md has the commands and their exit codes."""
 
 from uoarm.cli._main import main
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-import sys
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -13,77 +11,70 @@ from typing import Any
 import click
 
 from uoarm import errors
-from uoarm.cli._shared import BRIDGE, json_option, needing, reporting
+from uoarm.cli._remote import Remote, asked, remote_options
+from uoarm.cli._shared import json_option, reporting
 
-__all__ = ["apply", "asked", "history", "token_option", "url_option"]
+__all__ = ["apply", "history"]
 
 _MOST_OCTETS = 1_000_000
 
 
-url_option = click.option(
-    "--url", required=True, help="Of a running `uoarm serve`, ws://127.0.0.1:9080/."
-)
-token_option = click.option(
-    "--token", envvar="UOARM_TOKEN", help="Shown to the server; also UOARM_TOKEN."
-)
-
-
 @click.command()
 @click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
-@url_option
-@token_option
+@remote_options(required=True)
 @click.option("--rollback", type=click.IntRange(0), help="In place of FILE, this revision again.")
 @click.option("--dry-run", is_flag=True, help="Say only what would happen.")
 @click.option("--force", is_flag=True, help="Connections that find no other plan may end for it.")
+@click.option("--keep", is_flag=True, help="Write it to the robot's file, too.")
+@click.option("--reload-code", is_flag=True, help="Read the code of Python components again.")
 @click.option("--revision", type=click.IntRange(0), help="Refuse unless this one is in force.")
 @json_option
 def apply(
     file: str,
     *,
-    url: str,
-    token: str | None,
+    server: Remote,
     rollback: int | None,
-    dry_run: bool,
-    force: bool,
-    revision: int | None,
+    reload_code: bool,
     as_json: bool,
+    **how: Any,
 ) -> None:
-    """Give FILE to a robot that runs, as its configuration from now on.
+    """Give a running robot another configuration.
 
-    The token's role needs `configure: ["*"]`. Exit codes: 0 applied, 1 another revision is in
-    force, 3 the file has mistakes or connections would end, 4 the server cannot be reached or
-    refused.
+    FILE is its configuration from now on. The token's role needs `configure: ["*"]`, and with
+    --keep also `keep: ["*"]`; comments and order of the robot's own file stay. Exit codes: 0
+    applied, 1 another revision is in force or somebody else has changed the robot's file, 3 the
+    file has mistakes or connections would end, 4 the server cannot be reached or refused.
     """
+    if reload_code and rollback is not None:
+        raise click.UsageError("--rollback keeps the code as it is: leave --reload-code out")
     text = _text(file) if rollback is None else ""
 
     async def change_it(robot: Any) -> Mapping[str, Any]:
-        how = {"dry_run": dry_run, "force": force, "revision": revision}
         change: Mapping[str, Any] = (
-            await robot.configure(text, **how)
+            await robot.configure(text, **how, reload_code=reload_code)
             if rollback is None
             else await robot.rollback(rollback, **how)
         )
         return change
 
-    change = asked(url, token, change_it)
+    change = asked(server, change_it)
     click.echo(json.dumps(change, indent=2) if as_json else change["text"])
 
 
 @click.command()
-@url_option
-@token_option
+@remote_options(required=True)
 @json_option
-def history(*, url: str, token: str | None, as_json: bool) -> None:
-    """Show the last hundred revisions of the configuration of a robot that runs.
+def history(*, server: Remote, as_json: bool) -> None:
+    """Show the revisions of a running robot's configuration.
 
-    The token's role needs `configure: ["*"]`. Exit code 4 when the server cannot be reached or
-    refused.
+    The last hundred. The token's role needs `configure: ["*"]`. Exit code 4 when the server cannot
+    be reached or refused.
     """
 
     async def ask(robot: Any) -> Any:
         return await robot.revisions()
 
-    revisions = asked(url, token, ask)
+    revisions = asked(server, ask)
     if as_json:
         click.echo(json.dumps(revisions, indent=2))
         return
@@ -94,25 +85,6 @@ def history(*, url: str, token: str | None, as_json: bool) -> None:
             click.echo(f"  {line}")
 
 
-def asked(url: str, token: str | None, work: Callable[[Any], Awaitable[Any]]) -> Any:
-    """Return what a server answers; exits with 4 where it cannot be reached or refuses."""
-    with reporting(), needing("server"):
-        from uoarm.client import connect  # noqa: PLC0415 - needs an extra
-
-    async def ask() -> Any:
-        async with connect(url, token=token) as robot:
-            return await work(robot)
-
-    with reporting():
-        try:
-            return asyncio.run(ask())
-        except (errors.UoarmError, KeyboardInterrupt):
-            raise
-        except Exception as error:  # noqa: BLE001 - sockets and handshakes fail in many ways
-            click.echo(f"error: {url}: {type(error).__name__}: {error}", err=True)
-            sys.exit(BRIDGE)
-
-
 def _text(file: str) -> str:
     with reporting():
         try:
@@ -121,5 +93,7 @@ def _text(file: str) -> str:
             if len(data) > _MOST_OCTETS:
                 raise errors.ConfigurationError(f"{file}: more than {_MOST_OCTETS:,} octets")
             return data.decode()
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
+            raise errors.ConfigurationError(f"{file}: {error.strerror or error}") from error
+        except UnicodeDecodeError as error:
             raise errors.ConfigurationError(f"{file}: {error}") from error

@@ -20,13 +20,20 @@ __all__ = ["certificates"]
 )
 @click.option("--machine", "machines", multiple=True, help="Name of a machine; likewise.")
 @click.option("--folder", default="certificates", show_default=True, help="Where they are.")
-@click.option("--days", type=click.IntRange(1, 3650), default=730, show_default=True)
+@click.option(
+    "--days",
+    type=click.IntRange(1, 3650),
+    default=730,
+    show_default=True,
+    help="For which they are good.",
+)
 def certificates(
     addresses: tuple[str, ...], machines: tuple[str, ...], folder: str, days: int
 ) -> None:
-    """Make certificates for the manager and for machines whose bridge hosts join it.
+    """Make the certificates that machines join with.
 
-    The first time, an authority is made, too. Private keys can be read by their owner only.
+    For the manager and for machines whose bridge hosts join it. The first time, an authority is
+    made, too. Private keys can be read by their owner only.
     """
     if not addresses and not machines:
         raise click.UsageError("say for whom: --manager ADDRESS, --machine NAME, or both")

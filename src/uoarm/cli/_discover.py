@@ -21,7 +21,17 @@ from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
 
-__all__ = ["discover", "looking", "rows", "suggest", "with_every_plugin"]
+__all__ = [
+    "STANDARD",
+    "discover",
+    "looking",
+    "rows",
+    "standard_file",
+    "suggest",
+    "with_every_plugin",
+]
+
+STANDARD = "robot.yaml"
 
 _file_option = click.option(
     "-f",
@@ -29,7 +39,7 @@ _file_option = click.option(
     "file",
     envvar="UOARM_CONFIG",
     type=click.Path(dir_okay=False),
-    help="Configuration file; also UOARM_CONFIG. Without one: every plugin, with its defaults.",
+    help="Configuration file; also UOARM_CONFIG. Without one robot.yaml, if it is there.",
 )
 _timeout_option = click.option(
     "--timeout",
@@ -43,16 +53,22 @@ _timeout_option = click.option(
 @click.command()
 @_file_option
 @click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and tell what is different.")
-@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.1),
+    default=2.0,
+    show_default=True,
+    help="Seconds between two looks of --watch.",
+)
 @_timeout_option
 @json_option
 def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_json: bool) -> None:
-    """Show every component and port that bridges see now, and who in the configuration has it.
+    """Show every component and port that bridges see now.
 
-    Plugins that the file does not mention are asked too, with their default options. Exit code 4
-    when no bridge could answer.
+    Beside each stands who in the configuration has it. Plugins that the file does not mention are
+    asked too, with their default options. Exit code 4 when no bridge could answer.
     """
-    with looking(file) as (robot, _):
+    with looking(file or standard_file()) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:
             _print_json(findings, in_one_line=watch)
@@ -80,11 +96,12 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     help="Add the lines to this file, which stays as it is otherwise; with no -f it is read, too.",
 )
 def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
-    """Write the configuration of what bridges see and FILE does not name yet.
+    """Write the configuration of what bridges see.
 
-    Inputs are fed by what was proven to fit; where several would do, they are listed.
+    That is, of what FILE does not name yet. Inputs are fed by what was proven to fit; where several
+    would do, they are listed.
     """
-    file = into if file is None and into is not None else file
+    file = file or into or standard_file()
     before = Path(into).read_bytes() if into is not None else b""
     with looking(file) as (robot, given):
         findings = robot.discover(timeout=timeout)
@@ -97,6 +114,11 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
         else:
             _merge_into(Path(into), before, lines)
         sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
+
+
+def standard_file() -> str | None:
+    """Return the configuration that is meant where none is named, if it is there."""
+    return STANDARD if Path(STANDARD).exists() else None
 
 
 def _merge_into(path: Path, before: bytes, lines: str) -> None:
@@ -159,4 +181,4 @@ def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:
         for one in each.components:
             yield f"{each.bridge}  {one.name}"
             for port in one.ports:
-                yield f"{each.bridge}  {one.name}  {port}"
+                yield f"{each.bridge}  {one.name}  {evolve(port, rate=None)}"

@@ -11,10 +11,12 @@ from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
 
 __all__ = ["env"]
 
+_NONE = "there are no environments: make one with uoarm env create NAME --plugin PLUGIN"
+
 
 @click.group()
 def env() -> None:
-    """Make and look after the Python environments that bridge hosts run in."""
+    """Make and remove Python environments for bridge hosts."""
 
 
 @env.command()
@@ -33,7 +35,10 @@ def create(
     *,
     no_uv: bool,
 ) -> None:
-    """Make the environment NAME, to be named in `host: {environment: NAME}`."""
+    """Make the environment NAME.
+
+    A bridge runs in it with `host: {environment: NAME}`.
+    """
     with reporting():
         wanted = environments.requirements(plugin, distribution, more)
         made = environments.create(
@@ -50,6 +55,8 @@ def list_environments(*, as_json: bool) -> None:
     if as_json:
         print_json([{"name": one.name, "requirements": one.requirements} for one in found])
         return
+    if not found:
+        click.echo(_NONE, err=True)
     for one in found:
         state = ", ".join(one.requirements) if one.is_whole else "incomplete"
         click.echo(f"{one.name}: {state}")
@@ -67,10 +74,15 @@ def remove(name: str) -> None:
 @env.command()
 @json_option
 def doctor(*, as_json: bool) -> None:
-    """Say for every environment what it has and whether a host would start in it."""
+    """Say what environments have and whether hosts would start.
+
+    Exit code 4 where one would not.
+    """
     found = [environments.examine(one) for one in environments.listed()]
     if as_json:
         print_json(found)
+    elif not found:
+        click.echo(_NONE, err=True)
     else:
         for one in found:
             facts = ", ".join(f"{key} {value}" for key, value in one.facts.items())

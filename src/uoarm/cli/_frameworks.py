@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import click
 from attrs import frozen
 
+from uoarm._checks import plugin_facts
 from uoarm.bridge import Registry
-from uoarm.cli._checks import plugin_facts
-from uoarm.cli._discover import looking
+from uoarm.cli._discover import STANDARD, looking, standard_file
 from uoarm.cli._shared import BRIDGE, print_json
 from uoarm.model import BridgeFindings
 
 __all__ = ["show_frameworks"]
 
 _SECONDS = 10.0
-_STANDARD = "robot.yaml"
 
 
 @frozen
@@ -52,7 +50,7 @@ class Framework:
         lines = [f"{self.bridge or self.plugin}  {self.plugin}  {state}"]
         lines += [f"  {name}: {fact}" for name, fact in self.facts.items()]
         if self.is_reachable:
-            lines.append(f"  sees {len(self.components)} components with {self.ports} ports")
+            lines.append(f"  sees components: {len(self.components)}, ports: {self.ports}")
         if self.functions:
             lines.append(f"  for {', '.join(self.functions)}")
         return "\n".join(lines)
@@ -60,8 +58,7 @@ class Framework:
 
 def show_frameworks(file: str, *, as_json: bool) -> None:
     """Print what is known of every framework; without the file, of those that are installed."""
-    is_none = file == _STANDARD and not Path(file).exists()
-    with looking(None if is_none else file) as (robot, given):
+    with looking(standard_file() if file == STANDARD else file) as (robot, given):
         findings = robot.discover(timeout=_SECONDS)
         provided: dict[str, dict[str, None]] = {}
         for one in robot.config.components():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from rich.console import Console
 from rich.live import Live
@@ -25,15 +25,16 @@ _ITEMS = 100
 class _Shown:
     """Which messages have a line of their own: so many in each period, and the others counted."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.messages = 0
         self.hidden = 0
+        self._clock = clock
         self._begun = 0.0
         self._lines = 0
 
     def has_line(self) -> bool:
         """Count one message and say whether it is shown."""
-        now = time.monotonic()
+        now = self._clock()
         if now - self._begun >= _REFRESH_SECONDS:
             self._begun, self._lines = now, 0
         self.messages += 1

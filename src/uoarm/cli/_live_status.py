@@ -10,33 +10,28 @@ from typing import Any
 
 import click
 
-from uoarm.cli._shared import BRIDGE, needing, reporting
+from uoarm.cli._remote import Remote, asked
 from uoarm.model import tell_status, to_json
 
 __all__ = ["show_live_status"]
 
 
-def show_live_status(
-    url: str, token: str | None, *, watch: bool, every: float, as_json: bool
-) -> None:
+def show_live_status(server: Remote, *, watch: bool, every: float, as_json: bool) -> None:
     """Print the status map of a server, again and again with each event where `watch` says so.
 
     Exits with 4 when the server cannot be reached, or goes away.
     """
-    with reporting(), needing("server"):
-        from uoarm.client import connect  # noqa: PLC0415 - needs an extra
     show = _print_json if as_json else _print_tables
 
-    async def work() -> None:
-        async with connect(url, token=token) as robot:
-            if not watch:
-                show(await robot.status())
-                return
-            events = asyncio.ensure_future(_follow_events(robot, as_json=as_json))
-            # It asks for events before the first status, so that none is missed.
-            await asyncio.sleep(0)
+    async def work(robot: Any) -> None:
+        if not watch:
             show(await robot.status())
-            await asyncio.gather(events, _follow(robot, show))
+            return
+        events = asyncio.ensure_future(_follow_events(robot, as_json=as_json))
+        # It asks for events before the first status, so that none is missed.
+        await asyncio.sleep(0)
+        show(await robot.status())
+        await asyncio.gather(events, _follow(robot, show))
 
     async def _follow(robot: Any, show: Callable[[Mapping[str, Any]], None]) -> None:
         while True:
@@ -45,13 +40,7 @@ def show_live_status(
                 click.clear()
             show(await robot.status())
 
-    try:
-        asyncio.run(work())
-    except KeyboardInterrupt:
-        sys.exit(0 if watch else 130)
-    except Exception as error:  # noqa: BLE001 - sockets, handshakes and the server say no in many ways
-        click.echo(f"error: {url}: {type(error).__name__}: {error}", err=True)
-        sys.exit(BRIDGE)
+    asked(server, work, watches=watch)
 
 
 async def _follow_events(robot: Any, *, as_json: bool) -> None:

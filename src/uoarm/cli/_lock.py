@@ -26,7 +26,7 @@ from uoarm._lock import (
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._findings import FORMS
-from uoarm.cli._shared import REFUSED, configuration_option, reporting
+from uoarm.cli._shared import REFUSED, configuration_option, reporting, tell_warning
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
@@ -61,7 +61,7 @@ def lock(
     against: str | None,
     environment: str | None,
 ) -> None:
-    """Write down what the plans of all functions rest on, or check it.
+    """Write down what all plans rest on, or check it.
 
     Exit codes: 0 written, or everything still fits; 1 a function has no plan, or something does not
     fit as it is; 3 a file cannot be read; 4 a bridge failed, or there is no such environment.
@@ -121,7 +121,7 @@ def _write(file: str, path: Path) -> int:
     write_whole(path, write_lock(made).encode())
     refused = {name: one.refused for name, one in made.functions.items() if one.refused}
     for name, why in refused.items():
-        click.echo(f"{click.style('warning:', fg='yellow')} {name} has no plan: {why}", err=True)
+        tell_warning(f"{name} has no plan: {why}")
     functions, structures = len(made.functions), len(made.structures)
     click.echo(f"{path}: functions: {functions}, structures: {structures}")
     return REFUSED if refused else 0

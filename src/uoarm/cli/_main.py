@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import platform
 import sys
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import click
 
 import uoarm
+from uoarm._checks import plugin_facts
 from uoarm._resolve import NoPlanError
+from uoarm._switch_interval import short_switch_interval
 from uoarm.bridge import Registry
 from uoarm.cli._apply import apply, history
 from uoarm.cli._certificates import certificates
-from uoarm.cli._checks import plugin_facts
 from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
 from uoarm.cli._discover import discover, suggest
 from uoarm.cli._env import env
@@ -28,10 +32,13 @@ from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
     CONFIGURATION,
     configuration_option,
+    function_argument,
     json_option,
     open_robot,
     print_json,
     reporting,
+    tell_error,
+    tell_warning,
     terminable,
 )
 from uoarm.cli._status import status
@@ -39,12 +46,14 @@ from uoarm.cli._stop import stop
 from uoarm.cli._types import types
 from uoarm.cli._up import up
 from uoarm.config import inspect, load
+from uoarm.errors import UsageError
 from uoarm.model import to_json
 from uoarm.schema._command import schema
 
 __all__ = ["main"]
 
 _LARGE = 1_000_000
+_SILENT_SECONDS = 3.0
 
 
 @click.group(cls=PluginGroup)
@@ -53,6 +62,10 @@ _LARGE = 1_000_000
 def main(context: click.Context) -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""
     terminable(context)
+    try:
+        context.with_resource(short_switch_interval())
+    except UsageError as error:
+        raise click.UsageError(str(error)) from error
 
 
 @main.command()
@@ -69,9 +82,9 @@ def check(file: str, *, as_json: bool) -> None:
         print_json({"problems": report.problems, "warnings": report.warnings})
     else:
         for problem in report.problems:
-            click.echo(f"{click.style('error:', fg='red')} {problem}", err=True)
+            tell_error(problem)
         for warning in report.warnings:
-            click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)
+            tell_warning(warning)
         if report.robot is not None:
             functions, bridges = len(report.robot.functions), len(report.robot.bridges)
             click.echo(f"{file}: no errors (functions: {functions}, bridges: {bridges})")
@@ -102,16 +115,40 @@ def list_functions(file: str, *, as_json: bool) -> None:
             click.echo(f"  {one.priority:>4}  {one.name}  ({one.bridge})")
 
 
+@contextmanager
+def _telling_that_it_waits(timeout: float) -> Iterator[None]:
+    """Tell whoever waits at a terminal that it is bridges that are waited for."""
+    text = f"waiting for bridges to start and tell what they see, at most {timeout:g} s"
+    timer = threading.Timer(_SILENT_SECONDS, partial(click.echo, text, err=True))
+    timer.daemon = True
+    if sys.stderr.isatty():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if timer.ident is not None:
+            timer.join()
+
+
 @main.command()
-@click.argument("name")
+@function_argument
 @configuration_option
 @click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0.1, max=600),
+    default=60.0,
+    show_default=True,
+    help="Seconds to start bridges, hear what they see and find the plan.",
+)
 @json_option
-def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
+def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: bool) -> None:
     """Find the plan for a function without opening anything."""
     with open_robot(file) as robot:
         try:
-            plan = robot.resolve(name)
+            with _telling_that_it_waits(timeout):
+                plan = robot.resolve(name, timeout=timeout)
         except NoPlanError as error:
             if as_json:
                 told = {"function": error.function, "error": str(error)}
@@ -137,7 +174,10 @@ def resolve(name: str, file: str, *, explain: bool, as_json: bool) -> None:
 @optional_configuration
 @json_option
 def bridges(*, file: str | None, as_json: bool) -> None:
-    """List the installed bridge plugins, broken ones with the cause."""
+    """List the installed bridge plugins.
+
+    Broken ones with the cause; with a configuration also what uoarm chose for its bridges.
+    """
     registry = Registry()
     assigned = dict(assigned_options(file, registry))
     if as_json:
@@ -156,7 +196,7 @@ def bridges(*, file: str | None, as_json: bool) -> None:
 @optional_configuration
 @json_option
 def doctor(*, file: str | None, as_json: bool) -> None:
-    """Say what this environment is and what each plugin finds in it.
+    """Say what the environment is and what plugins find in it.
 
     With a configuration also what its bridges find that have an environment of their own.
     """

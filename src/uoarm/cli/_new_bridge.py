@@ -29,7 +29,10 @@ _SKIPPED = {"__pycache__"}
     help="Folder in which uoarm-NAME is made; the current one unless given.",
 )
 def new_bridge(name: str, into: Path) -> None:
-    """Make the project uoarm-NAME: a bridge plugin to start from, with its tests."""
+    """Make a bridge plugin to start from, with its tests.
+
+    The project is called uoarm-NAME.
+    """
     if not _NAME.fullmatch(name):
         raise click.BadParameter(
             f"{name!r}: use small letters, digits and _, a letter first, 40 at most",

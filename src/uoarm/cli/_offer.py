@@ -8,7 +8,14 @@ import threading
 
 import click
 
-from uoarm.cli._shared import BRIDGE, CONFIGURATION, configuration_option, json_option, open_robot
+from uoarm.cli._shared import (
+    BRIDGE,
+    CONFIGURATION,
+    configuration_option,
+    fail,
+    json_option,
+    open_robot,
+)
 from uoarm.model import OfferState, OfferStatus, StatusEvent, to_json
 
 __all__ = ["offer"]
@@ -22,17 +29,16 @@ _FINE = {OfferState.OPEN, OfferState.FINISHED}
 @json_option
 @click.option("--once", is_flag=True, help="Try each offer once, close it again, and end.")
 def offer(file: str, *, as_json: bool, once: bool) -> None:
-    """Offer functions in frameworks, as `offer:` says, until Ctrl-C or SIGTERM.
+    """Offer functions in frameworks, as `offer:` says.
 
-    It ends by itself when the sources of all that is offered have finished.
+    Until Ctrl-C or SIGTERM, or until the sources of all that is offered have finished.
 
     One line for each offer, and for each change after that. What cannot be opened is tried again.
     With --once the exit code is 4 where one could not be opened.
     """
     with open_robot(file) as robot:
         if not robot.config.offers:
-            click.echo(f"error: {file} has no `offer:`", err=True)
-            sys.exit(CONFIGURATION)
+            fail(f"{file} has no `offer:`", CONFIGURATION)
         statuses = robot.offer()
         for status in statuses:
             click.echo(json.dumps(to_json(status)) if as_json else _line(status))

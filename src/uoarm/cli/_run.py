@@ -10,7 +10,17 @@ from collections.abc import Iterator
 import click
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
-from uoarm.cli._shared import BRIDGE, configuration_option, json_option, open_robot, plain
+from uoarm.cli._shared import (
+    BRIDGE,
+    configuration_option,
+    fail,
+    function_argument,
+    json_option,
+    open_robot,
+    plain,
+    tell_warning,
+)
+from uoarm.errors import UsageError
 from uoarm.model import ConnectionState, Health, Message
 
 __all__ = ["call", "request"]
@@ -19,7 +29,7 @@ _GLANCE_SECONDS = 0.25
 
 
 @click.command()
-@click.argument("name")
+@function_argument
 @configuration_option
 @click.option("-n", "--count", type=click.IntRange(min=1), help="End after so many messages.")
 @click.option("--duration", type=click.FloatRange(min=0), help="End after so many seconds.")
@@ -40,15 +50,18 @@ def request(
     validate: str,
     as_json: bool,
 ) -> None:
-    """Open a function and show its messages until it ends or Ctrl-C.
+    """Open a function and show its messages.
 
-    One message a line. On a terminal, a live table of the flows stands below them, lines are cut
-    at its width, and of a fast flow forty messages a second are shown and the others counted;
-    elsewhere, and with --json, every message is written in full. A function without an output has
-    no messages to show and runs until the same end. While no message comes, components that raise
-    are named on stderr; when the flow fails, the exit code is 4 and the last line says why.
+    Until it ends or Ctrl-C, one message a line. On a terminal, a live table of the flows stands
+    below them, lines are cut at its width, and of a fast flow forty messages a second are shown and
+    the others counted; elsewhere, and with --json, every message is written in full. A function
+    without an output has no messages to show and runs until the same end. While no message comes,
+    components that raise are named on stderr; when the flow fails, the exit code is 4 and the last
+    line says why.
     """
     with open_robot(file) as robot, robot.request(name, validate=validate) as connection:
+        if connection.plan.provider.component.service is not None:
+            raise UsageError(f"function {name!r} is a service: use call, not request")
         reading = _Reading(robot, connection, count, duration)
         if not connection.plan.provider.component.outputs:
             _stay(connection, duration)
@@ -61,17 +74,25 @@ def request(
                 click.echo(json.dumps(plain(message)))
         failure = reading.failure()
     if failure:
-        click.echo(f"{click.style('error:', fg='red')} {failure}", err=True)
-        sys.exit(BRIDGE)
+        fail(failure, BRIDGE)
 
 
 @click.command()
-@click.argument("name")
+@function_argument
 @click.argument("message", default="{}")
 @configuration_option
-@click.option("--timeout", type=click.FloatRange(min=0), default=10.0, show_default=True)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0),
+    default=10.0,
+    show_default=True,
+    help="Seconds that the reply may take.",
+)
 def call(name: str, message: str, file: str, *, timeout: float) -> None:
-    """Call the service NAME with MESSAGE (JSON) and print its reply."""
+    """Call the service NAME and print its reply.
+
+    MESSAGE is JSON, and so is what is printed.
+    """
     try:
         asked = json.loads(message)
     except (ValueError, RecursionError) as error:
@@ -137,7 +158,7 @@ class _Reading:
             said = f"component {one.name!r} is {one.health.value}: {one.cause}"
             if one.name in used and one.health is not Health.OK and said not in self._said:
                 self._said.add(said)
-                click.echo(f"{click.style('warning:', fg='yellow')} {said}", err=True)
+                tell_warning(said)
 
 
 def _stay(connection: Connection, duration: float | None) -> None:

@@ -10,21 +10,29 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from uoarm import RobotManager
 from uoarm._whole_file import stamp_of
-from uoarm.cli._shared import configuration_option, needing, open_robot, reporting
+from uoarm.cli._shared import (
+    configuration_option,
+    fail,
+    needing,
+    open_robot,
+    reporting,
+    tell_error,
+    tell_warning,
+)
 from uoarm.errors import UoarmError
 
 if TYPE_CHECKING:
     from uoarm.server import Server, Settings
 
-__all__ = ["USED", "say", "serve", "stop_file_of", "stopping", "token"]
+__all__ = ["cannot_listen", "say", "serve", "stop_file_of", "stopping", "token"]
 
-USED = 5
+_USED = 5
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 5.0
 _BEGINS_STOPPED = (
@@ -39,7 +47,13 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.argument("robot", required=False, type=click.Path(dir_okay=False))
 @configuration_option
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option("--port", type=click.IntRange(0, 65535), default=9080, show_default=True)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=9080,
+    show_default=True,
+    help="Port to listen on; 0 takes a free one.",
+)
 @click.option(
     "--front-end-port",
     "front_end_ports",
@@ -81,7 +95,9 @@ def serve(
     rosbridge_port: int | None,
     **settings: Any,
 ) -> None:
-    """Serve ROBOT to WebSocket clients until Ctrl-C or SIGTERM; SIGHUP reads it again.
+    """Serve a robot to WebSocket clients and browsers.
+
+    Until Ctrl-C or SIGTERM; SIGHUP has its file ROBOT read again.
 
     SIGUSR1 stops every input that moves something until SIGUSR2 releases them. A robot that was
     stopped stays so when it is served again.
@@ -104,18 +120,23 @@ def serve(
             with stopping(manager), _reloading(manager, watch=watch_config):
                 run(manager, chosen, lambda server: say(server, chosen))
         except OSError as error:
-            hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
-            click.echo(f"error: {error.strerror or error}{hint}", err=True)
-            sys.exit(USED)
+            cannot_listen(error)
+
+
+def cannot_listen(error: OSError) -> NoReturn:
+    """Say why a server cannot listen, and exit."""
+    hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
+    fail(f"{error.strerror or error}{hint}", _USED)
 
 
 @click.command()
 @click.argument("name")
 @click.option("--role", required=True, help="Role of the access file that the token has.")
 def token(name: str, role: str) -> None:
-    """Make a token for the client NAME and the line of the access file that lets it in.
+    """Make a token for a client of `uoarm serve`.
 
-    The token is shown once and kept nowhere; the line holds its hash only.
+    Beside it stands the line of the access file that lets the client NAME in. The token is shown
+    once and kept nowhere; the line holds its hash only.
     """
     with reporting(), needing("server"):
         from uoarm.server import hash_token, make_token  # noqa: PLC0415 - an extra, and slow
@@ -150,7 +171,7 @@ def stopping(manager: RobotManager) -> Iterator[None]:
             manager.release()
         except UoarmError as error:
             audit.released("SIGUSR2", "", str(error))
-            click.echo(f"error: {error}", err=True)
+            tell_error(error)
         else:
             audit.released("SIGUSR2", "")
             click.echo("commands are let through again", err=True)
@@ -189,7 +210,8 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
             before = now
             if is_asked or (watch and is_written):  # a file that still changes is being written
                 seen = now
-                _reload(manager)
+                if is_asked or not _is_in_force(manager, path):
+                    _reload(manager)
 
     def end() -> None:
         over.set()
@@ -215,6 +237,14 @@ def _reloading(manager: RobotManager, *, watch: bool) -> Iterator[None]:
             signal.signal(hangup, former)
         end()
         thread.join(_END_SECONDS)
+
+
+def _is_in_force(manager: RobotManager, path: Path) -> bool:
+    """Say whether a file holds what was read from it or kept in it last."""
+    try:
+        return path.read_text(encoding="utf-8-sig") == manager.config.text
+    except (OSError, ValueError):
+        return False
 
 
 def _reload(manager: RobotManager) -> None:
@@ -247,5 +277,5 @@ def say(server: Server, settings: Settings, *, err: bool = False) -> None:
     if certificate is not None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
     elif not settings.local:
-        click.echo("warning: without TLS, tokens and data can be read on the network", err=True)
+        tell_warning("without TLS, tokens and data can be read on the network")
     click.echo(f"open http{s}://{main}/ in a browser", err=err)

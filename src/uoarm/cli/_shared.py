@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import click
 
 from uoarm import RobotManager, errors
 from uoarm._origin import install_command
+from uoarm.config import load
 from uoarm.model import Message, to_json
 
 __all__ = [
     "configuration_option",
+    "fail",
+    "function_argument",
     "json_option",
     "needing",
     "open_robot",
     "plain",
     "print_json",
     "reporting",
+    "tell_error",
+    "tell_warning",
     "terminable",
 ]
 
@@ -42,6 +48,19 @@ configuration_option = click.option(
     type=click.Path(dir_okay=False),
     help="Configuration file; also UOARM_CONFIG.",
 )
+
+
+def _names(context: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
+    """Complete a function's name, where the configuration can be read."""
+    file = context.params.get("file") or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+    try:
+        functions = load(file).functions
+    except errors.UoarmError:
+        return []
+    return [name for name in functions if name.startswith(incomplete)]
+
+
+function_argument = click.argument("name", shell_complete=_names)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
@@ -69,13 +88,13 @@ def reporting() -> Iterator[None]:
     try:
         yield
     except errors.ConfigurationError as error:
-        _fail(error, CONFIGURATION)
+        fail(error, CONFIGURATION)
     except errors.ResolutionError as error:
-        _fail(error, REFUSED)
+        fail(error, REFUSED)
     except (errors.MessageError, errors.UsageError) as error:
-        _fail(error, REFUSED)
+        fail(error, REFUSED)
     except errors.UoarmError as error:
-        _fail(error, BRIDGE)
+        fail(error, BRIDGE)
     except KeyboardInterrupt:
         click.echo("interrupted", err=True)
         sys.exit(INTERRUPTED)
@@ -122,6 +141,17 @@ def plain(message: Message, most: int | None = None) -> Any:
     return to_json(message)
 
 
-def _fail(error: Exception, code: int) -> None:
-    click.echo(f"{click.style('error:', fg='red')} {error}", err=True)
+def fail(error: Exception | str, code: int) -> NoReturn:
+    """Say on stderr what is wrong, and exit."""
+    tell_error(error)
     sys.exit(code)
+
+
+def tell_error(error: object) -> None:
+    """Say on stderr what is wrong."""
+    click.echo(f"{click.style('error:', fg='red')} {error}", err=True)
+
+
+def tell_warning(warning: object) -> None:
+    """Say on stderr what is worth a look."""
+    click.echo(f"{click.style('warning:', fg='yellow')} {warning}", err=True)

@@ -10,6 +10,7 @@ import click
 from uoarm import RobotManager
 from uoarm.cli._frameworks import show_frameworks
 from uoarm.cli._live_status import show_live_status
+from uoarm.cli._remote import Remote, remote_options
 from uoarm.cli._shared import REFUSED, configuration_option, json_option, open_robot, print_json
 from uoarm.model import FunctionStatus
 
@@ -19,9 +20,14 @@ __all__ = ["status"]
 @click.command()
 @configuration_option
 @click.option("--watch", is_flag=True, help="Ask again until Ctrl-C.")
-@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
-@click.option("--url", help="Of a running `uoarm serve`, ws://127.0.0.1:9080/: show what runs.")
-@click.option("--token", envvar="UOARM_TOKEN", help="Shown to the server; also UOARM_TOKEN.")
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.1),
+    default=2.0,
+    show_default=True,
+    help="Seconds between two looks of --watch.",
+)
+@remote_options(required=False)
 @click.option("--bridges", is_flag=True, help="Show what is known of each framework.")
 @json_option
 def status(
@@ -29,22 +35,22 @@ def status(
     *,
     watch: bool,
     every: float,
-    url: str | None,
-    token: str | None,
+    server: Remote | None,
     bridges: bool,
     as_json: bool,
 ) -> None:
-    """Ask every bridge what can be had now, without opening anything.
+    """Show what can be had now, and from which component.
 
-    Exit code 0 when every function can be had, 1 otherwise. With --url, show the live status of
-    a robot that `uoarm serve` runs; with --watch, its events too. With --bridges, show what is
-    known of each framework, configured or only installed; exit code 4 when none is reachable.
+    Every bridge is asked, and nothing is opened. Exit code 0 when every function can be had, 1
+    otherwise. With --url, show the live status of a robot that `uoarm serve` runs; with --watch,
+    its events too. With --bridges, show what is known of each framework, configured or only
+    installed; exit code 4 when none is reachable.
     """
     if bridges:
         show_frameworks(file, as_json=as_json)
         return
-    if url is not None:
-        show_live_status(url, token, watch=watch, every=every, as_json=as_json)
+    if server is not None:
+        show_live_status(server, watch=watch, every=every, as_json=as_json)
         return
     with open_robot(file) as robot:
         functions = _show(robot, as_json=as_json)

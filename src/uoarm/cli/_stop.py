@@ -8,29 +8,28 @@ from typing import Any
 
 import click
 
-from uoarm.cli._apply import asked, token_option, url_option
+from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import json_option
 
 __all__ = ["stop"]
 
 
 @click.command()
-@url_option
-@token_option
+@remote_options(required=True)
 @click.option("--release", is_flag=True, help="Let commands through again.")
 @json_option
-def stop(*, url: str, token: str | None, release: bool, as_json: bool) -> None:
-    """Stop everything of a robot that moves, and refuse commands until --release.
+def stop(*, server: Remote, release: bool, as_json: bool) -> None:
+    """Stop everything that moves of a running robot.
 
-    The token's role needs `stop: ["*"]`, and `release: ["*"]` for --release. Exit codes: 0 every
-    open input that moves something has stopped, 1 some have not, which are named, 4 the server
-    cannot be reached or refused.
+    Commands are refused until --release. The token's role needs `stop: ["*"]`, and `release: ["*"]`
+    for --release. Exit codes: 0 every open input that moves something has stopped, 1 some have not,
+    which are named, 4 the server cannot be reached or refused.
     """
 
     async def act(robot: Any) -> Any:
         return await (robot.release() if release else robot.stop_all())
 
-    told = asked(url, token, act)
+    told = asked(server, act)
     if release:
         click.echo("{}" if as_json else "commands are let through again")
         return

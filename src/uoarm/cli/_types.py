@@ -11,7 +11,7 @@ from uoarm._lock import Lock, LockError, read_lock
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm._whole_file import write_whole
 from uoarm.cli._lock import lock_of, open_unlocked
-from uoarm.cli._shared import REFUSED, configuration_option, reporting
+from uoarm.cli._shared import REFUSED, configuration_option, reporting, tell_warning
 
 __all__ = ["types"]
 
@@ -48,7 +48,7 @@ def types(file: str, form: str | None, path: str | None, output: str | None) -> 
             _write(Path(output), text)
     refused = [name for name, one in robot.functions.items() if one.refused]
     for name in refused:
-        click.echo(f"{click.style('warning:', fg='yellow')} {name} has no plan: no types", err=True)
+        tell_warning(f"{name} has no plan: no types")
     sys.exit(REFUSED if refused else 0)
 
 

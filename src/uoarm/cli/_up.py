@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +13,7 @@ import click
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
-from uoarm.cli._serve import USED, say, stop_file_of, stopping
+from uoarm.cli._serve import cannot_listen, say, stop_file_of, stopping
 from uoarm.cli._shared import json_option, needing, reporting
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
@@ -39,22 +37,35 @@ _RESOLVE_SECONDS = 10.0
     help="Configuration to begin with, such as bridges with options; also UOARM_CONFIG.",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option("--port", type=click.IntRange(0, 65535), default=9080, show_default=True)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=9080,
+    show_default=True,
+    help="Port to listen on; 0 takes a free one.",
+)
 @click.option(
     "--access",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Access file with roles and tokens.",
 )
-@click.option("--every", type=click.FloatRange(min=0.1), default=2.0, show_default=True)
+@click.option(
+    "--every",
+    type=click.FloatRange(min=0.1),
+    default=2.0,
+    show_default=True,
+    help="Seconds between two looks.",
+)
 @json_option
 def up(
     file: str | None, *, host: str, port: int, access: Path | None, every: float, as_json: bool
 ) -> None:
-    """Serve whatever there is: every component that bridges see provides a function of its name.
+    """Serve whatever there is, without a configuration.
 
-    Plugins that the file does not mention are asked with their default options. The inputs of
-    components are fed by what is proven to fit. Tells what comes and goes, and what each function
-    would run on or why it cannot be had, until Ctrl-C or SIGTERM. Nothing is written to a file.
+    Every component that bridges see provides a function of its name. Plugins that the file does not
+    mention are asked with their default options. The inputs of components are fed by what is proven
+    to fit. Tells what comes and goes, and what each function would run on or why it cannot be had,
+    until Ctrl-C or SIGTERM. Nothing is written to a file.
     """
     registry = Registry()
     with reporting(), needing("server"):
@@ -70,9 +81,7 @@ def up(
                 with stopping(manager), _following(_Follower(manager, as_json=as_json), every):
                     run(manager, chosen, lambda server: say(server, chosen, err=as_json))
             except OSError as error:
-                hint = "; --port takes another" if error.errno == errno.EADDRINUSE else ""
-                click.echo(f"error: {error.strerror or error}{hint}", err=True)
-                sys.exit(USED)
+                cannot_listen(error)
 
 
 class _Follower:
@@ -124,7 +133,7 @@ class _Follower:
         except ConnectionClosedError:
             raise
         except UoarmError as error:
-            return f"cannot be had: {str(error).splitlines()[-1].strip()}"
+            return f"cannot be had: {str(error).splitlines()[-1].strip().removeprefix('- ')}"
         return " -> ".join(f"{one.component.name}" for one in plan.steps)
 
     def _tell_findings(

@@ -64,18 +64,21 @@ async def connect(
         url: `ws://` or `wss://`.
         token: shown in the handshake.
         binary: CBOR, where octets stay octets; False: JSON.
-        tls: for `wss://`, where the system's authorities do not do.
+        tls: for `wss://`, where the system's authorities do not do: `trust_fingerprint` makes one
+            for a certificate that the server made itself.
         timeout: seconds for connecting.
         resume: whether to connect again after a drop and go on with the same session, as long as
             the server keeps it; what was lost meanwhile is in `RemoteStream.lost`.
 
     Raises:
         OSError: nobody listens there.
+        ssl.SSLCertVerificationError: the server's certificate is not trusted.
         TimeoutError: it took too long.
         websockets.exceptions.InvalidHandshake: the server refused, for example without a token.
     """
     form = BINARY_FORM if binary else TEXT_FORM
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+    secured: Any = {} if tls is None else {"ssl": tls}  # None would mean that there is to be no TLS
 
     async def opening() -> ClientConnection:
         return await open_socket(
@@ -85,7 +88,7 @@ async def connect(
             max_size=LARGEST.octets,
             compression=None,
             open_timeout=timeout,
-            ssl=tls,
+            **secured,
         )
 
     client = Client(opening, form)
@@ -223,6 +226,8 @@ class Client:
         dry_run: bool = False,
         force: bool = False,
         revision: int | None = None,
+        keep: bool = False,
+        reload_code: bool = False,
     ) -> Mapping[str, Any]:
         """Change the configuration of the robot; needs the right `configure`.
 
@@ -231,16 +236,21 @@ class Client:
             dry_run: whether to say only what would happen.
             force: whether connections may end for it.
             revision: of the configuration that the change was made for; None: any.
+            keep: whether it is written to the robot's file, too; needs the right `keep`.
+            reload_code: whether the code of Python components is read again.
 
         Returns:
-            `revision`, `differences`, `connections`, `is_applied`, `time`, and `text` for people.
+            `revision`, `differences`, `connections`, `is_applied`, `is_kept`, `time`, and `text`
+            for people.
 
         Raises:
-            ConfigurationError: it has mistakes, or would end connections.
+            ConfigurationError: it has mistakes, or would end connections, or components cannot be
+                had with their new code.
             UsageError: another revision is in force.
             ServerError: the role may not.
         """
-        return await self._change({"text": text}, dry_run, force, revision)
+        what = {"text": text, "keep": keep, "reload_code": reload_code}
+        return await self._change(what, dry_run, force, revision)
 
     async def rollback(
         self,
@@ -249,9 +259,10 @@ class Client:
         dry_run: bool = False,
         force: bool = False,
         revision: int | None = None,
+        keep: bool = False,
     ) -> Mapping[str, Any]:
         """Have the configuration of an earlier revision again; otherwise as `configure`."""
-        return await self._change({"rollback": to}, dry_run, force, revision)
+        return await self._change({"rollback": to, "keep": keep}, dry_run, force, revision)
 
     async def _change(
         self,
@@ -270,6 +281,16 @@ class Client:
         """Return the revisions of the configuration, the one in force last; needs `configure`."""
         told: Mapping[str, Any] = await self._ask("Configure")
         return list(told["revisions"])
+
+    async def discover(self) -> list[Mapping[str, Any]]:
+        """Return what each bridge sees now; needs the right `see` for `*`.
+
+        Returns:
+            `bridge`, `plugin`, `configured`, `cause` where it sees nothing, `facts` of the plugin,
+            `components` with their `ports`, `more` and `left_out`; also plugins without a bridge.
+        """
+        told: Mapping[str, Any] = await self._ask("Discover")
+        return list(told["bridges"])
 
     async def stop_all(self) -> Mapping[str, Any]:
         """Stop everything of the robot that moves, until `release`; needs the right `stop`.

@@ -1,0 +1,41 @@
+"""Threads that compute have short turns in commands, and as long as before in whoever runs one."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from uoarm._switch_interval import switch_interval_seconds
+from uoarm.cli import main
+from uoarm.errors import UsageError
+
+
+@pytest.mark.parametrize(("given", "seconds"), [(None, 0.0005), ("", 0.0005), ("2.5", 0.0025)])
+def test_a_command_runs_with_short_switch_interval_and_leaves_no_trace(
+    given: str | None, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, during = sys.getswitchinterval(), []
+
+    @click.command()
+    def look() -> None:
+        during.append(sys.getswitchinterval())
+
+    monkeypatch.setitem(main.commands, "look", look)
+    ran = CliRunner().invoke(main, ["look"], env={"UOARM_SWITCH_INTERVAL": given})
+    assert ran.exit_code == 0, ran.output
+    assert during == [pytest.approx(seconds)]
+    assert sys.getswitchinterval() == before
+
+
+@pytest.mark.parametrize("given", ["fast", "0", "-1", "nan", "1e9"])
+def test_another_text_is_refused_with_what_is_expected(
+    given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UOARM_SWITCH_INTERVAL", given)
+    with pytest.raises(UsageError, match=r"UOARM_SWITCH_INTERVAL: expected milliseconds, 0\.01 to"):
+        switch_interval_seconds()
+    ran = CliRunner().invoke(main, ["bridges"])
+    assert (ran.exit_code, "expected milliseconds" in ran.output) == (2, True)

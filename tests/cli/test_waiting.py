@@ -1,0 +1,28 @@
+"""Who waits at a terminal for bridges is told so."""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+
+import pytest
+
+from uoarm.cli import _main
+from uoarm.testing import patience
+
+
+def test_whoever_waits_at_a_terminal_for_a_plan_is_told_for_what_and_how_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ours, theirs = os.openpty()
+    monkeypatch.setattr(_main, "_SILENT_SECONDS", 0.0)
+    try:
+        with os.fdopen(theirs, "w") as terminal:
+            monkeypatch.setattr(sys, "stderr", terminal)
+            with _main._telling_that_it_waits(7.0):
+                assert select.select([ours], [], [], patience())[0]
+                assert b"waiting for bridges to start" in os.read(ours, 4096)
+            monkeypatch.undo()
+    finally:
+        os.close(ours)
