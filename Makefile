@@ -49,7 +49,7 @@ test-core: $(VENV)/.core  ## what needs no framework, no browser and no camera
 	$(BIN)/python -m tests.tiers core
 
 test-long: $(VENV)/.dev mutation  ## the rest: properties at length, another order, a soak, mutations
-	$(BIN)/python -m tests.tiers long bugs
+	$(BIN)/python -m tests.tiers long
 	$(BIN)/python -m bench.soak --minutes 10
 
 coverage: $(VENV)/.core  ## lines and branches that the core's tests reach
@@ -128,7 +128,7 @@ $(VENV)/.warehouse: pyproject.toml $(wildcard plugins/*/pyproject.toml) | $(BIN)
 	@echo "Installing uoarm and its bridges into $(VENV) (once) ..."
 	$(BIN)/python -m pip install --progress-bar on -e '.[server,hosts]' \
 	  -e 'plugins/uoarm-ros2[jazzy]' ros-jazzy-test-msgs -e plugins/uoarm-rtm -e plugins/uoarm-mqtt \
-	  -e plugins/uoarm-vda5050 -e plugins/uoarm-rosbridge
+	  -e plugins/uoarm-vda5050 -e plugins/uoarm-rocos -e plugins/uoarm-rosbridge
 	@touch $@
 
 $(VENV)/.core: pyproject.toml | $(BIN)/python

@@ -17,7 +17,17 @@ ROOT = Path(uoarm.__file__).parent
 
 # From the bottom up; a layer may import itself and everything before it.
 LAYERS = [
-    {"errors", "_version", "_origin", "_raised", "_spans", "_spelling", "_whole_file", "_workers"},
+    {
+        "errors",
+        "_version",
+        "_origin",
+        "_raised",
+        "_spans",
+        "_spelling",
+        "_switch_interval",
+        "_whole_file",
+        "_workers",
+    },
     {"_plugins"},
     {"plugins"},
     {"_yaml"},
@@ -30,6 +40,7 @@ LAYERS = [
     {"_adapt"},
     {"_hints"},
     {"bridge"},
+    {"_checks"},
     {"local"},
     {"environments", "_certificates"},
     {"_host"},

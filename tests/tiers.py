@@ -1,6 +1,7 @@
 """Runs every tier of tests that this machine can run, and tells in a table what it ran.
 
-    python -m tests.tiers [TIER ...]     run these tiers, or all but `long` and `bugs`
+    python -m tests.tiers [TIER ...]     run these tiers, or all that do not take hours
+    python -m tests.tiers long           run those that do
     python -m tests.tiers --install      install what the tiers need, as far as it can be had
 
 The exit status is 0 when no test failed and nothing is missing that automation (CI) must have.
@@ -18,6 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from attrs import frozen
+from tests.harness._delays import DELAYS
 from tests.harness._needs import NEEDS, missing
 
 ROOT = Path(__file__).parents[1]
@@ -35,14 +37,25 @@ class Tier:
         what: what it is about, for the table.
         arguments: of pytest.
         needs: without which none of it can be run.
-        variables: of the environment.
+        is_long: whether it takes long, and is run only where it is asked for.
+        is_late: whether its threads begin late and go on late, as on a busy machine.
     """
 
     name: str
     what: str
     arguments: tuple[str, ...]
     needs: tuple[str, ...] = ()
-    variables: tuple[tuple[str, str], ...] = ()
+    is_long: bool = False
+    is_late: bool = False
+
+    @property
+    def variables(self) -> dict[str, str]:
+        """Return those of the environment: each long run has an order, or delays, of its own."""
+        number = str(time.time_ns())
+        if self.is_late:
+            return {DELAYS: number}
+        long = {"HYPOTHESIS_PROFILE": "long", "UOARM_TEST_ORDER": number}
+        return long if self.is_long else {}
 
 
 SHORT, LONG = "not needs and not long", "not needs"
@@ -58,20 +71,30 @@ TIERS = (
         for name in PLUGINS
     ),
     Tier("programs", "browser, Node.js, vision, the examples", ("tests", "-m", "needs")),
+    Tier("long-core", "the core, its properties at length", ("tests", "-m", LONG), is_long=True),
     Tier(
-        "long",
-        "the core in another order, its properties at length",
-        ("tests", "-m", LONG),
-        variables=(("HYPOTHESIS_PROFILE", "long"), ("UOARM_TEST_ORDER", str(time.time_ns()))),
+        "late-core",
+        "the core, its threads late",
+        ("tests", "-m", SHORT),
+        is_long=True,
+        is_late=True,
     ),
-    Tier(
-        "bugs",
-        "the conformance kit against deliberate bugs, and in hosts, with a real broker",
-        ("plugins/uoarm-mqtt/tests", "plugins/uoarm-vda5050/tests", "-m", "long"),
-        ("mqtt", "vda5050", "mosquitto"),
+    *(
+        Tier(
+            f"long-{name}",
+            f"plugins/uoarm-{name} at length",
+            (f"plugins/uoarm-{name}/tests",),
+            (name,),
+            is_long=True,
+        )
+        for name in PLUGINS
     ),
 )
-BY_DEFAULT = tuple(tier.name for tier in TIERS if tier.name not in {"long", "bugs"})
+BY_DEFAULT = tuple(tier.name for tier in TIERS if not tier.is_long)
+NAMES = {
+    **{tier.name: (tier.name,) for tier in TIERS},
+    "long": tuple(tier.name for tier in TIERS if tier.is_long),
+}
 GROUPS = (
     "-e .[vision-lbph,vision-dlib]",
     "-e .[healthbot]",
@@ -105,7 +128,7 @@ def run(tier: Tier) -> Outcome:
     done = subprocess.run(
         [*command, f"--junitxml={report}", *tier.arguments],
         cwd=ROOT,
-        env={**os.environ, **dict(tier.variables)},
+        env={**os.environ, **tier.variables},
         check=False,
     )
     counts, reasons = read(report)
@@ -172,11 +195,10 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command; returns the exit status."""
     if list(arguments) == ["--install"]:
         return install()
-    known = {tier.name for tier in TIERS}
-    names = [*arguments] or BY_DEFAULT
-    if unknown := set(names) - known:
-        print(f"no tiers {sorted(unknown)}; there are {sorted(known)}", file=sys.stderr)
+    if unknown := set(arguments) - NAMES.keys():
+        print(f"no tiers {sorted(unknown)}; there are {sorted(NAMES)}", file=sys.stderr)
         return 2
+    names = {name for given in arguments for name in NAMES[given]} or BY_DEFAULT
     outcomes = [run(tier) for tier in TIERS if tier.name in names]
     print("\n== what was run\n", *table(outcomes), sep="\n", flush=True)
     return int(any(one.failed for one in outcomes))

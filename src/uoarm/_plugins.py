@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint
-from typing import TypeVar
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TypeAlias, TypeVar
 
 import pluggy
 from attrs import frozen
@@ -11,12 +13,15 @@ from attrs import frozen
 from uoarm._origin import install_command
 from uoarm.errors import PluginError
 
-__all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "values_of"]
+__all__ = ["PluginProblem", "cause_of", "hookimpl", "hookspec", "installed", "values_of"]
 
 hookspec = pluggy.HookspecMarker("uoarm")
 hookimpl = pluggy.HookimplMarker("uoarm")
 
 T = TypeVar("T")
+Folders: TypeAlias = tuple[tuple[str, int], ...]
+
+_found: dict[str, tuple[Folders, tuple[EntryPoint, ...]]] = {}
 
 
 @frozen
@@ -25,6 +30,29 @@ class PluginProblem:
 
     name: str
     cause: str
+
+
+def installed(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group, those found before where nothing was installed since.
+
+    Reading the metadata of every distribution takes many times as long as looking at the folders,
+    as which `importlib.metadata` itself knows what it may keep: an installation changes one.
+    """
+    folders = tuple((path, _changed(path)) for path in sys.path)
+    before = _found.get(group)
+    if before is not None and before[0] == folders:
+        return before[1]
+    points = tuple(entry_points(group=group))
+    _found[group] = folders, points
+    return points
+
+
+def _changed(path: str) -> int:
+    """Return when a folder of modules was changed; 0 for one that is not there."""
+    try:
+        return Path(path).stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def cause_of(error: Exception, point: EntryPoint | None) -> str:

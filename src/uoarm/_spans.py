@@ -45,15 +45,18 @@ def past_span(name: str, seconds: float, context: Any = None, **attributes: str)
 
 def current() -> Any:
     """Return what spans of other threads may belong to: the span around the caller."""
-    context = sys.modules.get("opentelemetry.context")
-    return None if context is None else context.get_current()
+    get = _of("opentelemetry.context", "get_current")
+    return None if get is None else get()
 
 
 def _tracer() -> Any:
-    trace = sys.modules.get("opentelemetry.trace")
-    # Another thread may be importing it at this moment.
-    get = getattr(trace, "get_tracer", None)
+    get = _of("opentelemetry.trace", "get_tracer")
     return None if get is None else get("uoarm", __version__)
+
+
+def _of(module: str, name: str) -> Any:
+    """Return what a module has; None where nobody has imported it, or another thread is at it."""
+    return getattr(sys.modules.get(module), name, None)
 
 
 def _named(attributes: dict[str, str]) -> dict[str, str]:

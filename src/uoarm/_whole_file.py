@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["stamp_of", "write_whole"]
+__all__ = ["stamp_of", "write_whole", "written_beside"]
 
 
 def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
@@ -19,6 +21,19 @@ def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
     Raises:
         OSError: it cannot be written; then nothing of it is left, and what was there still is.
     """
+    with written_beside(path, data, private=private) as put_in_place:
+        put_in_place()
+
+
+@contextmanager
+def written_beside(
+    path: Path, data: bytes, *, private: bool = False
+) -> Iterator[Callable[[], object]]:
+    """Write a file beside its place; give what moves it there. It is gone where that is not called.
+
+    Raises:
+        OSError: as `write_whole`.
+    """
     part = path.with_name(f".{path.name}.{os.getpid()}")
     part.unlink(missing_ok=True)  # of a process that was killed, and had this number
     try:
@@ -27,10 +42,9 @@ def write_whole(path: Path, data: bytes, *, private: bool = False) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
-    except BaseException:
+        yield lambda: part.replace(path)
+    finally:
         part.unlink(missing_ok=True)
-        raise
 
 
 def stamp_of(path: Path) -> tuple[int, ...]:

@@ -73,6 +73,7 @@ class WorkerPool:
         self._waiting: deque[_Task[Any]] = deque()
         self._idle: list[SimpleQueue[_Task[Any] | None]] = []
         self._threads = 0
+        self._beginning = False  # whether a thread begins that has no task
         self._busy = 0
         self._closed = False
 
@@ -162,17 +163,20 @@ class WorkerPool:
     def prepare(self) -> None:
         """Have a thread wait, so that the next call need not wait for the start of one."""
         with self._lock:
-            if self._idle or self._closed or self._threads >= self._limit:
+            is_there = self._idle or self._beginning
+            if is_there or self._closed or self._threads >= self._limit:
                 return
             self._threads += 1
+            self._beginning = True
         try:
             self._start(None)
         except RuntimeError:  # the system gives no more: then the next call starts its own
             with self._lock:
                 self._threads -= 1
+                self._beginning = False
 
     def _work(self, inbox: SimpleQueue[_Task[Any] | None], *, begins: bool) -> None:
-        task = inbox.get() if begins else self._next(inbox)
+        task = inbox.get() if begins else self._next(inbox, is_first=True)
         while task is not None:
             result, error = None, None
             try:
@@ -185,9 +189,12 @@ class WorkerPool:
             del task, result, error  # with what they hold, before this waits for the next
             task = self._next(inbox)
 
-    def _next(self, inbox: SimpleQueue[_Task[Any] | None]) -> _Task[Any] | None:
+    def _next(
+        self, inbox: SimpleQueue[_Task[Any] | None], *, is_first: bool = False
+    ) -> _Task[Any] | None:
         """Wait for a task; None tells the thread to end."""
         with self._lock:
+            self._beginning = self._beginning and not is_first
             if self._waiting:
                 return self._waiting.popleft()
             if self._closed:

@@ -122,11 +122,11 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
     gate = threading.Event()
 
     def outer() -> None:
-        _bounded.run("the quick step", 5, lambda: None)
+        _bounded.run("the quick step", patience(), lambda: None)
         _bounded.run("the stuck step", 0.05, lambda: gate.wait(patience()))
 
     with pytest.raises(BridgeTimeoutError, match="the stuck step"):
-        _bounded.run("the whole", 30, outer)
+        _bounded.run("the whole", 2 * patience(), outer)
     gate.set()
 
 

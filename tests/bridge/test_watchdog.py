@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
 from uoarm.bridge import Bridge, HealthEvent, Sink, Source
+from uoarm.bridge._watchdog import Watchdog
 from uoarm.errors import CommandRefusedError
 from uoarm.model import (
     CommandPhase,
@@ -25,9 +27,8 @@ from uoarm.testing import Background, patience, wait
 ANY = MessageStructure({})
 STOP, GO = {"v": 0.0}, {"v": 0.5}
 LIFETIME = 0.1
-ENDPOINT = Endpoint(
-    "b", "base", Role.INPUT, ("x",), command=CommandPolicy(LIFETIME, StopMessage(STOP))
-)
+POLICY = CommandPolicy(LIFETIME, StopMessage(STOP))
+ENDPOINT = Endpoint("b", "base", Role.INPUT, ("x",), command=POLICY)
 
 
 class Base(Bridge):
@@ -172,3 +173,46 @@ def test_what_moves_is_stopped_before_it_is_closed(base: Base) -> None:
     sink.send(GO)
     sink.close()
     assert base.was_closed_after == [GO, STOP]
+
+
+def test_a_machine_that_was_suspended_lets_no_command_through_before_its_stop() -> None:
+    taken: list[Message] = []
+    now, resumed, sender = [100.0], threading.Event(), threading.current_thread()
+
+    def clock() -> float:
+        """Tell the watchdog's own thread of the suspension last: else its stop may be first."""
+        return now[0] if resumed.is_set() or threading.current_thread() is sender else 100.0
+
+    watchdog = Watchdog(POLICY, taken.append, "base", clock=clock)
+    watchdog.send(GO, age=0.0)
+    now[0] += 3600.0
+    with pytest.raises(CommandRefusedError) as caught:
+        watchdog.send(GO, age=0.0)
+    assert caught.value.reason == "stopping"
+    resumed.set()
+    wait(lambda: taken == [GO, STOP])
+    wait(lambda: watchdog.status().phase is CommandPhase.STOPPED)  # once its send has returned
+    watchdog.send(GO, age=0.0)
+    assert taken == [GO, STOP, GO]
+    watchdog.close()
+
+
+@pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="Linux has it")
+def test_commands_expire_by_a_clock_that_nobody_sets_and_that_goes_on_in_a_suspension(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[int] = []
+    read = time.clock_gettime
+
+    def noted(which: int) -> float:
+        asked.append(which)
+        return read(which)
+
+    monkeypatch.setattr(time, "clock_gettime", noted)
+    monkeypatch.setattr(time, "time", lambda: pytest.fail("the calendar does not matter"))
+    taken: list[Message] = []
+    watchdog = Watchdog(POLICY, taken.append, "base")
+    watchdog.send(GO, age=0.0)
+    wait(lambda: taken == [GO, STOP])
+    watchdog.close()
+    assert set(asked) == {time.CLOCK_BOOTTIME}

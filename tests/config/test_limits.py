@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 from pathlib import Path
 
@@ -111,7 +112,7 @@ class TestFiles:
         assert report.robot is None
         assert len(report.problems) == 1
         assert report.problems[0].file == str(path)
-        with pytest.raises(ConfigurationError, match="1:1"):
+        with pytest.raises(ConfigurationError, match=f"{re.escape(str(path))}.*: the file"):
             report.require()
         return report.problems[0].sentence
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from uoarm import RobotManager
+from uoarm import RobotManager, _plugins
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError
@@ -95,3 +98,29 @@ def test_options_that_fit_are_taken() -> None:
     registry = Registry([])
     registry.add(BridgeType("memory", "in memory", lambda name, _: MemoryBridge(name), contract=2))
     registry.create(BridgeSpec("lab", "memory")).close()
+
+
+def test_what_is_installed_is_read_once_and_again_when_something_is_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[str] = []
+
+    def read(group: str) -> tuple[EntryPoint, ...]:
+        reads.append(group)
+        return tuple(entry_points(group=group))
+
+    def names() -> set[str]:
+        return {point.name for point in _plugins.installed("uoarm.test")}
+
+    monkeypatch.setattr(_plugins, "entry_points", read)
+    monkeypatch.setattr(_plugins, "_found", {})
+    monkeypatch.syspath_prepend(tmp_path)
+    assert (names(), names()) == (set(), set())
+    assert reads == ["uoarm.test"]
+    folder = tmp_path / "late-1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: late\nVersion: 1\n")
+    (folder / "entry_points.txt").write_text("[uoarm.test]\nlate = late\n")
+    os.utime(tmp_path, ns=(0, 1))  # some systems note changes a few milliseconds late
+    assert (names(), names()) == ({"late"}, {"late"})
+    assert len(reads) == 2

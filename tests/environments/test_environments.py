@@ -40,6 +40,13 @@ if [ "$1" = venv ]; then mkdir -p "$4/bin"; ln -s {sys.executable} "$4/bin/pytho
     return str(_executable(folder / "uv", text))
 
 
+@pytest.mark.parametrize("command", ["list", "doctor"])
+def test_that_there_is_none_is_said(home: Path, command: str) -> None:
+    shown = CliRunner().invoke(main, ["env", command])
+    assert (shown.exit_code, shown.stdout) == (0, "")
+    assert "there are no environments: make one with uoarm env create" in shown.stderr
+
+
 def test_an_environment_for_the_python_bridge_needs_this_same_uoarm_only() -> None:
     (only,) = environments.requirements("python", None)
     assert only.startswith(("uoarm[hosts] @ file://", f"uoarm[hosts]=={uoarm.__version__}"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 import subprocess
@@ -70,14 +69,6 @@ class Scene:
         if self._process.poll() is None:
             self._process.kill()
             self._process.wait()
-
-
-def lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 def terminal_visit(robot: str) -> subprocess.Popen[str]:

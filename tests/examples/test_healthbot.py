@@ -6,17 +6,24 @@ import json
 import os
 import re
 import signal
+import string
 import urllib.request
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.examples.healthbot import EXAMPLE, Scene, lives, terminal_visit
+import yaml
+from tests.examples.healthbot import EXAMPLE, Scene, terminal_visit
+from tests.processes import lives
 from tests.server.browser import Browser, find_chromium
 from vision_demo.footage import Footage
 from websockets.sync.client import connect
 
+from uoarm import ResolutionError, RobotManager
+from uoarm.config import load, loads
+from uoarm.model import Component, Robot
 from uoarm.testing import patience, wait
 
 # The harness gives them all to one worker: one scene, which the last of them ends.
@@ -72,6 +79,48 @@ def test_three_frameworks_feed_one_function(scene: Scene) -> None:
         ("rtm_detector", "rtm"),
         ("network_recogniser", "parts"),
     ]
+
+
+def ports(component: Component) -> list[tuple[str, ...]]:
+    """What a component provides a function with, but for how its framework spells a type."""
+    ends = [one.endpoint for one in component.outputs]
+    ends += [component.service.endpoint] if component.service is not None else []
+    return [(component.bridge, *one.address[:2]) for one in ends]
+
+
+@pytest.mark.long
+def test_a_line_of_needs_for_each_function_chooses_what_the_written_file_chooses(
+    scene: Scene,
+) -> None:
+    written = load(scene.run / "robot.yaml")
+    template = string.Template((EXAMPLE / "needs.yaml").read_text(encoding="utf-8"))
+    tree = yaml.safe_load(template.safe_substitute(here=EXAMPLE, run=scene.run))
+    filled_in = yaml.safe_load((scene.run / "robot.yaml").read_text(encoding="utf-8"))
+    for name in ("ros", "rtm"):
+        tree["bridges"][name] = filled_in["bridges"][name]
+    assert all(list(one) == ["needs"] for one in tree["functions"].values())
+    wanted = {
+        name: [ports(one) for one in function.components]
+        for name, function in written.functions.items()
+    }
+    with RobotManager(loads(yaml.safe_dump(tree), str(scene.run / "needs.yaml"))) as robot:
+
+        def candidates() -> dict[str, list[list[tuple[str, ...]]]]:
+            found = robot.config.functions
+            return {name: [ports(one) for one in found[name].components] for name in wanted}
+
+        with suppress(ResolutionError):  # bridges are asked from the first question on
+            robot.resolve("camera")
+        wait(lambda: candidates() == wanted, "others are found than are written")
+        for name in ("faceRecognition", "speechGeneration", "patientRecord"):
+            served = asked(scene.robot, "Resolve", name)["plan"]["steps"]
+            chosen = [written_name(one.component, written) for one in robot.resolve(name).steps]
+            assert chosen == [one["component"]["name"] for one in served]
+
+
+def written_name(component: Component, written: Robot) -> str:
+    """Return the name that the written file has for a component that nobody named."""
+    return next(one.name for one in written.components() if ports(one) == ports(component))
 
 
 @pytest.mark.needs("node", "chromium")

@@ -74,6 +74,11 @@ class Service:
         return [entry["resource"] for entry in bundle["entry"]]
 
 
+@pytest.fixture(autouse=True)
+def _a_service_that_is_there_has_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("healthbot_records.component._SEND_SECONDS", patience())
+
+
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[Service]:
     made = Service(tmp_path)

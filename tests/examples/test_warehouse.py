@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -28,8 +29,10 @@ def test_an_order_is_carried_out_and_everything_ends(tmp_path: Path) -> None:
     logs = "\n".join(f"{log.name}: {log.read_text()[-500:]}" for log in tmp_path.glob("*.log"))
     assert scene.returncode == 0, f"{told}\n{logs}"
     assert re.search(r"done transport\w+$", told, re.MULTILINE), told
+    (weighed,) = map(json.loads, (tmp_path / "weighed.jsonl").read_text().splitlines())
+    assert abs(weighed["mass"] - 5) < 0.1
     pids = [int(pid) for pid in re.findall(r" pid (\d+)", told)]
-    assert len(pids) > 8
+    assert len(pids) > 9
     assert not [pid for pid in pids if lives(pid)]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
+from attrs import evolve
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tests.examples.warehouse_fleet import Fleet
-from warehouse_floor.layout import DOCKS, NODES, SHELVES
-from warehouse_orders.orders import Status
+from warehouse_floor.layout import DOCKS, SHELVES
+from warehouse_orders.coordinator import Command, Coordinator, Report
+from warehouse_orders.orders import Order, Status
 
 
 def test_every_order_is_done_once() -> None:
@@ -80,7 +80,7 @@ def test_a_coordinator_that_died_goes_on_where_it_was(seconds: float) -> None:
     fleet.run(seconds)
     fleet.coordinator = None
     fleet.run(5)
-    assert all(not body.is_moving for body in fleet.floor.bodies.values())
+    assert not fleet.floor.bodies["vehicle1"].is_moving
     fleet.restart()
     fleet.settle()
 
@@ -114,43 +114,121 @@ def test_a_vehicle_without_power_charges_first() -> None:
     fleet.settle()
 
 
-FAULTS = st.tuples(
-    st.sampled_from(["kill", "revive", "lose", "find", "block", "clear", "coordinator", "place"]),
-    st.integers(0, 3),
-    st.integers(1, 60),
-)
+def test_who_died_is_driven_round_by_a_coordinator_that_never_heard_of_it() -> None:
+    fleet = Fleet(2)
+    fleet.place("box1", "shelf4", "dock1")
+    fleet.run(8)
+    (first,) = [note.vehicle for note in fleet.journal]
+    fleet.coordinator = None
+    fleet.kill(first)
+    fleet.run(5)
+    x, y = fleet.floor.bodies[first].pose[:2]
+    fleet.restart()
+    fleet.run(60)
+    assert fleet.floor.bodies[first].pose[:2] == (x, y)
+    assert fleet.done == {"box1"}
+    fleet.check()
+
+
+def test_who_is_heard_first_waits_for_nobody_and_hits_nobody() -> None:
+    fleet = Fleet(2)
+    fleet.place("box1", "shelf4", "dock1")
+    fleet.run(8)
+    (first,) = [note.vehicle for note in fleet.journal]
+    fleet.coordinator = None
+    fleet.run(5)
+    fleet.cut.add(first)
+    fleet.restart()
+    fleet.run(60)
+    fleet.check()
+    fleet.settle()
+
+
+def test_what_a_vehicle_was_told_is_its_own_until_it_says_that_it_stands() -> None:
+    coordinator = Coordinator()
+    coordinator.place(Order("box", "shelf4", "dock1", 5.0))
+    report = Report(
+        0.0, 1.5, heading=0.0, speed=0.0, battery=90.0, payload=50.0, load="", leg=0, stopped=0,
+        is_localised=True, is_blocked=False, drives_on=True,
+    )  # fmt: skip
+    seconds = 0.0
+
+    def say(stopped: int = 0, speed: float = 0.0, *, is_blocked: bool = False) -> Command:
+        nonlocal seconds
+        seconds += 1
+        told = evolve(report, stopped=stopped, speed=speed, is_blocked=is_blocked)
+        coordinator.report("one", told, seconds)
+        (command,) = coordinator.tick(seconds)
+        return command
+
+    stand = say().leg
+    say(stand)
+    command = say(stand)
+    assert command.way[0] == "home1"
+    assert len(command.way) > 2
+    vehicle = coordinator.vehicles["one"]
+    assert not say(is_blocked=True).way  # it waits there with its order, and is told to stand
+    for _ in range(10):
+        assert not say().way
+        assert set(command.way) <= set(vehicle.held)
+    stand = vehicle.leg
+    say(stand, speed=1.0)
+    assert set(command.way) <= set(vehicle.held)
+    say(stand)
+    assert vehicle.held != command.way
+
+
+KINDS = ("kill", "revive", "lose", "find", "block", "clear", "coordinator", "place", "cut", "join")
+FAULTS = st.tuples(st.sampled_from(KINDS), st.integers(0, 3), st.integers(1, 60))
 
 
 @settings(max_examples=5, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
 @given(st.lists(FAULTS, max_size=14))
 def test_whatever_happens_nothing_is_lost(faults: list[tuple[str, int, int]]) -> None:
+    play(faults)
+
+
+@pytest.mark.long
+@settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.generate))
+@given(st.lists(FAULTS, min_size=6, max_size=30))
+def test_whatever_happens_for_long_nothing_is_lost(faults: list[tuple[str, int, int]]) -> None:
+    play(faults)
+
+
+def play(faults: list[tuple[str, int, int]]) -> None:
+    """Have faults happen one after the other, then none, and all orders done."""
     fleet = Fleet(3)
     fleet.place("first", "shelf2")
     for number, (fault, which, tenths) in enumerate(faults):
-        name = fleet.names[which % 3]
-        if fault == "kill":
-            fleet.kill(name)
-        elif fault == "revive":
-            fleet.revive(name)
-        elif fault in {"lose", "find"}:
-            fleet.floor.bodies[name].is_localised = fault == "find"
-        elif fault == "block":
-            node = ("n51", "n45", "n24", "n72")[which]
-            clear = all(
-                math.dist(body.pose[:2], NODES[node]) > 2 for body in fleet.floor.bodies.values()
-            )
-            if clear:
-                fleet.floor.obstacles.add(node)
-        elif fault == "clear":
-            fleet.floor.obstacles.clear()
-        elif fault == "place":
-            fleet.place(f"box{number}", SHELVES[which], load=min(tenths, 50))
-        elif fleet.coordinator is None:
-            fleet.restart()
-        else:
-            fleet.coordinator = None
+        happen(fleet, fault, which, f"box{number}", min(tenths, 50))
         fleet.run(tenths / 10 * 2)
+        fleet.check()
     fleet.settle()
+
+
+def happen(fleet: Fleet, fault: str, which: int, box: str, load: float) -> None:
+    """Have one fault happen, an order be placed, or a fault be over."""
+    name = fleet.names[which % 3]
+    if fault == "kill":
+        fleet.kill(name)
+    elif fault == "revive":
+        fleet.revive(name)
+    elif fault == "cut":
+        fleet.cut.add(name)
+    elif fault == "join":
+        fleet.cut.clear()
+    elif fault in {"lose", "find"}:
+        fleet.floor.bodies[name].is_localised = fault == "find"
+    elif fault == "block":
+        fleet.floor.block(("n51", "n45", "n24", "n72")[which], clear=2)
+    elif fault == "clear":
+        fleet.floor.obstacles.clear()
+    elif fault == "place":
+        fleet.place(box, SHELVES[which], load=load)
+    elif fleet.coordinator is None:
+        fleet.restart()
+    else:
+        fleet.coordinator = None
 
 
 def test_a_vehicle_off_the_floor_is_told_nothing() -> None:

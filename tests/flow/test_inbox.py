@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
 from uoarm._dataplane import Inbox, QueueClosed
@@ -77,3 +80,52 @@ def test_closing_leaves_what_waits_readable_unless_discarded() -> None:
     with pytest.raises(QueueClosed):
         other.get()
     assert (drops, lost) == ([], ["closed"])
+
+
+class _Before:
+    """A lock or a queue, before whose first use something else happens."""
+
+    def __init__(self, real: Any, happens: Callable[[], object]) -> None:
+        self._real = real
+        self._happens: list[Callable[[], object]] = [happens]
+
+    def put(self, message: Message) -> None:
+        self._now()
+        self._real.put(message)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._real, name)
+
+    def __enter__(self) -> Any:
+        self._now()
+        return self._real.__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self._real.__exit__(*error)
+
+    def _now(self) -> None:
+        if self._happens:
+            self._happens.pop()()
+
+
+def test_a_message_that_comes_as_the_first_callback_does_is_not_left_behind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    inbox, drops = make()
+    seen: list[Message] = []
+    before = _Before(inbox._queue, lambda: inbox.subscribe(seen.append))
+    monkeypatch.setattr(inbox, "_queue", before)
+    inbox.put(1)
+    assert (seen, drops) == ([1], [])
+
+
+def test_a_message_that_comes_as_the_last_callback_leaves_waits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    inbox, drops = make()
+    seen: list[Message] = []
+    end = inbox.subscribe(seen.append)
+    monkeypatch.setattr(inbox, "_lock", _Before(inbox._lock, end))
+    inbox.put(1)
+    assert inbox.get(0) == 1
+    assert (seen, drops) == ([], [])

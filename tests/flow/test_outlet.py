@@ -112,6 +112,30 @@ def test_who_is_let_through_on_any_other_source_gets_the_next_message(outlet: Ou
     assert consumer.got == []
 
 
+@pytest.mark.parametrize("retains", [False, True, None])
+def test_what_more_than_one_route_got_counts_as_a_copy_for_all_but_the_first(
+    outlet: Outlet, retains: bool | None
+) -> None:
+    if retains is not None:
+        outlet.retain(retains)
+    outlet.deliver(0)
+    consumers = [Consumer() for _ in range(3)]
+    for number, consumer in enumerate(consumers):
+        outlet.attach(consumer.route)
+        outlet.deliver(2 * number + 1)
+        if number == 1:
+            consumer.route.stop()  # it counts what it drops until another one is there
+            outlet.deliver(4)
+    outlet.detach(consumers[0].route)
+    outlet.deliver(6)
+    received = [one.route.status().received for one in consumers]
+    copies = [one.route.status().copies for one in consumers]
+    assert received == ([5, 3, 3] if retains else [4, 2, 2])
+    assert copies == ([1, 3, 2] if retains else [0, 2, 1])
+    sent = 6
+    assert sent + sum(copies) == sum(received) + outlet.unheard
+
+
 def test_a_message_that_emits_in_its_own_thread_does_not_hang(outlet: Outlet) -> None:
     outlet.retain(True)
     got: list[Message] = []
@@ -205,3 +229,31 @@ def test_who_joins_while_messages_come_gets_them_once_and_in_order(seed: int) ->
     for consumer, least in zip(consumers, lowest, strict=True):
         assert consumer.got == list(range(consumer.got[0], last + 1))
         assert consumer.got[0] >= least
+
+
+class _Said:
+    """A lock; while the first thread waits for it, another says that nothing is retained."""
+
+    def __init__(self, outlet: Outlet) -> None:
+        self._lock = threading.Lock()
+        self._outlet: Outlet | None = outlet
+
+    def __enter__(self) -> None:
+        outlet, self._outlet = self._outlet, None
+        if outlet is not None:
+            Background(lambda: outlet.retain(False)).result()
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+def test_a_message_that_comes_as_its_source_says_that_it_retains_nothing_arrives(
+    outlet: Outlet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    consumer = Consumer()
+    outlet.attach(consumer.route)
+    monkeypatch.setattr(outlet, "_lock", _Said(outlet))
+    outlet.deliver(1)
+    assert (consumer.got, outlet.unheard) == ([1], 0)
+    assert consumer.route.copies == 0

@@ -49,6 +49,20 @@ def test_a_consumer_that_raises_is_counted_and_named_and_hurts_nobody() -> None:
     assert status.delivered == 0
 
 
+def test_a_traceback_is_logged_only_where_a_program_went_wrong(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    misfit, wrapped = MessageError("the field 'a' is missing"), MessageError("no image")
+    wrapped.__cause__ = ValueError("truncated")
+    for raised in (misfit, wrapped, RuntimeError("a mistake")):
+
+        def refuse(_: Message, raised: Exception = raised) -> None:
+            raise raised
+
+        Route("a", "b", refuse, clock=Clock()).deliver(7)
+    assert [bool(one.exc_info) for one in caplog.records] == [False, True, True]
+
+
 def test_an_invalid_message_is_not_forwarded() -> None:
     seen: list[Message] = []
 
@@ -96,7 +110,7 @@ def test_a_stuck_consumer_loses_old_messages_and_says_how_many() -> None:
     for message in range(1, 6):
         route.deliver(message)
     gate.set()
-    assert route.drain(10)
+    assert route.drain(patience())
     assert seen == [0, 4, 5]
     status = route.status()
     assert status.received == status.delivered + sum(count for _, count in status.dropped) == 6

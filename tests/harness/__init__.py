@@ -14,22 +14,25 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis.strategies import none
-from tests.harness import _leaks, _limits, _needs, _places
+from tests.harness import _delays, _leaks, _limits, _needs, _places
+from tests.harness._steps import longest_step
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 
 from uoarm.testing import patience, slowness
 from uoarm.testing._limits import default_limits
 
-__all__ = ["Scheduler"]
+__all__ = ["Scheduler", "longest_step"]
 
 # Now, as other conftests read the environment when they are imported.
 _places.isolate()
+_delays.begin()
 
 # Half of the time a worker waits, for processes and for silence: so there are more of them than
 # cores, by as many at most.
 SPARE_WORKERS = 4
-# One worker runs all tests of these, so that the scene is started once.
+# One worker runs all tests of these, so that the scene is started once, and always as they stand,
+# as parts of the scene are ended one after another.
 TOGETHER = {"tests/examples/test_healthbot.py"}
 # The last resort against a test that hangs where nothing limits its wait.
 HANGING = 10
@@ -91,7 +94,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if needs := _needs.of_module(_path(config, item.path)):
             item.add_marker(pytest.mark.needs(*needs))
     if seed := os.environ.get(ORDER):
+        stand = iter([item for item in items if _is_together(item)])
         random.Random(seed).shuffle(items)
+        items[:] = [next(stand) if _is_together(item) else item for item in items]
+
+
+def _is_together(item: pytest.Item) -> bool:
+    return item.nodeid.partition("::")[0] in TOGETHER
 
 
 @pytest.hookimpl(specname="pytest_runtest_setup", tryfirst=True)

@@ -92,6 +92,7 @@ class Holdings:
             gc.collect()
             while (found := self._found(name, kept)) and time.monotonic() < deadline:
                 pause.wait(_GLANCE_SECONDS)
+                gc.collect()  # a thread may have let go of a cycle since the last time
         settings = _settings()
         return found + [
             f"{what} changed from {self._settings.get(what)!r} to {settings.get(what)!r}"

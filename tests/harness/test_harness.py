@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,9 +10,10 @@ from pathlib import Path
 
 import pytest
 import xdist.plugin
-from tests.harness import SPARE_WORKERS
+from tests.harness import ORDER, SPARE_WORKERS
+from tests.harness._delays import DELAYS
 from tests.harness._needs import MODULES, NEEDS
-from tests.tiers import TIERS
+from tests.tiers import BY_DEFAULT, NAMES, TIERS
 
 ROOT = Path(__file__).parents[2]
 Run = Callable[..., "pytest.RunResult"]
@@ -25,7 +27,8 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
         pytester.makepyfile(tests)
         pytester.makeconftest(f"import tests.harness as harness\n{set_up}\n")
         pytester.makeini("[pytest]\nfilterwarnings = error")
-        monkeypatch.delenv("CI", raising=False)
+        for name in ("CI", ORDER, DELAYS):
+            monkeypatch.delenv(name, raising=False)
         for name, value in {"PYTHONPATH": str(ROOT), **environment}.items():
             monkeypatch.setenv(name, value)
         given = ("-p", "tests.harness", "-p", "no:cacheprovider", *options)
@@ -126,10 +129,12 @@ def test_a_test_that_hangs_is_ended_and_says_where(run: Run) -> None:
     found = run(
         """
         import threading
+        import pytest
 
         def test_hanging():
             threading.Event().wait()
 
+        @pytest.mark.timeout(0)  # it may be late
         def test_after():
             pass
         """,
@@ -180,15 +185,77 @@ ORDERED = """
 
 def test_another_order_finds_a_test_that_depends_on_it(run: Run) -> None:
     run(ORDERED).assert_outcomes(passed=2)
-    found = (run(ORDERED, UOARM_TEST_ORDER=str(seed)) for seed in range(4, 20))
+    found = (run(ORDERED, UOARM_TEST_ORDER=str(seed)) for seed in range(4, 8))
     assert any(one.parseoutcomes() == {"failed": 1, "passed": 1} for one in found)
+
+
+LATE = """
+import json, queue, sys, threading
+from types import SimpleNamespace
+sys.path.insert(0, sys.argv[1])
+import _delays
+
+before = threading.Thread.run, threading.Condition.wait, queue.SimpleQueue
+_delays.begin()
+slept = []
+_delays.time = SimpleNamespace(sleep=slept.append)
+told = []
+waits, items, ran = threading.Condition(), queue.SimpleQueue(), []
+with waits:
+    for _ in range(100):
+        waits.wait(0)
+told.append(slept.copy())
+slept.clear()
+for number in range(100):
+    items.put(number)
+    assert items.get() == number
+told.append(slept.copy())
+slept.clear()
+for number in range(100):
+    threading.Thread.run(threading.Thread(target=ran.append, args=[number]))
+assert ran == list(range(100))
+told.append(slept)
+is_same = before == (threading.Thread.run, threading.Condition.wait, queue.SimpleQueue)
+print(json.dumps([is_same, told]))
+"""
+
+
+def test_threads_begin_late_and_one_of_four_waits_ends_late_by_a_number() -> None:
+    def late(number: str) -> tuple[bool, list[list[float]]]:
+        command = [sys.executable, "-c", LATE, str(Path(__file__).parent)]
+        out = subprocess.run(
+            command, env={DELAYS: number}, stdout=subprocess.PIPE, text=True, check=True
+        ).stdout
+        is_same, told = json.loads(out)
+        return is_same, told
+
+    assert late("") == (True, [[], [], []])
+    is_same, (waits, gets, begins) = late("1")
+    assert not is_same
+    assert 10 < len(waits) < 40
+    assert 10 < len(gets) < 40
+    assert len(begins) == 100
+    assert max(waits + gets) <= 0.02
+    assert 0.04 < max(begins) <= 0.05
+    assert late("1") == (is_same, [waits, gets, begins])
+    assert late("2") != (is_same, [waits, gets, begins])
+
+
+def test_those_that_share_a_scene_keep_theirs(run: Run) -> None:
+    together = "harness.TOGETHER.add('test_those_that_share_a_scene_keep_theirs.py')"
+    for seed in range(4, 8):  # a test above finds the other order in one of these
+        found = run(ORDERED, set_up=together, UOARM_TEST_ORDER=str(seed))
+        found.assert_outcomes(passed=2)
 
 
 def test_nothing_of_the_shell_is_inherited(run: Run, tmp_path: Path) -> None:
     found = run(
         """
-        import os, tempfile
+        import os, tempfile, threading
         from pathlib import Path
+
+        def test_what_is_for_the_tests_themselves_is_heard():
+            assert threading.Thread.run.__module__ == "tests.harness._delays"
 
         def test_places():
             assert not {"DISPLAY", "ROS_DOMAIN_ID", "UOARM_HOME", "LC_ALL"} & os.environ.keys()
@@ -201,8 +268,9 @@ def test_nothing_of_the_shell_is_inherited(run: Run, tmp_path: Path) -> None:
         UOARM_HOME=str(tmp_path),
         PYTHONSTARTUP="nothing.py",
         LC_ALL="C",
+        UOARM_TEST_DELAYS="1",
     )
-    found.assert_outcomes(passed=1)
+    found.assert_outcomes(passed=2)
 
 
 IGNORING = """
@@ -291,3 +359,13 @@ def test_there_are_more_workers_than_cores_unless_their_number_is_given(
 def test_whatever_a_tier_or_a_module_needs_is_known() -> None:
     needed = [*(tier.needs for tier in TIERS), *MODULES.values()]
     assert {name for names in needed for name in names} <= NEEDS.keys()
+
+
+@pytest.mark.parametrize(
+    "folder", sorted((ROOT / "plugins").glob("*/tests")), ids=lambda folder: folder.parent.name
+)
+def test_the_tests_of_each_plugin_are_run_by_default_and_at_length(folder: Path) -> None:
+    place = folder.relative_to(ROOT).as_posix()
+    ran = {tier.name: tier.arguments for tier in TIERS if place in tier.arguments}
+    assert ["not long" in ran[name] for name in BY_DEFAULT if name in ran] == [True]
+    assert [ran[name] for name in NAMES["long"] if name in ran] == [(place,)]

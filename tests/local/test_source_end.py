@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import TypedDict
@@ -12,8 +12,14 @@ from typing import TypedDict
 import pytest
 
 from uoarm import RobotManager
+from uoarm._workers import WorkerPool
 from uoarm.config import loads
-from uoarm.testing import patience
+from uoarm.local import PythonBridge
+from uoarm.local._source import Source
+from uoarm.model import Endpoint, Message, MessageStructure, Role
+from uoarm.testing import Background, patience, wait
+
+ANY = MessageStructure({})
 
 ROBOT = """
 version: 1
@@ -49,11 +55,73 @@ def left(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
 
 
 def test_a_source_has_ended_when_the_manager_is_closed(
-    left: threading.Event, tmp_path: Path
+    left: threading.Event, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("uoarm.local._bridge._SOURCE_SECONDS", patience())
     with (
         RobotManager(loads(ROBOT, str(tmp_path / "robot.yaml"))) as robot,
         robot.request("numbers") as numbers,
     ):
         assert numbers.get(timeout=patience()) == {"value": 1}
     assert left.is_set()
+
+
+def at(name: str, role: Role) -> Endpoint:
+    return Endpoint("python", name, role, (f"ending_source:{name}",))
+
+
+def test_what_comes_of_a_message_that_was_taken_is_counted_when_its_output_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begun, free = threading.Event(), threading.Event()
+
+    def double(value: int) -> int:
+        begun.set()
+        assert free.wait(patience())
+        return 2 * value
+
+    module = ModuleType("ending_source")
+    module.__dict__["double"] = double
+    monkeypatch.setitem(sys.modules, "ending_source", module)
+    bridge, got = PythonBridge("python", {}), list[Message]()
+    sink = bridge.open_sink(at("double", Role.INPUT), ANY)
+    source = bridge.open_source(at("double", Role.OUTPUT), ANY, got.append)
+    sending = Background(lambda: sink.send(1))
+    assert begun.wait(patience())
+    source.close()
+    free.set()
+    sending.result()
+    assert (got, source.refused) == ([], 1)
+    sink.send(2)  # nobody wants what comes of this, and its output was closed before
+    assert source.refused == 1
+    bridge.close()
+
+
+def test_a_source_whose_last_listener_leaves_emits_a_message_or_hears_that_it_was_not_taken() -> (
+    None
+):
+    emitted: list[int] = []
+    not_taken: list[int] = []
+    ended = threading.Event()
+
+    def numbers() -> Iterator[int]:
+        for number in range(3):
+            try:
+                yield number
+            except GeneratorExit:
+                not_taken.append(number)
+                raise
+
+    def emitter() -> Callable[[int], None]:
+        """Return who receives now; the last one leaves before or after they are asked for."""
+        if len(emitted) == 1:
+            source.remove_listener("only")
+        return emitted.append
+
+    workers = WorkerPool("uoarm-test", 1)
+    source = Source(numbers, emitter, "numbers", workers)
+    source.add_listener("only", lambda _: ended.set())
+    workers.close(drop=False)
+    wait(lambda: not workers.busy)
+    assert (emitted, not_taken) == ([0], [1])
+    assert not ended.is_set()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from tests.local import talk, typed_parts
+from typing_extensions import TypedDict
 
 from uoarm import RobotManager
 from uoarm._dataplane import make_check
+from uoarm._hints.schemas import is_plain
 from uoarm.config import loads
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.local import HintError, schema_of
@@ -19,6 +23,10 @@ from uoarm.schema import check
 from uoarm.testing import patience, same
 
 SCAN = typed_parts.scan_of()
+
+
+class Named(TypedDict):
+    name: str
 
 
 @pytest.mark.parametrize("name", ["pass_scan", "ask_scan"])
@@ -185,9 +193,17 @@ def test_numbers_that_the_promised_type_cannot_hold_are_refused(numbers: str) ->
     assert same(talk.call("ask_small", {"of": "2 ** 10"}), [2**10])
 
 
+def test_what_another_thread_is_importing_does_not_concern_plain_hints(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("numpy", "pydantic"):  # as it is in sys.modules before its first line has run
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    assert schema_of(Named)["properties"] == {"name": {"type": "string"}}
+    assert is_plain(Named)
+
+
 def test_nothing_heavy_is_imported_for_plain_components() -> None:
     import subprocess
-    import sys
 
     code = (
         "import sys; from tests.local import talk, parts\n"

@@ -10,10 +10,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typing_extensions import assert_type
 
 from uoarm import AsyncConnection, AsyncRobotManager, Connection, RobotManager
 from uoarm.config import loads
-from uoarm.model import ConnectionState, Health, Message, StatusEvent
+from uoarm.model import (
+    ConnectionState,
+    ConnectionStatus,
+    Health,
+    Message,
+    Plan,
+    StatusEvent,
+    StatusMap,
+)
 from uoarm.testing import Emitter, Loop, MemoryBridge, hanging, patience, wait
 
 NUMBER = {"type": "integer"}
@@ -84,6 +93,18 @@ def test_a_cancellation_is_never_lost_and_takes_no_message_with_it(
             await asyncio.wait({reading})
             assert reading.cancelled() is asked
             assert (await connection.get(patience()) if asked else reading.result()) == 5
+
+    asyncio.run(play())
+
+
+def test_twins_that_are_made_have_the_types_of_what_they_await(robot: RobotManager) -> None:
+    async def play() -> None:
+        twin = AsyncRobotManager(robot)
+        assert_type(await twin.resolve("camera", timeout=patience()), Plan)
+        assert_type(twin.status(), StatusMap)
+        async with await twin.request("camera", as_type=int) as connection:
+            assert_type(await connection.flush(patience()), bool)
+            assert_type(connection.status(), ConnectionStatus)
 
     asyncio.run(play())
 
@@ -195,7 +216,7 @@ def test_what_is_sent_can_be_flushed(robot: RobotManager) -> None:
     async def play() -> None:
         async with await AsyncRobotManager(robot).request("echo") as connection:
             await connection.send(3)
-            assert await connection.flush(10)
+            assert await connection.flush(patience())
             assert await connection.get(patience()) == 3
             await connection.close()
             assert (connection.ended, connection.cause, connection.gaps) == (True, "", ())

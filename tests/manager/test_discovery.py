@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
+from attrs import evolve
 
 from uoarm import RobotManager
+from uoarm._control.discovery import discovery
 from uoarm._control.discovery.discovery import Discovery
-from uoarm.bridge import Discovered
+from uoarm.bridge import Description, Discovered
 from uoarm.config import loads, suggest
-from uoarm.model import BridgeFindings, Robot, Schema
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.model import BridgeFindings, Endpoint, Robot, Role, Schema
+from uoarm.testing import ManualClock, MemoryBridge, patience, wait
 
 SMALL = {"type": "integer", "minimum": 0, "maximum": 9}
 NUMBER = {"type": "integer"}
@@ -52,12 +55,60 @@ def test_what_a_bridge_sees_is_told_with_who_uses_it() -> None:
     assert "there is no plugin 'nowhere'" in gone.cause
 
 
+class Stating(MemoryBridge):
+    """A framework that states how often its components run."""
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        rates = {"default": 100.0}
+        return tuple(evolve(one, rates=rates) for one in super()._discover())
+
+
+def test_what_is_open_has_the_rate_that_is_measured_and_the_rest_what_is_stated() -> None:
+    lab = Stating("lab", {})
+    head = lab.emitter("head", SMALL)
+    lab.loop("detector", NUMBER)
+    clock = ManualClock()
+    with RobotManager(loads(ROBOT), bridges={"lab": lab}, clock=clock) as manager:
+        seen, _ = manager.discover()
+        assert "output  head  100 a second, as stated  used by head" in str(seen)
+        manager.request("camera")
+        for number in range(4):
+            clock.advance(0.05)
+            head.emit(number)
+        again, _ = manager.discover()
+    assert "output  head  20 a second  used by head" in str(again)
+    assert "output  detector  100 a second, as stated" in str(again)
+    assert again == seen  # what only flows otherwise is nothing new
+
+
 def test_a_port_whose_structure_is_huge_is_left_out_and_counted() -> None:
     huge: Schema = {"enum": list(range(400_000))}
     seen, _ = find(loads(ROBOT), make_lab(hostile=huge))
     assert [one.name for one in seen.components] == ["detector", "head"]
     assert seen.left_out == 1
     assert "and 1 ports more, beyond the limit" in str(seen)
+
+
+class Crowded(MemoryBridge):
+    """A bridge of a framework in which somebody advertises without end."""
+
+    def _discover(self) -> tuple[Discovered, ...]:
+        hand = Endpoint("lab", "flood", Role.OUTPUT, ("hand",))
+        ports = tuple(
+            (evolve(hand, address=(f"t{number}",), port=f"t{number}"), Description())
+            for number in range(10_500)
+        )
+        return (*super()._discover(), Discovered("flood", ports))
+
+
+def test_of_ten_thousand_topics_and_more_those_beyond_the_limit_are_counted() -> None:
+    lab = Crowded("lab", {})
+    lab.emitter("arm", NUMBER)
+    robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
+    (seen,) = find(robot, lab)
+    assert [one.name for one in seen.components] == ["arm", "flood"]
+    assert sum(len(one.ports) for one in seen.components) == 10_000
+    assert seen.left_out == 501
 
 
 def test_an_input_is_fed_by_the_one_output_that_is_proven_to_fit() -> None:
@@ -148,10 +199,36 @@ def test_a_slow_bridge_delays_nobody_and_is_in_a_later_look(slow: Slow) -> None:
         assert seen() == [[], ["detector", "head"]]
         lab.emitter("eye", NUMBER)
         wait(lambda: seen() == [[], ["detector", "eye", "head"]])
+        wait(lambda: slow.asked)  # in a thread of its own, which may come to run only now
         assert slow.asked == 1
         slow.may_answer.set()
         wait(lambda: seen()[0] == ["hand"])
         assert [len(one.components) for one in manager.discover(timeout=limit)] == [1, 3]
+
+
+def test_a_bridge_that_starts_slowly_is_started_once_and_holds_up_who_waits_for_so_long() -> None:
+    lab, may_start, starts = make_lab(), threading.Event(), list[str]()
+    robot = loads("version: 1\nbridges: {lab: {plugin: memory}}\nfunctions: {}\n")
+
+    def start(name: str) -> MemoryBridge:
+        if not may_start.is_set():
+            starts.append(name)
+            may_start.wait()
+        return lab
+
+    discovery = Discovery(start)
+    try:
+        for _ in range(3):
+            assert discovery.look(robot, 0.01, 0.0)[0].cause == "has not answered yet"
+        assert discovery.is_whole
+        wait(lambda: bool(starts))
+        may_start.set()
+        wait(lambda: bool(discovery.look(robot, patience(), 0.0)[0].components))
+        assert starts == ["lab"]
+    finally:
+        may_start.set()
+        discovery.close()
+        lab.close()
 
 
 def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> None:
@@ -168,3 +245,42 @@ def test_a_bridge_that_fails_is_told_as_it_answered_last_for_some_answers() -> N
         discovery.close()
         lab.close()
     assert told == [False, False, True, True, False]
+
+
+def test_a_bridge_that_started_late_has_its_time_to_answer_from_then_on(
+    slow: Slow, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who asks for candidates waits for it: a host of a busy machine starts for some seconds."""
+    robot = loads(
+        "version: 1\nbridges: {slow: {plugin: memory}, lab: {plugin: memory}}\nfunctions: {}\n"
+    )
+    lab, may_start, limit, now = make_lab(), threading.Event(), 10 * patience(), [0.0]
+    monkeypatch.setattr(discovery, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def start(name: str) -> MemoryBridge:
+        if name == "lab":
+            return lab
+        may_start.wait()
+        return slow
+
+    looking = Discovery(start)
+
+    def is_whole() -> bool:
+        looking.look(robot, limit, 0.0)
+        return looking.is_whole
+
+    try:
+        wait(lambda: bool(looking.look(robot, limit, 0.0)[1].components))
+        assert not is_whole()
+        now[0] = limit + 1.0
+        assert is_whole()
+        may_start.set()
+        wait(lambda: slow.asked)
+        assert not is_whole()
+        slow.may_answer.set()
+        wait(is_whole)
+    finally:
+        may_start.set()
+        slow.may_answer.set()
+        looking.close()
+        lab.close()

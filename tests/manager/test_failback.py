@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import pytest
 from attrs import evolve
@@ -13,7 +13,7 @@ from uoarm._control.reconciler.events import TimeReached
 from uoarm._control.reconciler.state import ConnectionRecord
 from uoarm.config import loads
 from uoarm.model import ConnectionState, FailoverPolicy, ValidationMode
-from uoarm.testing import Census, ManualClock, MemoryBridge, patience, wait
+from uoarm.testing import Census, ManualClock, MemoryBridge, copies, losses, patience, wait
 
 NUMBER = {"type": "integer", "minimum": 0, "maximum": 100_000}
 PATIENCE = 1000.0
@@ -42,6 +42,24 @@ functions:
 """
 
 
+def look(robot: RobotManager) -> None:
+    """Have a robot look whether it is time, and wait until what follows is over."""
+    robot._executor.post(TimeReached())  # another thread may own the state, and then handles it
+    wait(lambda: rests(robot))
+
+
+def rests(robot: RobotManager) -> bool:
+    """Say whether no event waits, none is being handled, and no work follows from one."""
+    executor = robot._executor
+    if not executor._owning.acquire(blocking=False):
+        return False
+    try:  # what is being done posts its event before it is over, and none is handled meanwhile
+        return not executor._lanes._lanes and not executor._events
+    finally:
+        executor._owning.release()
+        executor._work()  # what came meanwhile was left to us
+
+
 class Stage:
     """A robot whose clock stands still, so that it returns only when a test looks."""
 
@@ -66,8 +84,7 @@ class Stage:
 
     def look(self) -> None:
         """Have it look whether it is time, and wait until what follows is over."""
-        self.robot._executor.post(TimeReached())
-        wait(lambda: not self.robot._executor._lanes._lanes)
+        look(self.robot)
 
     def look_twice(self) -> None:
         """Look when the better camera is seen again, and when patience is over."""
@@ -207,3 +224,68 @@ def test_every_message_is_received_or_counted_through_death_and_return(stage: St
     assert status().lost <= emitted - fed  # what the spare emitted until it was closed
     assert got == sorted(set(got))
     assert connection.state is ConnectionState.RUNNING
+
+
+SHARED = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera:
+    components: [{name: camera, bridge: two, output: {endpoint: [camera]}}]
+  face:
+    components:
+      - name: near
+        bridge: one
+        priority: 2
+        input: {from: camera, endpoint: [near]}
+        output: {endpoint: [near]}
+      - name: far
+        bridge: two
+        priority: 1
+        input: {from: camera, endpoint: [far]}
+        output: {endpoint: [far]}
+"""
+
+
+def test_what_two_candidates_get_as_one_takes_over_counts_as_a_copy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Both work until the inputs have changed hands: one of them is heard, the other one counts."""
+    one, two = MemoryBridge("one", {}), MemoryBridge("two", {})
+    camera = two.emitter("camera", NUMBER)
+    one.loop("near", NUMBER)
+    two.loop("far", NUMBER)
+    robot = evolve(loads(SHARED), failover=FailoverPolicy(return_after=PATIENCE))
+    got, clock = list[int](), ManualClock()
+    with RobotManager(robot, bridges={"one": one, "two": two}, clock=clock) as manager:
+        connection = manager.request("face", on_message=got.append)
+        camera.emit(1)
+        wait(lambda: got == [1])
+        one.die("near", "it was unplugged")
+        wait(lambda: connection.gaps)
+        camera.emit(2)
+        one.loop("near", NUMBER)
+        live = manager._executor.live
+        switch = live.switch_inputs
+
+        def delivered(finder: str) -> int:
+            routes = manager.status().routes
+            return sum(one.delivered for one in routes if one.consumer == f"{finder}.default")
+
+        def emit_and_switch(edges: Iterable[tuple[int, int | None]]) -> None:
+            for number in (3, 4, 5):
+                camera.emit(number)
+            # What near makes of them later is heard as well: what far had made of them is, too.
+            wait(lambda: delivered("near") == 3 and delivered("far") == 4)
+            switch(edges)
+
+        monkeypatch.setattr(live, "switch_inputs", emit_and_switch)
+        for seconds in (BETWEEN_LOOKS, PATIENCE):
+            clock.advance(seconds)
+            look(manager)
+        camera.emit(6)
+        assert [gap.after[-1] for gap in connection.gaps] == ["far", "near"]
+        wait(lambda: len(got) == 6)
+        assert got == [1, 2, 3, 4, 5, 6]
+        assert losses(manager.status()) == {"replaced": 3}
+        assert copies(manager.status()) == 3

@@ -168,6 +168,7 @@ def test_one_that_raises_now_and_then_is_kept_and_well_again_when_it_stops(scene
         assert scene.component("first").health is Health.OK
         assert scene.component("first").failed == 45
         assert connection.gaps == ()
+        scene.events.wait_for(lambda one: (one.subject, one.change) == ("component first", "ok"))
         assert scene.changes("component first") == ["degraded", "ok"]
 
 
@@ -188,6 +189,10 @@ def test_what_the_application_sends_to_one_that_raises_degrades_it_too(scene: Sc
         connection.send({"value": 3})
         wait(lambda: scene.component("show").health is Health.DEGRADED)
         assert scene.component("show").last_error == "OddError: first does not like 3"
+        assert not connection.flush(patience())
+        throwing.raises.clear()
+        connection.send({"value": 4})
+        assert connection.flush(patience()), "what failed was told"
 
 
 def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Scene) -> None:

@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from attrs import evolve
 
-from uoarm import ConnectionClosedError, RobotManager
+from uoarm import ConnectionClosedError, RobotManager, _bounded
+from uoarm._control.live.losses import LossAccount
+from uoarm._control.reconciler import actions as act
+from uoarm._control.reconciler import events as ev
+from uoarm._control.reconciler.state import State, names
 from uoarm._control.runtime import performer
 from uoarm.bridge import Channel
 from uoarm.config import loads
-from uoarm.model import ConnectionState, Endpoint, FailoverPolicy, Health, Robot, StatusEvent
+from uoarm.model import (
+    ConnectionState,
+    Endpoint,
+    FailoverPolicy,
+    Gap,
+    Health,
+    Robot,
+    StatusEvent,
+)
 from uoarm.testing import (
     Census,
     Emitter,
@@ -174,7 +188,18 @@ def test_two_connections_that_share_what_died_share_what_goes_on(make: Make) -> 
 def test_a_takeover_that_comes_too_late_takes_over_nothing(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(performer, "_OPEN_SECONDS", 2.0)
+    limits = threading.local()
+    opens, run = performer.Performer._open_batch, _bounded.run
+
+    def open_batch(made: performer.Performer, action: act.Open, state: State) -> ev.Event:
+        limits.seconds = 0.2 if "next" in names(action.placement.plan) else patience()
+        return opens(made, action, state)
+
+    def run_limited(step: str, _: float, action: Callable[[], object]) -> object:
+        return run(step, getattr(limits, "seconds", patience()), action)
+
+    monkeypatch.setattr(performer.Performer, "_open_batch", open_batch)
+    monkeypatch.setattr(performer, "_bounded", SimpleNamespace(run=run_limited))
     stage = make()
     one, two = stage.robot.request("camera"), stage.robot.request("face")
     opened = stage.two._open_source
@@ -457,3 +482,24 @@ functions:
         assert [step.component.name for step in second.plan.steps] == ["spare", "finder"]
         spare.emit(7)
         assert second.get(patience()) == first.get(patience()) == 7
+
+
+def test_who_sees_a_gap_sees_the_plan_behind_it(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage, seen = make(FailoverPolicy(wait=patience())), list[tuple[str, ConnectionState]]()
+    connection = stage.robot.request("camera")
+    for name in ("next", "last"):
+        stage.two.die(name)
+    stage.one.die("best")
+    wait(lambda: connection.state is ConnectionState.WAITING)
+    add = LossAccount.add
+
+    def noting(account: LossAccount, gap: Gap) -> None:
+        add(account, gap)
+        seen.append((connection.plan.provider.component.name, connection.state))
+
+    monkeypatch.setattr(LossAccount, "add", noting)
+    stage.last = _revive(stage.two, "last")
+    wait(lambda: seen)
+    assert seen == [("last", ConnectionState.RUNNING)]

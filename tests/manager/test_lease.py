@@ -123,7 +123,7 @@ def test_what_waits_for_a_sink_that_hangs_is_not_sent_after_a_stop(memory: Memor
             drive.send(2)
             with pytest.raises(BridgeError, match="has not taken its stop message"):
                 drive.stop(timeout=0)
-        assert drive.flush(patience())
+        assert not drive.flush(patience()), "one was not taken"
         drive.stop(timeout=patience())
         assert 2 not in base.taken.messages
         assert base.taken.messages[0] == 1
@@ -141,7 +141,7 @@ def test_what_waits_while_another_takes_over_is_not_sent_behind_it(memory: Memor
             assert hang.entered.wait(patience())
             first.send(2)
             second.send(3, take_over=True)
-        assert first.flush(patience())
+        assert not first.flush(patience()), "one was not taken"
         assert second.flush(patience())
         assert base.taken.messages == [1, 3]
         (route,) = first.routes()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -11,10 +12,11 @@ from attrs import evolve
 
 from uoarm import BridgeTimeoutError, Connection, ResolutionError, RobotManager
 from uoarm._control.discovery import candidate_watch
+from uoarm._dataplane import Clock
 from uoarm._resolve import add_candidates
-from uoarm.bridge import Discovered
+from uoarm.bridge import Description, Discovered
 from uoarm.config import loads, suggest
-from uoarm.model import Robot, Schema
+from uoarm.model import Endpoint, Robot, Schema
 from uoarm.testing import MemoryBridge, patience, wait
 
 SMALL: Schema = {"type": "integer", "minimum": 0, "maximum": 9}
@@ -23,6 +25,7 @@ TEXT: Schema = {"type": "string"}
 HEAD = (
     "version: 1\nbridges: {lab: {plugin: memory}, far: {plugin: memory, host: true}}\nfunctions:\n"
 )
+FIRST_AND_GUEST = ["camera@lab/first", "camera@lab/guest7"]
 CAMERA = HEAD + "  camera: {needs: {structure: {type: integer}}}\n"
 
 
@@ -36,6 +39,12 @@ class Showing(MemoryBridge):
         self.may_answer = threading.Event()
         self.may_answer.set()
         self.rounds = 0
+        self.described: list[str] = []
+        self.on_describe: Callable[[str], object] = self.described.append
+
+    def _describe(self, endpoint: Endpoint) -> Description:
+        self.on_describe(endpoint.component)
+        return super()._describe(endpoint)
 
     def _discover(self) -> tuple[Discovered, ...]:
         self.may_answer.wait()
@@ -51,10 +60,10 @@ class Lab:
     def __init__(self) -> None:
         self.lab, self.far = Showing("lab"), Showing("far")
 
-    def manager(self, text: str | Robot) -> RobotManager:
+    def manager(self, text: str | Robot, clock: Clock = time.monotonic) -> RobotManager:
         """Return a manager over them."""
         robot = loads(text) if isinstance(text, str) else text
-        return RobotManager(robot, bridges={"lab": self.lab, "far": self.far})
+        return RobotManager(robot, bridges={"lab": self.lab, "far": self.far}, clock=clock)
 
 
 @pytest.fixture
@@ -163,6 +172,30 @@ def test_what_appears_is_a_candidate_and_what_dies_is_replaced_by_one(lab: Lab) 
         assert [camera.get(timeout=patience()) for _ in range(2)] == [1, 2]
 
 
+def test_of_a_thousand_that_come_and_go_between_two_rounds_only_the_last_state_counts(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab.lab.emitter("first", NUMBER)
+    with lab.manager(CAMERA) as manager:
+        camera = manager.request("camera")
+        told: set[tuple[str, ...]] = set()
+        change = manager._executor.change_candidates
+
+        def changed(robot: Robot) -> None:
+            told.add(tuple(one.name for one in robot.functions["camera"].components))
+            change(robot)
+
+        monkeypatch.setattr(manager._executor, "change_candidates", changed)
+        lab.lab.may_answer.clear()
+        lab.lab.hidden.update(f"guest{number}" for number in range(1_000) if number != 7)
+        for number in range(1_000):
+            lab.lab.emitter(f"guest{number}", NUMBER)
+        lab.lab.may_answer.set()
+        wait(lambda: tuple(FIRST_AND_GUEST) in told)
+        assert told <= {tuple(FIRST_AND_GUEST[:1]), tuple(FIRST_AND_GUEST)}
+        assert not camera.gaps
+
+
 def test_who_asks_first_waits_for_what_a_framework_learns_after_its_start(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +217,7 @@ def test_a_slow_bridge_delays_no_candidate_but_who_asks_waits_for_its_first_answ
     lab.far.may_answer.clear()
     with lab.manager(CAMERA) as manager:
         for _ in range(2):
-            with pytest.raises(BridgeTimeoutError, match="have not yet told"):
+            with pytest.raises(BridgeTimeoutError, match=r"have not yet told .* 0\.01 s: "):
                 manager.resolve("camera", timeout=0.01)
             wait(lambda: candidates(manager, "camera") == ["camera@lab/small"])
         lab.far.may_answer.set()
@@ -249,6 +282,32 @@ def test_a_chain_is_fed_by_what_fits(lab: Lab) -> None:
         assert face.get(timeout=patience()) == 3
         assert [one.component.function for one in face.plan.steps] == ["camera", "face"]
     assert "default from camera, contained" in str(face.plan)
+
+
+def test_what_has_no_output_is_not_asked_what_it_could_feed_others_with(lab: Lab) -> None:
+    """A device that is not there would be waited for, by whoever asks for anything else."""
+    lab.lab.emitter("head", NUMBER)
+    lamp = "  lamp: {components: [{name: lamp, bridge: lab, input: {endpoint: [lamp]}}]}\n"
+    with lab.manager(CAMERA + lamp) as manager:
+        manager.resolve("camera")
+        assert "lamp" not in lab.lab.described
+
+
+def test_what_takes_long_to_tell_its_structure_takes_proofs_no_time(lab: Lab) -> None:
+    """A vehicle that could be fed was passed over where a device far from it was not there."""
+    lab.lab.emitter("head", SMALL)
+    lab.far.loop("finder", NUMBER)
+    now = [0.0]
+
+    def describe(component: str) -> None:
+        if component == "eye":  # for its structure; others are described as they are discovered
+            now[0] += 20.0
+
+    lab.lab.on_describe = describe
+    camera = "  camera: {components: [{name: eye, bridge: lab, output: {endpoint: [head]}}]}\n"
+    with lab.manager(f"{HEAD}  face: {{needs: {{name: finder}}}}\n{camera}", lambda: now[0]) as one:
+        plan = one.resolve("face")
+    assert [step.component.function for step in plan.steps] == ["camera", "face"]
 
 
 @pytest.mark.parametrize("unfed", ["", ", unfed: default"])

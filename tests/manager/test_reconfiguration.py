@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
-from attrs import evolve
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from tests.manager import stage
 
 from uoarm import RobotManager
+from uoarm._control.live.application_ports import ApplicationPorts
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError, UsageError
-from uoarm.model import Effect, Listening, Options
-from uoarm.testing import Emitter, MemoryBridge, patience, wait
+from uoarm.model import Effect, Options
+from uoarm.testing import Background, Emitter, MemoryBridge, patience, wait
 
 NUMBER = {"type": "integer"}
 ROBOT = """
@@ -163,6 +164,29 @@ def test_another_order_of_candidates_moves_what_runs(robot: RobotManager, lab: L
     assert "best" not in camera.plan.provider.component.name
 
 
+def test_what_is_emitted_after_a_change_goes_the_new_way(
+    robot: RobotManager, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, real = threading.Event(), ApplicationPorts.letting_through
+
+    @contextmanager
+    def late(ports: ApplicationPorts) -> Iterator[None]:
+        assert go_on.wait(patience())
+        with real(ports):
+            yield
+
+    monkeypatch.setattr(ApplicationPorts, "letting_through", late)
+    camera = robot.request("camera")
+    applying = Background(lambda: robot.apply(loads(ROBOT.replace("priority: 2", "priority: 0"))))
+    wait(lambda: camera.plan.provider.component.name == "spare")
+    with pytest.raises(AssertionError, match="still running"):
+        applying.result(0.2)
+    go_on.set()
+    applying.result()
+    lab.emit("two.spare", 7)
+    assert camera.get(timeout=patience()) == 7
+
+
 def test_a_change_to_the_same_configuration_changes_nothing(robot: RobotManager) -> None:
     face = robot.request("face")
     change = robot.apply(loads(ROBOT))
@@ -234,14 +258,6 @@ def test_a_new_function_and_a_new_bridge_can_be_requested(
         lab.emit("three.light", 5)
         assert connection.get(timeout=patience()) == 5
         assert face.gaps == ()
-
-
-def test_where_other_machines_join_cannot_be_changed(robot: RobotManager) -> None:
-    config = loads(ROBOT)
-    joined = evolve(config, hosts=Listening("tcp/127.0.0.1:0"))
-    with pytest.raises(ConfigurationError, match="`hosts` cannot be changed while"):
-        robot.apply(joined)
-    assert robot.revision == 0
 
 
 EXCLUSIVE = """

@@ -8,10 +8,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from uoarm import RobotManager
+from uoarm._control.live.component import LiveComponent
 from uoarm.bridge import Bridge, Description, Registry, Sink, Source
 from uoarm.config import loads
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
-from uoarm.testing import MemoryBridge, patience, wait
+from uoarm.testing import Background, MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -34,6 +35,9 @@ class Motors(Bridge):
         self.taken: list[tuple[str, Message]] = []
         self.may_close = threading.Event()
         self.may_close.set()
+        self.may_stop = threading.Event()
+        self.may_stop.set()
+        self.stopping = threading.Event()
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return Description(MessageStructure({"type": "number"}))
@@ -45,9 +49,16 @@ class Motors(Bridge):
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         name = endpoint.component
+
+        def take(message: Message) -> None:
+            if message == 0:
+                self.stopping.set()
+                self.may_stop.wait(patience())
+            self.taken.append((name, message))
+
         return Sink(
             endpoint,
-            lambda message: self.taken.append((name, message)),
+            take,
             lambda: self.may_close.wait(patience()),
             blocking=False,
         )
@@ -104,6 +115,33 @@ def test_a_provider_that_died_is_stopped_before_the_next_gets_what_the_applicati
     motors.may_close.set()
     assert in_order(motors.taken)
     assert motors.taken[-1] == ("right", 2)
+
+
+def test_what_is_being_closed_is_stopped_too_before_the_next_gets_a_command(
+    start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uoarm.bridge._watchdog._LAST_SECONDS", patience())
+    monkeypatch.setattr("uoarm._control.live.component._STOP_SECONDS", patience())
+    asked = threading.Event()
+    hold_inputs = LiveComponent.hold_inputs
+
+    def noting(live: LiveComponent) -> None:
+        asked.set()
+        hold_inputs(live)
+
+    monkeypatch.setattr(LiveComponent, "hold_inputs", noting)
+    robot = start(SETTINGS)
+    drive = robot.request("drive")
+    drive.send(1)
+    motors.may_stop.clear()
+    motors.report(Health.LOST, "it was unplugged", component="left")
+    assert motors.stopping.wait(patience())
+    wait(lambda: "right" in str(drive))
+    sending = Background(lambda: drive.send(2))
+    assert asked.wait(patience())
+    motors.may_stop.set()
+    sending.result()
+    assert in_order(motors.taken)
 
 
 def test_a_provider_that_a_configuration_replaces_is_stopped_before_the_next_is_fed(

@@ -5,11 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 from uoarm import ResolutionError, RobotManager
+from uoarm._spans import current, span
 from uoarm.config import loads
 from uoarm.testing import MemoryBridge, wait
 
@@ -72,6 +74,16 @@ def test_a_request_that_fails_is_a_span_with_its_exception(spans: Any) -> None:
     found = {one.name: one for one in spans.get_finished_spans()}
     assert not found["uoarm.request"].status.is_ok
     assert found["uoarm.resolve"].events[0].name == "exception"
+
+
+def test_a_block_runs_while_another_thread_imports_opentelemetry(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("opentelemetry.context", "opentelemetry.trace"):
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    assert current() is None
+    with span("request"):
+        pass
 
 
 def test_nothing_is_imported_where_opentelemetry_is_not_used() -> None:

@@ -169,6 +169,14 @@ class Chain:
         robot = loads(CHAIN.replace("EXPECT", expect))
         self.robot = RobotManager(robot, bridges={"memory": self.bridge}, clock=self.clock)
         self.robot._staleness.close()
+        self.told: list[HealthEvent] = []
+        report = self.robot._staleness._report
+
+        def tell(event: HealthEvent) -> None:
+            self.told.append(event)
+            report(event)
+
+        self.robot._staleness._report = tell
         self.handled = Collector()
         self.robot.listen(self.handled.deliver)
         self.face = self.robot.request("face")
@@ -183,10 +191,9 @@ class Chain:
     def pass_by(self, seconds: float) -> None:
         """Let time pass, and have what is stale then replaced before going on."""
         self.clock.advance(seconds)
-        stale = len(self.robot._executor.state.avoided)
+        before, told = self.face.gaps, len(self.told)  # it may be replaced as soon as it is told
         self.robot._staleness.look()
-        if len(self.robot._executor.state.avoided) > stale:
-            before = self.face.gaps
+        if len(self.told) > told:
             wait(lambda: self.face.gaps != before)
 
     def fall_silent(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from enum import Enum
 from typing import Any, TypeVar
 
 import pytest
@@ -228,3 +229,24 @@ def test_data_nested_without_end_is_refused() -> None:
         tree = {**tree, "because_of": [tree]}
     with pytest.raises(ValueError, match="more than 200 levels"):
         from_json(tree, Rejection)
+
+
+class _Colour(str, Enum):
+    RED = "red"
+
+
+class _Named(dict[str, object]):
+    pass
+
+
+def test_what_is_derived_from_plain_values_is_written_as_one_of_them() -> None:
+    written = to_json({"a": _Colour.RED, 1: _Named(b=(True, 2, None, _Named(c=_Colour.RED)))})
+    assert written == {"a": "red", "1": {"b": [True, 2, None, {"c": "red"}]}}
+    assert type(written["a"]) is str
+    assert type(written["1"]) is dict
+
+
+def test_what_is_no_model_value_is_left_as_it_is() -> None:
+    thing = object()
+    octets = b"\x00\xff"
+    assert to_json({"thing": thing, "octets": octets}) == {"thing": thing, "octets": octets}

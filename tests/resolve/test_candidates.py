@@ -104,6 +104,43 @@ def _require_no_cycle(robot: Robot) -> None:
         sources = {name: one for name, one in sources.items() if name not in free}
 
 
+def test_rules_and_options_of_a_need_go_to_the_ports_they_are_for() -> None:
+    view: Schema = {
+        "properties": {"tm": {"type": "integer", "minimum": 0}, "data": {"type": "string"}},
+        "required": ["tm", "data"],
+        "additionalProperties": False,
+        "type": "object",
+    }
+    image: Schema = {
+        "properties": {"tm": {"type": "integer"}, "data": TEXT, "step": NUMBER},
+        "required": ["tm", "data", "step"],
+        "additionalProperties": False,
+        "type": "object",
+    }
+    wanted = """
+version: 1
+bridges: {a: {plugin: memory}}
+functions:
+  camera: {needs: {name: head}}
+  face: {needs: {name: eye%s}}
+"""
+    findings = [
+        BridgeFindings(
+            "a", "memory", (found("a", "head", None, image), found("a", "eye", view, TEXT))
+        )
+    ]
+    without = matched(loads(wanted % ""), findings).functions["face"]
+    assert without.components == ()
+    assert without.passed_over[0][1] == "no function feeds its input input"
+    more = ", options: {activate: true}, map: {tm: {const: 0}, other: {const: 1}}"
+    (eye,) = matched(loads(wanted % more), findings).functions["face"].components
+    assert eye.inputs[0].mapping == {"tm": {"const": 0}}  # nothing has a field `other`
+    assert eye.inputs[0].allow_loss == ("tm", "step")
+    assert eye.inputs[0].endpoint.options == eye.outputs[0].endpoint.options == {"activate": True}
+    wrong = ", map: {tm: {const: -1}}"
+    assert matched(loads(wanted % wrong), findings).functions["face"].components == ()
+
+
 def test_of_thousands_that_fit_the_first_are_candidates_and_the_others_are_counted() -> None:
     many = tuple(found("a", f"camera{number:04}", None, NUMBER) for number in range(2_000))
     camera = matched(ROBOT, [BridgeFindings("a", "memory", many)]).functions["camera"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 from tests.server.proxy import Proxy
 from tests.server.robot import CONFIGURATION, script
 from tests.server.talk import Talk
+from websockets.asyncio.server import ServerConnection
 
 from uoarm import RobotManager
 from uoarm.config import loads
@@ -20,6 +21,7 @@ from uoarm.server.front_end import FrontEnd
 Serve = Callable[..., Server]
 Connect = Callable[..., Talk]
 Between = Callable[[Server], Proxy]
+Hurry = Callable[[float], AbstractContextManager[None]]
 
 
 @pytest.fixture
@@ -45,6 +47,28 @@ def serve(robot: RobotManager) -> Iterator[Serve]:
             return stack.enter_context(serve_in_thread(robot, chosen, front_ends=front_ends))
 
         yield start
+
+
+@pytest.fixture
+def hurry(monkeypatch: pytest.MonkeyPatch) -> Hurry:
+    """Have a server that starts later give up those who connect in a block after so many seconds.
+
+    The others have the limits of the server, which a machine that is starved does not reach.
+    """
+    given: dict[str, float] = {}
+    make = Server._make_connection
+
+    def make_connection(server: Server, *arguments: Any, **options: Any) -> ServerConnection:
+        return make(server, *arguments, **(options | given))
+
+    @contextmanager
+    def within(seconds: float) -> Iterator[None]:
+        given.update(ping_interval=seconds / 4, ping_timeout=seconds)
+        yield
+        given.clear()
+
+    monkeypatch.setattr(Server, "_make_connection", make_connection)
+    return within
 
 
 @pytest.fixture

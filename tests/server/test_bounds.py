@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tests.server.conftest import Connect, Serve
+from tests.server.conftest import Connect, Hurry, Serve
 from tests.server.robot import script
 from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -33,7 +33,8 @@ def resident() -> int:
 
 
 def test_a_client_that_never_reads_costs_bounded_memory_and_starves_nobody(serve: Serve) -> None:
-    server = serve(Limits(queue_bytes=8_000_000, stall_seconds=60, ping_seconds=60))
+    for_ever = 100 * patience()
+    server = serve(Limits(queue_bytes=8_000_000, stall_seconds=for_ever, ping_seconds=for_ever))
     picture = {"width": 1, "data": os.urandom(200_000)}
     with Talk(url(server), binary=True) as healthy, open_socket(server.ports[0]) as stuck:
         connection = healthy.open("picture")
@@ -45,12 +46,13 @@ def test_a_client_that_never_reads_costs_bounded_memory_and_starves_nobody(serve
         for _ in range(20):  # 80 MB in all
             script.put(*[picture] * 20)
             healthy.data(connection, 20)
-        assert resident() - before < 30_000_000
+        # What is under way besides may be let go late.
+        eventually(lambda: resident() - before < 30_000_000, "it costs little")
         assert healthy.ask("Status")["own"][0]["dropped"] == 0
 
 
 def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: RobotManager) -> None:
-    server = serve(Limits(queue_bytes=100_000, stall_seconds=0.5, ping_seconds=60))
+    server = serve(Limits(queue_bytes=100_000, stall_seconds=0.5, ping_seconds=patience()))
     with open_socket(server.ports[0]) as stuck:
         stuck.sendall(frame(b'{"op":"Request","type":"picture","id":"1"}'))
         eventually(lambda: len(robot.status().connections) == 1, "open")
@@ -63,7 +65,7 @@ def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: Robot
 
 
 def test_a_client_that_leaves_its_replies_is_cut_off(serve: Serve) -> None:
-    server = serve(Limits(control_messages=16, queue_bytes=100_000, stall_seconds=60))
+    server = serve(Limits(control_messages=16, queue_bytes=100_000))
     with open_socket(server.ports[0]) as stuck, suppress(OSError):
         while True:  # until the server cuts it off; the limit is the socket's
             stuck.sendall(frame(b'{"op":"List","id":"1"}'))
@@ -71,22 +73,39 @@ def test_a_client_that_leaves_its_replies_is_cut_off(serve: Serve) -> None:
 
 @pytest.mark.parametrize("how", ["reset", "vanish"])
 def test_a_client_that_dies_frees_what_only_it_used(
-    serve: Serve, robot: RobotManager, how: str
+    serve: Serve, hurry: Hurry, robot: RobotManager, how: str
 ) -> None:
-    silence = 2 * slowness() if how == "vanish" else patience()  # the other one must keep to it
-    server = serve(Limits(ping_seconds=silence / 4, stall_seconds=silence))
-    with Talk(url(server)) as other, open_socket(server.ports[0]) as dying:
+    server = serve()
+    with Talk(url(server)) as other:
         shared = other.open("numbers")
-        dying.sendall(frame(b'{"op":"Request","type":"numbers","id":"1"}'))
-        dying.sendall(frame(b'{"op":"Request","type":"picture","id":"2"}'))
-        dying.sendall(frame(b'{"op":"Call","type":"slow","jsonMessage":{"value":1},"id":"3"}'))
-        eventually(lambda: len(robot.status().connections) == 2, "both are open")
-        if how == "reset":
-            dying.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            dying.close()
-        eventually(lambda: len(robot.status().connections) == 1, "its own is closed")
+        with hurry(slowness() if how == "vanish" else patience()):
+            dying = _opened(server)
+        with dying:
+            if how == "reset":
+                dying.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                dying.close()
+            eventually(lambda: len(robot.status().connections) == 1, "its own is closed")
         script.put({"value": 1})
         assert other.data(shared, 1) == [{"value": 1}]
+
+
+def _opened(server: Server) -> socket.socket:
+    """Return a client that is in a call, has two functions open, and does nothing more.
+
+    Where it was given up before it had them, on a machine that is starved, it is another one.
+    """
+    while True:
+        plain = open_socket(server.ports[0])
+        plain.sendall(frame(b'{"op":"Request","type":"numbers","id":"1"}'))
+        plain.sendall(frame(b'{"op":"Request","type":"picture","id":"2"}'))
+        plain.sendall(frame(b'{"op":"Call","type":"slow","jsonMessage":{"value":1},"id":"3"}'))
+        told = b""
+        with suppress(ConnectionError):
+            while part := plain.recv(65536):
+                told += part
+                if told.count(b'"op":"Reply"') == 2:
+                    return plain
+        plain.close()
 
 
 def test_a_client_that_goes_while_its_function_opens_leaves_nothing(

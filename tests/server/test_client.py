@@ -36,7 +36,7 @@ def run(server: Server, work: Work, *, binary: bool = True, token: str | None = 
     async def within() -> None:
         url = f"ws://127.0.0.1:{server.ports[0]}/"
         async with connect(url, binary=binary, token=token) as client:
-            await asyncio.wait_for(work(client), 30)
+            await asyncio.wait_for(work(client), patience())
 
     asyncio.run(within())
 
@@ -237,6 +237,6 @@ def test_a_server_that_sends_rubbish_is_left_with_a_plain_error(frame: str | byt
             port = next(iter(server.sockets)).getsockname()[1]
             async with connect(f"ws://127.0.0.1:{port}", binary=False) as client:
                 with pytest.raises(ConnectionClosedError, match="sent what is no message"):
-                    await asyncio.wait_for(client.request("numbers"), 30)
+                    await asyncio.wait_for(client.request("numbers"), patience())
 
     asyncio.run(meet())

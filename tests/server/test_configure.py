@@ -17,18 +17,32 @@ from uoarm.client import ServerError, connect
 from uoarm.errors import ConfigurationError, UsageError
 from uoarm.server import Server, hash_token, make_token
 
-TOKENS = {"keeper": make_token(), "viewer": make_token()}
+TOKENS = {"keeper": make_token(), "owner": make_token(), "viewer": make_token()}
 ACCESS = """
 version: 1
 roles:
   keeper: {{see: ["*"], request: ["*"], configure: ["*"]}}
+  owner: {{see: ["*"], configure: ["*"], keep: ["*"]}}
   viewer: {{see: ["*"], request: ["*"], configure: ["numbers"]}}
 tokens:
   - {{name: keeper, role: keeper, sha256: {keeper}}}
+  - {{name: owner, role: owner, sha256: {owner}}}
   - {{name: viewer, role: viewer, sha256: {viewer}}}
 """
 TORCH = "{name: torch, bridge: python, output: {endpoint: ['tests.server.robot:numbers']}}"
 MORE = f"{CONFIGURATION}\n  torch:\n    components: [{TORCH}]\n"
+PASSING = "endpoint: ['tests.server.robot:numbers']"
+ROUND = f"""
+version: 1
+bridges: {{python: {{}}}}
+functions:
+  numbers:
+    components:
+      - {{name: one, bridge: python, input: {{from: torch, {PASSING}}}, output: {{{PASSING}}}}}
+  torch:
+    components:
+      - {{name: two, bridge: python, input: {{from: numbers, {PASSING}}}, output: {{{PASSING}}}}}
+"""
 NO_NUMBERS = (
     f"version: 1\nbridges: {{python: {{}}}}\nfunctions:\n  torch:\n    components: [{TORCH}]\n"
 )
@@ -60,6 +74,36 @@ def test_who_has_the_right_changes_it_and_sees_the_revisions(guarded: Server) ->
         keeper.open("torch")
         revisions = keeper.ask("Configure")["revisions"]
         assert [one["revision"] for one in revisions] == [0, 1]
+        again = {"text": MORE, "reload_code": True, "dry_run": True}
+        assert keeper.ask("Configure", message=again)["differences"] == [
+            "~ bridge python: its code"
+        ]
+
+
+def test_only_who_has_that_right_too_writes_the_file(guarded: Server) -> None:
+    with enter(guarded, "keeper") as keeper:
+        refused = keeper.refused("Configure", message={"text": MORE, "keep": True})
+        assert (refused["code"], "may not keep" in refused["text"]) == ("denied", True)
+        told = keeper.ask("Configure")
+        assert (len(told["revisions"]), told["configuration"]) == (1, CONFIGURATION)
+    with enter(guarded, "owner") as owner:  # the robot of these tests is of no file to write to
+        refused = owner.refused("Configure", message={"text": MORE, "keep": True})
+        assert refused["code"] in {"usage", "configuration"}
+        assert owner.ask("Configure", message={"text": MORE, "keep": False})["is_applied"]
+
+
+def test_what_bridges_see_is_told_to_who_sees_all_and_taken_by_who_may_change(
+    guarded: Server,
+) -> None:
+    with enter(guarded, "viewer") as viewer:
+        (python, *others) = viewer.ask("Discover")["bridges"]
+        assert (python["bridge"], python["configured"], python["cause"]) == ("python", True, "")
+        assert not any(one["configured"] or one["components"] for one in others)
+        take = {"take": {"bridge": "python", "component": "nobody"}}
+        assert viewer.refused("Discover", message=take)["code"] == "denied"
+    with enter(guarded, "keeper") as keeper:
+        refused = keeper.refused("Discover", message=take)
+        assert (refused["code"], "is not seen now" in refused["text"]) == ("usage", True)
 
 
 def test_an_earlier_revision_comes_back_by_its_number(guarded: Server) -> None:
@@ -94,6 +138,11 @@ def test_what_is_wrong_or_in_the_way_is_told_and_nothing_changes(guarded: Server
         refused = keeper.refused("Configure", message={"text": "version: 1\nfunktions: {}\n"})
         assert refused["code"] == "configuration"
         assert "funktions" in refused["text"]
+        refused = keeper.refused("Configure", message={"text": MORE[: MORE.index("torch") + 3]})
+        assert (refused["code"], "expected" in refused["text"]) == ("configuration", True)  # half
+        refused = keeper.refused("Configure", message={"text": ROUND})
+        assert refused["code"] == "configuration"
+        assert "none can be first: numbers -> torch -> numbers" in refused["text"]
         refused = keeper.refused("Configure", message={"text": NO_NUMBERS})
         assert refused["code"] == "configuration"
         assert "(numbers) ends" in refused["text"]

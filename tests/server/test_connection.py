@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
+import functools
 import socket
 import threading
-from contextlib import suppress
+from collections.abc import Awaitable, Callable
+from contextlib import ExitStack, suppress
 
-from tests.server.conftest import Connect, Serve
+import pytest
+from tests.server.conftest import Connect, Hurry, Serve
 from tests.server.talk import Talk, eventually, frame, open_socket
+from websockets.asyncio.client import connect
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import Opcode
 
 from uoarm.server import Limits, Server
+from uoarm.server.session import TurnConnection
 from uoarm.testing import patience, slowness
 
 PINGS = 100_000
@@ -52,11 +59,13 @@ def pongs(plain: socket.socket) -> int:
     return octets // 2
 
 
-def test_one_that_floods_with_pings_and_reads_nothing_is_cut_off_in_time(serve: Serve) -> None:
-    silence = 2 * slowness()  # the other one must keep to it
-    server = serve(Limits(ping_seconds=silence / 4, stall_seconds=silence))
-    url = f"ws://127.0.0.1:{server.ports[0]}/"
-    with Talk(url) as other, open_socket(server.ports[0]) as plain:
+def test_one_that_floods_with_pings_and_reads_nothing_is_cut_off_in_time(
+    serve: Serve, hurry: Hurry
+) -> None:
+    server = serve()
+    with Talk(f"ws://127.0.0.1:{server.ports[0]}/") as other, ExitStack() as stack:
+        with hurry(slowness()):
+            plain = stack.enter_context(open_socket(server.ports[0]))
         flood(plain)
         eventually(lambda: _closed(plain), "it is cut off")
         assert other.ask("List")
@@ -102,3 +111,54 @@ def test_what_a_session_has_not_read_is_bounded(serve: Serve) -> None:
         assert sent < 1000
         eventually(lambda: server.unread_octets > 0, "some of it arrived")
         assert server.unread_octets < 1_000_000
+
+
+LENGTHS = (125, 126, 0, 65_535, 65_536, 1, 300_000, 127)
+FRAMES = [(b"x" * length, text) for length in LENGTHS for text in (True, False)]
+
+
+Handler = Callable[[ServerConnection], Awaitable[None]]
+
+
+def received_from(send: Handler) -> list[str | bytes]:
+    """Return what a client gets from a server that sends in this way."""
+
+    async def receive() -> list[str | bytes]:
+        make = functools.partial(TurnConnection, set(), 2)
+        async with serve(
+            send,
+            "127.0.0.1",
+            0,
+            create_connection=make,  # type: ignore[arg-type] # it is only called
+            compression=None,
+        ) as server:
+            port = next(iter(server.sockets)).getsockname()[1]
+            async with connect(f"ws://127.0.0.1:{port}/", max_size=None) as client:
+                return [message async for message in client]
+
+    return asyncio.run(asyncio.wait_for(receive(), patience()))
+
+
+def test_frames_of_every_length_arrive_whole_and_in_order() -> None:
+    async def send(socket: ServerConnection) -> None:
+        assert isinstance(socket, TurnConnection)
+        await socket.send_frames(FRAMES)
+
+    assert received_from(send) == [frame.decode() if text else frame for frame, text in FRAMES]
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the kernel has no such limit")
+def test_the_kernel_keeps_little_unsent_until_a_message_is_large() -> None:
+    """Else a client that reads slowly gets what was written seconds ago, which nobody can drop."""
+    limits: list[int] = []
+
+    async def send(connection: ServerConnection) -> None:
+        assert isinstance(connection, TurnConnection)
+        near = connection.transport.get_extra_info("socket")
+        for length in (1, 65_535, 65_536, 1):
+            await connection.send_frames([(b"x" * length, True)])
+            limits.append(near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT))
+
+    assert len(received_from(send)) == 4
+    assert limits[0] == limits[1] <= 65_536
+    assert limits[2] == limits[3] > 16_777_216

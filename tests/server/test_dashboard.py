@@ -13,10 +13,10 @@ from tests.server.shown import END, SHOWN, crowd, front
 from tests.server.talk import eventually
 
 from uoarm import RobotManager
-from uoarm.bridge import Registry
-from uoarm.config import loads
+from uoarm.bridge import BridgeType, Registry
+from uoarm.config import load, loads
 from uoarm.server import Server, Settings, hash_token, serve_in_thread
-from uoarm.testing import MemoryBridge
+from uoarm.testing import MemoryBridge, free_port, patience
 
 MOVES = """
 version: 1
@@ -116,7 +116,7 @@ class TestOtherMachines:
 
     @pytest.fixture
     def place(self) -> str:
-        return f"127.0.0.1:{joined.free_port()}"
+        return f"127.0.0.1:{free_port()}"
 
     @pytest.fixture
     def robot(self, tmp_path: Path, place: str) -> Iterator[RobotManager]:
@@ -281,7 +281,7 @@ class TestEmergencyStop:
         browser.click(".stop-all", "Stop all")
         browser.until(says(".stopped", "NOT STOPPED base.default (move)"))
         assert robot.is_stopped
-        assert "no radio" in browser.js(text(".stopped"))
+        browser.until(says(".stopped", "no radio"))
         assert browser.js(CONTRAST) == []
         memory.mend()
         browser.until(says(".stopped", "stopped base.default (move)"))
@@ -346,6 +346,90 @@ def test_arrows_walk_along_the_graph(browser: Browser, visit: Open) -> None:
     browser.until(f"{rows} === 0")
     browser.press("ArrowLeft")
     assert browser.js("document.activeElement.dataset.title") == "function/camera"
+
+
+LAB = """\
+version: 1
+bridges:
+  lab: {plugin: memory}
+functions:
+  # the only one
+  follow:
+    components:
+      - {name: follower, bridge: lab, input: {endpoint: [follower]}, output: {endpoint: [follower]}}
+"""
+KEEPERS = """
+version: 1
+roles: {{keeper: {{see: ["*"], configure: ["*"], keep: ["*"]}}}}
+tokens: [{{name: person, role: keeper, sha256: {right}}}]
+"""
+
+
+class TestConfiguration:
+    """Somebody who may change it."""
+
+    @pytest.fixture
+    def lab(self) -> MemoryBridge:
+        lab = MemoryBridge("lab", {})
+        lab.loop("follower", {"type": "integer"})
+        return lab
+
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        path = tmp_path / "robot.yaml"
+        path.write_text(LAB, encoding="utf-8")
+        return path
+
+    @pytest.fixture
+    def robot(self, lab: MemoryBridge, file: Path) -> Iterator[RobotManager]:
+        registry = Registry(())
+        registry.add(BridgeType("memory", "", lambda *_: lab, contract=2))
+        with RobotManager(load(file), registry=registry) as manager:
+            yield manager
+
+    @pytest.fixture
+    def editing(self, browser: Browser, serve: Serve, tmp_path: Path) -> Browser:
+        access = tmp_path / "access.yaml"
+        access.write_text(KEEPERS.format(right=hash_token("right")), encoding="utf-8")
+        server = serve(access=access)
+        browser.go(f"http://127.0.0.1:{server.ports[0]}/#/configuration")
+        browser.click(".lock input")
+        browser.write("right")
+        browser.press("Enter")
+        browser.until("document.querySelector('textarea')?.value.includes('# the only one')")
+        browser.complaints.clear()  # the refusal before the token: a browser tells it
+        return browser
+
+    def test_what_appears_is_taken_into_a_function_and_written_to_the_file(
+        self, editing: Browser, lab: MemoryBridge, robot: RobotManager, file: Path
+    ) -> None:
+        editing.until(says(".found", "follower"))
+        assert "reachable" in editing.js(text(".found-bridge"))
+        camera = lab.emitter("head camera", {"type": "integer"})
+        editing.until(says(".found", "head camera"))
+        editing.click(".found-component .button", "head camera")
+        editing.until(says(".configuration .notice", "+ component head_camera"))
+        assert robot.revision == 0
+        editing.click(".editor-tools input")
+        editing.click(".editor-tools .button", "Apply")
+        editing.until(says(".configuration .notice", "applied and kept"))
+        assert file.read_text(encoding="utf-8").startswith(LAB)
+        with robot.request("head_camera") as seen:
+            camera.emit(3)
+            assert seen.get(timeout=patience()) == 3
+
+    def test_mistakes_are_told_as_everywhere_and_nothing_changes(
+        self, editing: Browser, robot: RobotManager
+    ) -> None:
+        editing.click(".editor textarea")
+        editing.js("document.querySelector('.editor textarea').select()")
+        editing.write(LAB.replace("functions:", "funktions:"))
+        editing.click(".editor-tools .button", "Show what would happen")
+        editing.until(says(".configuration .notice.bad", 'unknown key "funktions"'))
+        assert editing.js("document.querySelectorAll('.editor-tools .button')[1].disabled")
+        editing.click(".editor-tools .button", "Read again")
+        editing.until("document.querySelector('.editor textarea').value.includes('functions:')")
+        assert robot.revision == 0
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

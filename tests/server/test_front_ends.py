@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint
+from typing import Any
 
 import pytest
 from attrs import evolve
@@ -29,10 +30,13 @@ ADD = 'call add {"a": 1, "b": 2}'
 
 
 def enter(
-    server: Server, path: str = "/lines", subprotocols: Sequence[Subprotocol] | None = None
+    server: Server,
+    path: str = "/lines",
+    subprotocols: Sequence[Subprotocol] | None = None,
+    **options: Any,
 ) -> ClientConnection:
     url = f"ws://127.0.0.1:{server.ports[0]}{path}"
-    made: ClientConnection = connect(url, subprotocols=subprotocols)
+    made: ClientConnection = connect(url, subprotocols=subprotocols, **options)
     return made
 
 
@@ -68,7 +72,7 @@ def test_messages_of_a_function_come_in_its_form(serve: Serve, robot: RobotManag
 
 def test_what_a_client_of_it_holds_is_counted_and_let_go(serve: Serve) -> None:
     server = serve(Limits(memory_bytes=2000), front_ends=[LINES])
-    with enter(server) as client:
+    with enter(server, close_timeout=0.1) as client:  # its goodbye waits behind what it sent
         for _ in range(100):
             client.send('call slow {"value": 1}' + " " * 400)
         assert told(client).startswith("limit: ")

@@ -17,6 +17,7 @@ from uoarm.client import Client
 from uoarm.client._link import Link, Take
 from uoarm.errors import MessageError
 from uoarm.model import StatusEvent, to_json
+from uoarm.testing import patience
 
 HELLO = {"op": "Status", "type": "hello"}
 KEPT = {"op": "Reply", "id": "keep", "jsonMessage": {"key": "key", "seconds": 0.3}}
@@ -76,7 +77,7 @@ def test_it_ends_when_it_is_cancelled_just_as_connecting_again_fails(turns: int)
             await reading
         assert link.closed == "the client was closed"
 
-    asyncio.run(asyncio.wait_for(work(), 10))
+    asyncio.run(asyncio.wait_for(work(), patience()))
 
 
 def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
@@ -92,7 +93,7 @@ def test_what_could_not_be_written_is_not_asked_for_after_a_drop() -> None:
         await link.run()
         assert after.sent[0]["jsonMessage"]["waiting"] == ["1"]
 
-    asyncio.run(asyncio.wait_for(work(), 10))
+    asyncio.run(asyncio.wait_for(work(), patience()))
 
 
 def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
@@ -110,7 +111,7 @@ def test_of_more_than_can_be_asked_for_the_rest_fails() -> None:
         assert [one["id"] for one in told] == [str(number) for number in range(4096, 5000)]
         assert {(one["op"], one["jsonMessage"]["code"]) for one in told} == {("Error", "closed")}
 
-    asyncio.run(asyncio.wait_for(work(), 10))
+    asyncio.run(asyncio.wait_for(work(), patience()))
 
 
 def test_changes_that_nobody_takes_are_the_newest() -> None:
@@ -134,7 +135,7 @@ def test_changes_that_nobody_takes_are_the_newest() -> None:
         assert len(numbers) < 2000
         assert numbers == list(range(numbers[0], 3000))
 
-    asyncio.run(asyncio.wait_for(work(), 10))
+    asyncio.run(asyncio.wait_for(work(), patience()))
 
 
 def change(number: int) -> object:

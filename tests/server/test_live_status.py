@@ -19,7 +19,7 @@ from uoarm.cli import main
 from uoarm.server import Server, Settings, serve_in_thread
 from uoarm.server.access._role import Operation, Role
 from uoarm.server.session._view import visible_status
-from uoarm.testing import patience
+from uoarm.testing import free_port, patience
 
 
 def url_of(server: Server) -> str:
@@ -64,11 +64,17 @@ def test_events_are_followed_until_an_interrupt(server: Server, robot: RobotMana
 def test_a_server_that_is_not_there_is_named() -> None:
     shown = CliRunner().invoke(main, ["status", "--url", "ws://127.0.0.1:1/"])
     assert shown.exit_code == 4
-    assert "ws://127.0.0.1:1/" in shown.output
+    assert "ws://127.0.0.1:1/: nothing listens there: is uoarm serve running?" in shown.output
+
+
+def test_what_is_no_address_of_a_server_is_wrong_usage() -> None:
+    shown = CliRunner().invoke(main, ["status", "--url", "http://127.0.0.1:1/"])
+    assert shown.exit_code == 2
+    assert "expected ws://HOST:PORT/ or wss://HOST:PORT/" in shown.output
 
 
 def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path) -> None:
-    file = machines.robot(tmp_path, machines.free_port())
+    file = machines.robot(tmp_path, free_port())
     somebody = Role("guest", {Operation.SEE: ("ticks",)})
     nobody = Role("nobody", {Operation.SEE: ("other",)})
     with RobotManager.from_file(file) as robot:

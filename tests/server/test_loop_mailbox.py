@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import weakref
 from typing import NoReturn
 
 import pytest
 
 from uoarm.server.streams._loop_mailbox import LoopMailbox
+from uoarm.testing import patience
 
 
 def test_an_action_that_fails_holds_up_none_after_it(caplog: pytest.LogCaptureFixture) -> None:
@@ -22,5 +24,21 @@ def test_an_action_that_fails_holds_up_none_after_it(caplog: pytest.LogCaptureFi
         await done.wait()
 
     with caplog.at_level(logging.ERROR, "uoarm.server"):
-        asyncio.run(asyncio.wait_for(work(), 5))
+        asyncio.run(asyncio.wait_for(work(), patience()))
     assert "a mistake of ours" in caplog.text
+
+
+def test_after_the_end_of_the_loop_nothing_is_kept() -> None:
+    loop = asyncio.new_event_loop()
+    mailbox = LoopMailbox(loop)
+    loop.close()
+    kept: list[weakref.ref[object]] = []
+    for _ in range(3):
+
+        def action() -> None:
+            pass
+
+        kept.append(weakref.ref(action))
+        mailbox.put(action)
+        del action
+    assert [one() for one in kept] == [None] * 3

@@ -223,7 +223,7 @@ def test_opening_what_hangs_again_and_again_is_refused_and_takes_bounded_threads
     server: Server, robot: RobotManager
 ) -> None:
     message = '{"op":"Data","id":"d","type":"%s","jsonMessage":{"text":"x"}}'
-    before, codes = threading.active_count(), []
+    before, codes, sent = threading.active_count(), [], 0
     for _ in range(12):
         with Talk(url(server)) as client:
             told = client.answer(client.send("Request", "hang"))["jsonMessage"]
@@ -232,6 +232,8 @@ def test_opening_what_hangs_again_and_again_is_refused_and_takes_bounded_threads
             else:
                 client.raw(message % told["connection"])
                 client.answer("d")
+                sent += 1
+                eventually(lambda: len(script.hanging) == sent, "the component has taken it")  # noqa: B023
         eventually(lambda: not robot.status().connections, "it is closed")
     assert len(codes) > 3  # the opening of a component with four threads that hang in it
     assert set(codes) == {"bridge"}

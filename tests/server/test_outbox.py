@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server.streams._memory import Memory
 from uoarm.server.streams._outbox import Lane, Outbox
+from uoarm.testing import patience
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(work, 10))
+    asyncio.run(asyncio.wait_for(work, patience()))
 
 
 def lane(length: int = 100, policy: OverflowPolicy = OverflowPolicy.DROP_OLDEST) -> Lane:
@@ -142,7 +143,7 @@ def test_the_pieces_of_a_last_message_are_not_dropped() -> None:
         outbox.finish(ending, bytes(400), bytes(500))
         outbox.put(other, bytes(100))
         outbox.put(other, bytes(200))
-        assert await drain(outbox) == [bytes(400), bytes(500), bytes(200)]
+        assert await drain(outbox) == [bytes(400), bytes(200), bytes(500)]
 
     run(work())
 
@@ -171,15 +172,38 @@ def test_a_killed_stream_leaves_nothing_behind() -> None:
     run(work())
 
 
-def test_the_pieces_of_one_message_stay_together_and_drop_together() -> None:
+def test_the_pieces_of_one_message_drop_together() -> None:
     async def work() -> None:
         outbox = Outbox(1000, 10)
         pieces, other = lane(1), lane()
         outbox.put(pieces, b"x1", b"x2", b"x3")
         outbox.put(pieces, b"y1", b"y2")
         outbox.put(other, b"o")
-        assert await drain(outbox) == [b"y1", b"y2", b"o"]
+        assert await drain(outbox) == [b"y1", b"o", b"y2"]
         assert (pieces.dropped, pieces.sent) == (1, 1)
+
+    run(work())
+
+
+def test_small_messages_of_others_pass_between_the_pieces_of_a_large_one() -> None:
+    async def work() -> None:
+        outbox = Outbox(1000, 10)
+        large, small, other = lane(), lane(), lane()
+        outbox.put(large, b"x1", b"x2", b"x3", b"x4")
+        outbox.put(large, b"after")
+        assert (await outbox.next())[0][0] == b"x1"
+        outbox.put(other, b"y1", b"y2")
+        for number in range(2):
+            outbox.put(small, b"%d" % number)
+        # The next in turn is in pieces itself, and waits; what is behind it waits for its turn.
+        assert [(await outbox.next())[0][0] for _ in range(3)] == [b"x2", b"x3", b"x4"]
+        assert await drain(outbox) == [b"after", b"y1", b"0", b"y2", b"1"]
+        outbox.put(large, b"z1", b"z2", b"z3")
+        outbox.put(large, b"after")
+        for number in range(3):
+            outbox.put(small, b"%d" % number)
+        assert await drain(outbox) == [b"z1", b"0", b"z2", b"1", b"z3", b"after", b"2"]
+        assert (large.sent, small.sent, other.sent, outbox.waiting_bytes) == (4, 5, 1, 0)
 
     run(work())
 

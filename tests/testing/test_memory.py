@@ -25,6 +25,7 @@ from uoarm.testing import (
     lying,
     patience,
     raising,
+    wait,
 )
 from uoarm.testing._native import PAIRS, ROWS, Dialect, codec
 
@@ -258,6 +259,27 @@ def test_a_census_names_the_threads_that_stay() -> None:
         Background(hang.wait)
         with pytest.raises(AssertionError, match="uoarm-test"):
             census.check(timeout=0.02)
+    census.check()
+
+
+def test_a_census_waits_for_a_thread_that_is_about_to_begin() -> None:
+    gate = threading.Event()
+
+    class Late(threading.Thread):
+        """Is among the threads, as on a starved machine, long before it runs."""
+
+        def _bootstrap(self) -> None:
+            assert gate.wait(patience())
+            super()._bootstrap()  # type: ignore[misc]  # every version of Python calls it so
+
+    census = Census()
+    late = Late(target=int, name="late")
+    begins = threading.Thread(target=late.start)
+    begins.start()
+    wait(lambda: late in threading.enumerate())
+    with pytest.raises(AssertionError, match=r"left over: .*late"):
+        census.check(timeout=0.02)
+    gate.set()
     census.check()
 
 

@@ -83,10 +83,10 @@ def test_binary_that_is_no_map_is_refused(frame: str | bytes) -> None:
 
 @pytest.mark.parametrize("frame", ["{" * 5000, "[" * 1_000_000, '{"a":' * 100_000, '"' + "\\" * 99])
 def test_deep_nesting_costs_little_and_is_refused(frame: str) -> None:
-    started = time.process_time()
+    started = time.thread_time()
     with pytest.raises(ControlMessageError):
         TEXT_FORM.read(frame, Spending(Budget()))
-    assert time.process_time() - started < 5  # rosbridge needs for ever
+    assert time.thread_time() - started < 5  # rosbridge needs for ever; this some milliseconds
 
 
 def test_nesting_is_allowed_up_to_the_limit_and_brackets_in_text_are_none() -> None:

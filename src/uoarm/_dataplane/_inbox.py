@@ -42,10 +42,11 @@ class Inbox:
 
     def put(self, message: Message) -> None:
         """Take one message from the route, in the route's thread."""
-        if self._callbacks:
-            self._tell(message)
+        if self._callbacks and self._tell(message):
             return
         self._queue.put(message)
+        if self._callbacks:  # the first one came meanwhile, and may have missed this
+            self._tell_waiting()
         wake = self._wake
         if wake is not None:
             wake()
@@ -73,12 +74,7 @@ class Inbox:
         """
         with self._lock:
             self._callbacks = (*self._callbacks, callback)
-            while True:
-                try:
-                    waiting = self._queue.get(0)
-                except (Empty, QueueClosed):
-                    break
-                self._tell(waiting)
+            self._tell_waiting()
 
         def end() -> None:
             with self._lock:
@@ -97,9 +93,21 @@ class Inbox:
         if wake is not None:
             wake()
 
-    def _tell(self, message: Message) -> None:
+    def _tell_waiting(self) -> None:
+        with self._lock:
+            while self._callbacks:
+                try:
+                    waiting = self._queue.get(0)
+                except (Empty, QueueClosed):
+                    break
+                self._tell(waiting)
+
+    def _tell(self, message: Message) -> bool:
+        """Hand a message to the callbacks; False where the last one has just left."""
         failed = False
         with self._lock:
+            if not self._callbacks:
+                return False
             for callback in self._callbacks:
                 try:
                     callback(message)
@@ -108,6 +116,7 @@ class Inbox:
                     self._complain(callback, error)
         if failed:
             self._on_drop("failed")
+        return True
 
     def _complain(self, callback: Deliver, error: Exception) -> None:
         text = f"its callback {_name(callback)} raised {text_of(error)}"

@@ -32,6 +32,13 @@ class _Turn:
                 self.number = number
                 self.route.deliver(message)
 
+    def deliver_again(self, number: int, message: Message) -> None:
+        """Deliver what counts for another route already, or as unheard."""
+        with self.lock:
+            if number > self.number:
+                self.route.copies += 1
+                self.deliver(number, message)
+
 
 class Outlet:
     """The routes that one output feeds.
@@ -70,23 +77,35 @@ class Outlet:
                 self._turns, self._last = {}, (0, None)
         if retains:
             for turn in turns:
-                turn.deliver(*last)
+                turn.deliver_again(*last)
 
     def deliver(self, message: Message) -> None:
         """Hand one message to every route. Never raises."""
-        if self._retains is False:
-            routes = self._routes
-            for route in routes:
-                route.deliver(message)
-        else:
-            with self._lock:
-                number = self._last[0] + 1
-                self._last = number, message
-                routes, turns = self._routes, tuple(self._turns.values())
-            for turn in turns:
-                turn.deliver(number, message)
+        if self._retains is not False and self._deliver_kept(message):
+            return
+        routes = self._routes
+        for route in routes:
+            route.deliver(message)
+        for other in routes[1:]:
+            other.copies += 1
         if not routes:
             self.unheard += 1
+
+    def _deliver_kept(self, message: Message) -> bool:
+        """Hand a message over and keep it; False where it turns out that none is retained."""
+        with self._lock:
+            if self._retains is False:  # said while this waited for the lock: no route has a turn
+                return False
+            number = self._last[0] + 1
+            self._last = number, message
+            turns = tuple(self._turns.values())
+        for turn in turns[:1]:
+            turn.deliver(number, message)
+        for turn in turns[1:]:
+            turn.deliver_again(number, message)
+        if not turns:
+            self.unheard += 1
+        return True
 
     def attach(self, route: Route) -> None:
         """Feed a route from the next message on, and no more those that were closed meanwhile.
@@ -104,7 +123,7 @@ class Outlet:
                 self._turns = {**kept, route: turn}
             last = self._last
         if self._retains:
-            turn.deliver(*last)
+            turn.deliver_again(*last)
 
     @contextmanager
     def letting_through(self, route: Route) -> Iterator[None]:
@@ -120,7 +139,7 @@ class Outlet:
             yield
             if self._retains:
                 turn.number = 0
-                turn.deliver(*self._last)
+                turn.deliver_again(*self._last)
 
     def detach(self, route: Route) -> None:
         """Feed a route no more; a message under way may still reach it."""

@@ -12,7 +12,7 @@ from uoarm._raised import LimitedLog, text_of
 from uoarm.errors import CommandRefusedError, MessageError
 from uoarm.model import Deliver, Message, QueuePolicy, RouteStatus
 
-__all__ = ["Clock", "Consumer", "Route"]
+__all__ = ["Clock", "Consumer", "Route", "Watched"]
 
 Clock = Callable[[], float]
 """Returns a monotonic clock, in seconds."""
@@ -24,12 +24,20 @@ _LOSSES = frozenset({"queue-full", "queue-octets", "blocked-too-long"})
 _log = logging.getLogger("uoarm")
 
 
+class Watched(Protocol):
+    """A component, as far as the data plane knows it."""
+
+    @property
+    def is_alert(self) -> bool:
+        """Whether a success should be told; read for each message, so a plain attribute."""
+
+
 class Consumer(Protocol):
     """Told by a route what became of messages, so that who raises is blamed and nobody else."""
 
     @property
-    def is_alert(self) -> bool:
-        """Whether a success should be told; read for each message."""
+    def component(self) -> Watched:
+        """Whose messages they are."""
 
     def took(self) -> None:
         """Take in that a message was taken."""
@@ -52,6 +60,10 @@ class Route:
         queue: None to call the consumer in the producer's thread; else a bounded queue with
             one worker stands between.
         watch: told what became of messages, and of what the adapter raised; None: nobody is.
+
+    Attributes:
+        copies: the messages received that count for another route of the output; the output counts.
+        failures: messages for which something raised while it was open.
     """
 
     __slots__ = (
@@ -75,6 +87,8 @@ class Route:
         "_worker",
         "check",
         "consumer",
+        "copies",
+        "failures",
         "invalid",
         "last_error",
         "last_time",
@@ -99,7 +113,9 @@ class Route:
         self.received = 0
         self._handed = 0
         self._taken_back = 0
+        self.copies = 0
         self.invalid = 0
+        self.failures = 0
         self.last_error = ""
         self.last_time: float | None = None
         self._dropped: dict[str, int] = {}
@@ -193,6 +209,7 @@ class Route:
             rate=self._rate(now),
             age=age,
             last_error=self.last_error,
+            copies=self.copies,
         )
 
     def _queue_first(self, message: Message) -> None:
@@ -217,7 +234,7 @@ class Route:
         self._hand(message)
         self._handed += 1
         watch = self._watch
-        if watch is not None and watch.is_alert:
+        if watch is not None and watch.component.is_alert:
             watch.took()
 
     def _work(self, queue: BoundedQueue[Message]) -> None:
@@ -242,6 +259,7 @@ class Route:
         if self._closed:
             self.drop("closed")
             return
+        self.failures += 1
         if isinstance(error, MessageError):
             self.invalid += 1
             self.drop("invalid")
@@ -250,8 +268,10 @@ class Route:
         text = self.last_error = text_of(error)
         if self._watch is None or not self._watch.raised(error):
             place = f"{self.producer} -> {self.consumer}"
-            # Where a command is refused, nothing went wrong whose origin one would look for.
-            trace = None if isinstance(error, CommandRefusedError) else error
+            # Where a command is refused, or a message does not match and nothing else caused that,
+            # the text says all: nothing went wrong in a program whose lines one would look for.
+            known = CommandRefusedError, MessageError
+            trace = None if isinstance(error, known) and error.__cause__ is None else error
             self._records.write(logging.WARNING, f"{place}: {text}", trace)
 
     def _turn_window(self, now: float) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
+from uoarm._dataplane._route import Watched
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 
@@ -25,8 +26,8 @@ class Producer(Protocol):
     """Told by a check what it found, so that who gives what does not match is blamed."""
 
     @property
-    def is_alert(self) -> bool:
-        """Whether a message that matches should be told; read for each that is checked."""
+    def component(self) -> Watched:
+        """Whose messages they are; it says whether one that matches should be told."""
 
     def took(self) -> None:
         """Take in that a message matched."""
@@ -79,7 +80,7 @@ def _telling(check: Callable[[Message], None], watch: Producer) -> Callable[[Mes
         except MessageError as error:
             watch.mismatched(error)
             raise
-        if watch.is_alert:
+        if watch.component.is_alert:
             watch.took()
 
     return check_and_tell

@@ -99,14 +99,22 @@ class NumpyArray:
         return f"an array of {self.item.dtype}, {lengths}"
 
 
+def _numpy(name: str) -> Any:
+    """Return a class of numpy; None where nobody has imported it.
+
+    Nor has one who is at it: another thread may be in the middle, and then no hint is of numpy yet.
+    """
+    return getattr(sys.modules.get("numpy"), name, None)
+
+
 def scalar_of(hint: Any) -> NumpyScalar | None:
     """Return what a hint of one of numpy's numbers says; None for any other hint."""
-    numpy = sys.modules.get("numpy")
-    if numpy is None or not is_class(hint) or not issubclass(hint, numpy.generic):
+    generic = _numpy("generic")
+    if generic is None or not is_class(hint) or not issubclass(hint, generic):
         return None
     if hint not in _concrete():
         raise HintError(f"the type hint {hint!r} has no message structure: {_HOW}")
-    return NumpyScalar(numpy.dtype(hint))
+    return NumpyScalar(sys.modules["numpy"].dtype(hint))
 
 
 def array_of(hint: Any) -> NumpyArray | None:
@@ -115,14 +123,14 @@ def array_of(hint: Any) -> NumpyArray | None:
     Raises:
         HintError: it does not say which numbers, or they make no message.
     """
-    numpy = sys.modules.get("numpy")
-    if numpy is None:
+    ndarray = _numpy("ndarray")
+    if ndarray is None:
         return None
     notes: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
         hint, *notes = get_args(hint)  # type: ignore[assignment] # a list of notes
     hint = unwrapped(hint)  # `NDArray` is a `type` alias to newer versions of numpy
-    if hint is not numpy.ndarray and get_origin(hint) is not numpy.ndarray:
+    if hint is not ndarray and get_origin(hint) is not ndarray:
         return None
     shape, dtype = get_args(hint) or (None, None)
     inner = get_args(dtype)

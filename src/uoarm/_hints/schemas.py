@@ -120,8 +120,9 @@ def is_enum(kind: Any) -> bool:
 
 def is_model(kind: Any) -> bool:
     """Say whether a type is a model of pydantic, which its author must have imported."""
-    pydantic = sys.modules.get("pydantic")
-    return pydantic is not None and is_class(kind) and issubclass(kind, pydantic.BaseModel)
+    # Another thread may be importing it at this moment.
+    base = getattr(sys.modules.get("pydantic"), "BaseModel", None)
+    return base is not None and is_class(kind) and issubclass(kind, base)
 
 
 def _hashable(hint: Any) -> bool:

@@ -25,6 +25,8 @@ from uoarm.model import (
     Input,
     Match,
     MessageStructure,
+    Need,
+    Options,
     Output,
     PortRef,
     Robot,
@@ -220,6 +222,8 @@ class _Matching:
         """Yield what a function can feed inputs with."""
         several: dict[str, list[tuple[MessageStructure, Endpoint]]] = {}
         for component in function.components:
+            if not component.outputs:
+                continue  # a device that is not there is waited for, for nothing
             told = self._structures(component)
             by_port = told.by_port if isinstance(told, Structures) else {}
             for output in component.outputs if by_port else ():
@@ -304,12 +308,12 @@ class _Matching:
         need, spec = function.needs, offer.spec
         assert need is not None, "the caller looked"
         name = candidate_name(function.name, spec.name, offer.found, offer.port)
-        own = evolve(offer.port.endpoint, component=name)
+        own = _endpoint(offer.port, name, need)
         inputs: list[Input] = []
         told = [offer.told]
         streams = [one for one in offer.found.ports if one.endpoint.role is Role.INPUT]
         for port in streams if need.role is Role.OUTPUT else ():
-            end = evolve(port.endpoint, component=name)
+            end = _endpoint(port, name, need)
             if _is_one_of(end.port, need.from_application):
                 inputs.append(Input(end.port, end))
                 told.append(f"{end.port} from the application")
@@ -345,12 +349,14 @@ class _Matching:
         place = offer.spec.name, topic
         if port.message is None:
             return f"the structure of its input {name} is not known"
+        need = self._robot.functions[function].needs
+        assert need is not None, "the caller looked"
         feeds = [
             _Feed(_suits(given, port, adapted, place), given, adapted)
             for other, several in self._given.items()
             if not self._depends(other, function)
             for given in several
-            if (adapted := self._adapted(given, port.message)) is not None
+            if (adapted := self._adapted(given, port.message, need.mapping)) is not None
         ]
         feeds.sort(key=lambda one: one.rank)  # those alike stay in the order of the file
         there = [one for one in feeds if one.given.reference.function in ready]
@@ -361,15 +367,14 @@ class _Matching:
             return f"no function feeds its input {name}"
         if not there or (waits and there[0] is not feeds[0]):
             return f"its input {name} could be fed by {feeds[0].given.reference}, which has nothing"
-        need = self._robot.functions[function].needs
         alike = [str(one.given.reference) for one in feeds if one.rank == there[0].rank]
-        if need is not None and need.refuse_ambiguous and len(alike) > 1:
+        if need.refuse_ambiguous and len(alike) > 1:
             return f"ambiguous: {', '.join(alike)} fit its input {name} equally well"
         return there[0]
 
-    def _adapted(self, given: _Given, wanted: MessageStructure) -> Adapted | None:
+    def _adapted(self, given: _Given, wanted: MessageStructure, rules: Options) -> Adapted | None:
         for one in given.structures:
-            adapted = self._proofs.adapted(one, wanted)
+            adapted = self._proofs.adapted(one, wanted, rules)
             if adapted is not None:
                 return adapted
         return None
@@ -399,6 +404,11 @@ def _suits(
     is_exact = any(one == port.message for one in given.structures)
     is_named = port.endpoint.port in given.names
     return place not in given.topics, adapted.mapping is not None, not is_named, not is_exact
+
+
+def _endpoint(port: FoundPort, component: str, need: Need) -> Endpoint:
+    options = {**port.endpoint.options, **need.options}
+    return evolve(port.endpoint, component=component, options=options)
 
 
 def _is_one_of(name: str, patterns: Iterable[str]) -> bool:

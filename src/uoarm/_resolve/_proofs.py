@@ -6,13 +6,14 @@ import math
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import frozen
 
-from uoarm._adapt import check_edge
+from uoarm._adapt import MappingError, UnfitError, adapt, check_edge, parse
 from uoarm._yaml import read
-from uoarm.model import MessageStructure
+from uoarm.model import MessageStructure, Options
 
 __all__ = ["Adapted", "Proofs"]
 
@@ -24,6 +25,7 @@ _ROUND_SECONDS = 10.0
 _MOST_FACTOR = 16
 _PATIENCE = 20.0
 _REMEMBERED = 50_000
+_NO_RULES: Options = MappingProxyType({})
 _NOT_COMPARED = "it was not compared yet, for want of time"
 
 
@@ -93,10 +95,22 @@ class Proofs:
 
         return self._answer(self._refusals, key, judge, _NOT_COMPARED)
 
-    def adapted(self, producer: MessageStructure, consumer: MessageStructure) -> Adapted | None:
-        """Return how messages fit: as they are, or with the map that is suggested, proven to."""
+    def adapted(
+        self,
+        producer: MessageStructure,
+        consumer: MessageStructure,
+        rules: Options = _NO_RULES,
+    ) -> Adapted | None:
+        """Return how messages fit: as they are, or through a map, proven to.
+
+        The map is the one that is suggested. With rules it is these, for those of the fields that
+        the consumer has at its top, and others come from the fields of their names.
+        """
         if not self.refusal(producer, consumer):
             return Adapted()
+        own = _rules_for(consumer, rules)
+        if own:
+            return self._through(own, producer, consumer)
 
         def judge(factor: int) -> tuple[Adapted | None, bool]:
             seconds, to_suggest = factor * _PAIR_SECONDS, factor * _SUGGEST_SECONDS
@@ -108,6 +122,26 @@ class Proofs:
             return found, found is not None or (is_over and not verdict.is_undecided)
 
         key = producer.fingerprint, consumer.fingerprint
+        return self._answer(self._adapted, key, judge, None)
+
+    def _through(
+        self, rules: Options, producer: MessageStructure, consumer: MessageStructure
+    ) -> Adapted | None:
+        """Return a map with what it drops, where the edge is proven with it."""
+
+        def judge(factor: int) -> tuple[Adapted | None, bool]:
+            try:
+                losses = adapt(parse(rules), producer.schema, consumer.schema).losses
+            except (MappingError, UnfitError):
+                return None, True
+            seconds = factor * _PAIR_SECONDS
+            verdict = check_edge(
+                producer, consumer, rules, losses, seconds=seconds, suggest_seconds=0
+            )
+            found = Adapted(rules, losses) if verdict.compatible else None
+            return found, not verdict.is_undecided
+
+        key = producer.fingerprint, f"{consumer.fingerprint} {sorted(rules.items())}"
         return self._answer(self._adapted, key, judge, None)
 
     def _answer(
@@ -132,6 +166,15 @@ class Proofs:
                 answers.popitem(last=False)
         answers.move_to_end(key)
         return known.told
+
+
+def _rules_for(consumer: MessageStructure, rules: Options) -> dict[str, object]:
+    """Return the rules for fields that a consumer has; of `a.b` it is `a` that counts."""
+    schema = consumer.schema
+    has = schema.get("properties") if rules and isinstance(schema, Mapping) else None
+    if not isinstance(has, Mapping):
+        return {}
+    return {path: rule for path, rule in rules.items() if path.partition(".")[0] in has}
 
 
 def _read(

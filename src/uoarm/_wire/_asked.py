@@ -21,7 +21,7 @@ ASKED = tuple(
     op.value
     for op in (
         Op.REQUEST, Op.KILL, Op.DATA, Op.CALL, Op.LIST, Op.RESOLVE, Op.STATUS, Op.RESUME,
-        Op.CONFIGURE, Op.STOP,
+        Op.CONFIGURE, Op.STOP, Op.DISCOVER,
     )
 )  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from attrs import define, frozen
+from attrs import define, field, frozen
 
 from uoarm._yaml._problem import Place, Problem
 
@@ -34,12 +34,14 @@ class Document:
         root: places of the value and all that is in it.
         problems: what is wrong with the file as YAML.
         whole: reading got to the end; else `value` says nothing.
+        text: what was read, without a byte order mark.
     """
 
     value: object
     root: Spot
     problems: tuple[Problem, ...] = ()
     whole: bool = True
+    text: str = field(default="", eq=False, repr=False)
 
     def place(self, path: Path) -> Place:
         """Return the place of the value at a path, or of the nearest value around it."""

@@ -27,7 +27,8 @@ class Problem:
 
     Attributes:
         place: where it stands.
-        path: where it stands in the data, `$.functions.camera.components[0].priority`.
+        path: where it stands in the data, `$.functions.camera.components[0].priority`; empty where
+            it is about the whole file, and no place in it is told.
         sentence: what is wrong: what was expected and what came.
         hint: what to do, empty where the sentence says it.
         file: the file, empty for text that was not read from one.
@@ -40,9 +41,9 @@ class Problem:
     file: str = ""
 
     def __str__(self) -> str:
-        where = f"{self.file or '<text>'}:{self.place.line}:{self.place.column}"
+        where = f":{self.place.line}:{self.place.column}: {self.path}" if self.path else ""
         hint = f" ({self.hint})" if self.hint else ""
-        return f"{where}: {self.path}: {self.sentence}{hint}"
+        return f"{self.file or '<text>'}{where}: {self.sentence}{hint}"
 
 
 def clip(value: object) -> str:

@@ -72,17 +72,18 @@ class _Frame:
 
 def read_file(path: File, budget: Budget = _ROBOT) -> Document:
     """Read one document from a regular file; what is wrong with it stands in its `problems`."""
+    path_in_data, hint = "", ""  # it is about the whole file
     try:
         return read(_octets(path, budget.octets).decode("utf-8"), str(path), budget)
     except UnicodeDecodeError as error:
         place = Place(error.object[: error.start].count(b"\n") + 1, 1)
         sentence = f"the file is not UTF-8: byte {error.start + 1:,} cannot be decoded"
-        hint = "save it as UTF-8"
+        path_in_data, hint = "$", "save it as UTF-8"
     except OSError as error:
-        place, sentence, hint = _START, f"the file cannot be read: {error.strerror or error}", ""
+        place, sentence = _START, f"the file cannot be read: {error.strerror or error}"
     except ValueError as error:
-        place, sentence, hint = _START, f"the file cannot be read: {error}", ""
-    problem = Problem(place=place, path="$", sentence=sentence, hint=hint, file=str(path))
+        place, sentence = _START, f"the file cannot be read: {error}"
+    problem = Problem(place=place, path=path_in_data, sentence=sentence, hint=hint, file=str(path))
     return Document(None, Spot(_START), (problem,), whole=False)
 
 
@@ -118,7 +119,7 @@ def read(text: str, file: str = "", budget: Budget = _ROBOT) -> Document:
     except yaml.YAMLError as error:
         builder.complain(*_syntax(error, text))
     else:
-        return Document(builder.root, builder.spot, tuple(builder.problems))
+        return Document(builder.root, builder.spot, tuple(builder.problems), text=text)
     return Document(None, Spot(_START), tuple(builder.problems), whole=False)
 
 

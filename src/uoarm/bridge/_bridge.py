@@ -172,6 +172,7 @@ class Bridge(ABC):
         structures: ServiceStructures = _ANYTHING,
         *,
         timeout: float = 10.0,
+        number: int | None = None,
     ) -> Message:
         """Send one request to a service and return its reply.
 
@@ -180,14 +181,16 @@ class Bridge(ABC):
             message: the request.
             structures: of request and reply, as `describe` or the configuration gave them.
             timeout: in seconds.
+            number: by which `cancel_call` knows the call, of no other call of this bridge; for
+                the core.
 
         Raises:
-            BridgeError: the service failed or is gone.
+            BridgeError: the service failed or is gone, or the call was cancelled.
             BridgeTimeoutError: no reply within `timeout` seconds.
         """
         self._require(self.capabilities.call, "call services")
 
-        call = CallUnderWay(endpoint.component)
+        call = CallUnderWay(number)
 
         def begin() -> Message:
             with self._pending_calls.begun(call):
@@ -201,13 +204,13 @@ class Bridge(ABC):
         )
 
     @final
-    def cancel_calls(self, component: str) -> bool:
-        """Cancel the calls of a service that are under way; for the core.
+    def cancel_call(self, number: int) -> bool:
+        """Cancel the call that was given this number, or is about to be; for the core.
 
-        Does not wait for their ends. Returns whether the framework could be told of each.
+        Does not wait for its end. One that has not begun never does. Returns whether the framework
+        could be told.
         """
-        told = [self._pending_calls.cancel(one) for one in self._pending_calls.of(component)]
-        return all(told)
+        return self._pending_calls.cancel_number(number)
 
     @final
     def cancelling(self, cancel: Callable[[], object]) -> AbstractContextManager[None]:
@@ -216,7 +219,8 @@ class Bridge(ABC):
         For `_call` of a bridge whose framework can cancel: for the length of a `with` block, while
         it waits for the reply. `cancel` is called when the call has timed out or an emergency stop
         ends it, in another thread, or here at once where that was before; maybe twice. It must
-        return in bounded time. The call then ends as the framework says.
+        return in bounded time, and may return False where the framework could not be told. The
+        call then ends as the framework says.
         """
         return self._pending_calls.cancelling(cancel)
 

@@ -8,7 +8,11 @@ from contextlib import contextmanager
 
 from attrs import define
 
+from uoarm.errors import BridgeError, FailureReason
+
 __all__ = ["CallUnderWay", "CallsUnderWay"]
+
+_MOST_EARLY = 1000
 
 
 @define(eq=False)
@@ -16,11 +20,11 @@ class CallUnderWay:
     """One call.
 
     Attributes:
-        component: which provides the service.
+        number: by which it is cancelled; None: only by who makes it.
         cancel: how the framework is told; None: it cannot be, or not yet.
     """
 
-    component: str
+    number: int | None = None
     cancel: Callable[[], object] | None = None
     is_cancelled: bool = False
 
@@ -31,15 +35,23 @@ class CallsUnderWay:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._calls: set[CallUnderWay] = set()
+        self._early: dict[int, None] = {}
         self._here = threading.local()
 
     @contextmanager
     def begun(self, call: CallUnderWay) -> Iterator[None]:
-        """Have a call listed for the length of a block, in the thread that makes it."""
+        """Have a call listed for the length of a block, in the thread that makes it.
+
+        Raises:
+            BridgeError: it was cancelled before it began, and does not.
+        """
         outer = getattr(self._here, "call", None)
-        self._here.call = call
         with self._lock:
+            if call.is_cancelled or call.number in self._early:
+                text = "the call was cancelled before it began"
+                raise BridgeError(text, FailureReason.REFUSED)
             self._calls.add(call)
+        self._here.call = call
         try:
             yield
         finally:
@@ -64,15 +76,20 @@ class CallsUnderWay:
             with self._lock:
                 call.cancel = None
 
-    def of(self, component: str) -> tuple[CallUnderWay, ...]:
-        """Return the calls of a component."""
+    def cancel_number(self, number: int) -> bool:
+        """Cancel the call of this number, as `cancel` does; one that has not begun never does."""
         with self._lock:
-            return tuple(one for one in self._calls if one.component == component)
+            call = next((one for one in self._calls if one.number == number), None)
+            if call is None:
+                # It begins later, or it has ended, which nobody here can tell.
+                self._early[number] = None
+                if len(self._early) > _MOST_EARLY:
+                    del self._early[next(iter(self._early))]
+                return True
+        return self.cancel(call)
 
     def cancel(self, call: CallUnderWay) -> bool:
         """Cancel a call; return whether the framework was told, which it may be later still."""
         with self._lock:
             call.is_cancelled, way = True, call.cancel
-        if way is not None:
-            way()
-        return way is not None
+        return way is not None and way() is not False

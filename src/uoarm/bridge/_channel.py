@@ -161,6 +161,12 @@ class Source(Channel):
         """How many messages came after it was closed; they were not delivered."""
         return 0 if self._gate is None else self._gate.refused
 
+    @final
+    def watch_refused(self, told: Callable[[], object]) -> None:
+        """Have each message told that comes after it was closed, in its thread; for the core."""
+        if self._gate is not None:
+            self._gate.on_refused = told
+
 
 class Sink(Channel):
     """A channel into a component.

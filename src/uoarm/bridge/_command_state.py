@@ -207,7 +207,10 @@ def _at(message: object, path: str) -> float | None:
         message = message.get(part)
     if isinstance(message, bool) or not isinstance(message, Real):
         return None
-    return float(message)
+    try:
+        return float(message)
+    except OverflowError:  # of an integer that JSON writes and no motor means
+        return math.inf
 
 
 def _beyond(limit: FieldLimit, value: float | None, before: float | None, elapsed: float) -> str:

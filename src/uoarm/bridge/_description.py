@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from attrs import frozen
+from collections.abc import Mapping
+
+from attrs import field, frozen
 
 from uoarm.bridge._channel import Channel
 from uoarm.model import Endpoint, Health, MessageStructure
@@ -36,11 +38,20 @@ class ServiceStructures:
 
 @frozen
 class Discovered:
-    """A component that is visible now, without having been configured."""
+    """A component that is visible now, without having been configured.
+
+    Attributes:
+        name: as the framework names it.
+        endpoints: what can be opened of it.
+        detail: what else the framework says of it.
+        rates: messages a second that outputs give at most or as promised, by port; only what
+            the framework itself states.
+    """
 
     name: str
     endpoints: tuple[tuple[Endpoint, Description], ...]
     detail: str = ""
+    rates: Mapping[str, float] = field(factory=dict, hash=False, eq=False)
 
 
 @frozen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from uoarm.model import Deliver, Message
 
@@ -19,15 +20,17 @@ class Gate:
 
     Attributes:
         refused: messages that came after it was shut.
+        on_refused: told of each of them, in its thread.
     """
 
-    __slots__ = ("_deliver", "_is_shut", "_turn", "refused")
+    __slots__ = ("_deliver", "_is_shut", "_turn", "on_refused", "refused")
 
     def __init__(self, deliver: Deliver) -> None:
         self._deliver = deliver
         self._turn = threading.RLock()
         self._is_shut = False
         self.refused = 0
+        self.on_refused: Callable[[], object] | None = None
 
     def give(self, message: Message) -> None:
         """Deliver a message in this thread, after those of other threads that came before."""
@@ -36,6 +39,8 @@ class Gate:
                 self._deliver(message)
             else:
                 self.refused += 1
+                if self.on_refused is not None:
+                    self.on_refused()
 
     def shut(self) -> None:
         """Let nothing more begin.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
-from uoarm._plugins import PluginProblem, cause_of, values_of
+from uoarm._plugins import PluginProblem, cause_of, installed, values_of
 from uoarm._spelling import Speller
 from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
@@ -42,7 +42,7 @@ class Registry:
     def __init__(self, points: Iterable[EntryPoint] | None = None) -> None:
         self._types: dict[str, BridgeType] = {}
         self._problems: list[PluginProblem] = []
-        found = entry_points(group=_GROUP) if points is None else points
+        found = installed(_GROUP) if points is None else points
         for point in sorted(found, key=lambda point: point.name):
             try:
                 types = values_of(point, BridgeHooks, "uoarm_bridge_types", BridgeType)
@@ -122,9 +122,17 @@ def _require_fitting(spec: BridgeSpec, kind: BridgeType) -> None:
     from jsonschema import Draft202012Validator  # noqa: PLC0415 - slow import
 
     speller = Speller()
+    errors = list(Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options)))
+    missing = [one for one in errors if one.validator == "required" and not one.path]
+    if errors and len(missing) == len(errors):  # as of a bridge that no configuration names
+        names = [str(name) for name in missing[0].validator_value if name not in spec.options]
+        s = "" if len(names) == 1 else "s"
+        text = f"plugin {kind.name!r} needs the option{s} {', '.join(names)}"
+        text += ", which a file gives under `bridges`"
+        raise ConfigurationError(f"bridge {spec.name!r}: {text}")
     told = "; ".join(
         f"{write_path(path)}: {sentence}{f' ({hint})' if hint else ''}"
-        for error in Draft202012Validator(kind.options_schema).iter_errors(dict(spec.options))
+        for error in errors
         for path, sentence, hint, _ in mistakes(error, speller)
     )
     if told:

@@ -101,7 +101,7 @@ class Watchdog:
         with self._changed:
             self._state.hold(self._clock())
             self._wake()
-            self._changed.wait_for(self._is_at_rest, timeout)
+            self._changed.wait_for(lambda: self._ended or self._is_at_rest(), timeout)
             return self._state.status(self._clock())
 
     def release(self) -> None:

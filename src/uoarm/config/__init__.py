@@ -3,7 +3,9 @@
 from uoarm._yaml import Place, Problem
 from uoarm.config._assignments import ASSIGN, assign, installation
 from uoarm.config._by_need import add_functions
+from uoarm.config._code import with_code
 from uoarm.config._difference import Difference, compare, fed_by
+from uoarm.config._keeping import is_same, rewrite
 from uoarm.config._load import Report, inspect, load, loads
 from uoarm.config._merging import merge
 from uoarm.config._shape import published_schema, structure_schema
@@ -21,10 +23,13 @@ __all__ = [
     "fed_by",
     "inspect",
     "installation",
+    "is_same",
     "load",
     "loads",
     "merge",
     "published_schema",
+    "rewrite",
     "structure_schema",
     "suggest",
+    "with_code",
 ]

@@ -134,6 +134,8 @@ def _need(value: Mapping[str, Any]) -> Need:
         exclude=several("exclude"),
         unfed=several("unfed"),
         from_application=several("from_application"),
+        mapping=value.get("map", {}),
+        options=value.get("options", {}),
         refuse_ambiguous=value.get("ambiguous", "first") == "refuse",
     )
 

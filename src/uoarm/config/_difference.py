@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping
 
 from attrs import evolve, frozen
 
-from uoarm.model import BridgeSpec, Component, Offer, Robot
+from uoarm.config._code import without_code
+from uoarm.model import BridgeSpec, Component, Listening, Offer, Robot
 
 __all__ = ["Difference", "compare", "fed_by"]
 
@@ -21,7 +22,8 @@ class Difference:
             bridge that is another. A priority alone makes no other component.
         functions: those for which a request may get another plan, since they, or what they are
             fed by, have other candidates or another order of them.
-        told: every difference as a line, `+ component x`, `- bridge y`, `~ function z`.
+        told: every difference as a line, `+ component x`, `- bridge y`, `~ function z`,
+            `~ hosts tls/192.168.1.10:7447`.
     """
 
     bridges: frozenset[str]
@@ -44,7 +46,11 @@ def compare(before: Robot, after: Robot) -> Difference:
         or any(one.name in superseded for one in _candidates(before, name))
     }
     told = (
-        *_told("bridge", before.bridges, after.bridges),
+        *_told("hosts", _listening(before), _listening(after)),
+        *(
+            f"{line}: its code" if _is_code(line, before, after) else line
+            for line in _told("bridge", before.bridges, after.bridges)
+        ),
         *_told("component", old, new),
         *_told("function", _named(before), _named(after)),
         *(() if before.failover == after.failover else ("~ failover",)),
@@ -54,6 +60,13 @@ def compare(before: Robot, after: Robot) -> Difference:
     )
     functions = fed_by(own, (*before.components(), *after.components()))
     return Difference(bridges, superseded, functions, told)
+
+
+def _is_code(line: str, before: Robot, after: Robot) -> bool:
+    """Say whether all that is different of a bridge is that its code is read again."""
+    name = line.partition(" bridge ")[2]
+    old, new = before.bridges.get(name), after.bridges.get(name)
+    return old is not None and new is not None and without_code(old) == without_code(new)
 
 
 def _candidates(robot: Robot, function: str) -> tuple[Component, ...]:
@@ -67,6 +80,10 @@ def _unranked(component: Component) -> Component:
 
 def _offers(robot: Robot) -> Mapping[str, Offer]:
     return {one.name: one for one in robot.offers}
+
+
+def _listening(robot: Robot) -> Mapping[str, Listening]:
+    return {} if robot.hosts is None else {robot.hosts.place: robot.hosts}
 
 
 def _named(robot: Robot) -> Mapping[str, object]:

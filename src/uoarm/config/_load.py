@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TypeAlias
 
-from attrs import frozen
+from attrs import evolve, frozen
 
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Place, Problem, read, read_file
@@ -127,7 +127,8 @@ def _judge(document: Document, file: str, types: Types, *, parameters: bool) -> 
         return Report(None, _sorted(problems), warnings)
     assert isinstance(document.value, dict), "the shape was checked"
     remarks = tuple(str(warning) for warning in warnings)
-    return Report(build(document.value, file, remarks), (), warnings)
+    robot = evolve(build(document.value, file, remarks), text=document.text)
+    return Report(robot, (), warnings)
 
 
 def _sorted(problems: tuple[Problem, ...] | list[Problem]) -> tuple[Problem, ...]:

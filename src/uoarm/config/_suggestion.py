@@ -67,6 +67,7 @@ def suggest(
     findings: Iterable[BridgeFindings],
     *,
     configured: Container[str] = (),
+    only: tuple[str, str] | None = None,
     seconds: float = 10.0,
     clock: Callable[[], float] = time.monotonic,
 ) -> str:
@@ -79,11 +80,13 @@ def suggest(
         robot: the configuration so far; its names are not given again.
         findings: what the bridges see.
         configured: bridges that need no line of their own.
+        only: the bridge and the component, by its framework's name, that alone is written; others
+            may still feed it where the configuration has them.
         seconds: for comparing structures; what was not compared is said.
         clock: a monotonic clock.
     """
     findings = [one for one in findings if one.components]
-    proposals = list(_proposals(robot, findings))
+    proposals = [one for one in _proposals(robot, findings) if only in {None, one.owner}]
     left_out = proposals[_MOST_COMPONENTS:]
     proposals = proposals[:_MOST_COMPONENTS]
     outputs = [*_configured(robot, findings), *_proposed(proposals)]
@@ -91,7 +94,7 @@ def suggest(
     new = [one for one in findings if one.bridge not in configured]
     lines = [_HEAD + "version: 1", "bridges:" if new else "# bridges: those of the configuration"]
     lines += [f"  {one.bridge}: {{plugin: {one.plugin}}}" for one in new]
-    lines.append("functions:" if proposals else "functions: {}  # nothing is seen that has no name")
+    lines.append("functions:" if proposals else "functions: {}  # bridges see nothing else")
     for proposal in proposals:
         lines += _lines(proposal, outputs, lambda: clock() > deadline)
     if left_out:

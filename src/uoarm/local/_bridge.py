@@ -48,6 +48,11 @@ _OPTIONS = {
             "exclusiveMinimum": 0,
             "description": "Seconds that an `async def` handler may take for a message (10).",
         },
+        "code": {
+            "type": "string",
+            "pattern": "^[0-9a-f]{1,32}$",
+            "description": "Chosen by uoarm when the code is to be read again; not for files.",
+        },
         "discover": LISTED,
     },
     "additionalProperties": False,
@@ -79,7 +84,8 @@ class PythonBridge(Bridge):
     def __init__(self, name: str, options: Options) -> None:
         super().__init__(name, options)
         path: Any = options.get("path", ())
-        self._modules = Modules(path)
+        code: Any = options.get("code", "")
+        self._modules = Modules(path, code)
         listing: Any = options.get("discover", ())
         self._listing = tuple(listing)
         self._targets: dict[tuple[str, ...], Target] = {}
@@ -165,6 +171,7 @@ class PythonBridge(Bridge):
         while self._workers.busy and time.monotonic() < deadline:
             pause.wait(_GLANCE_SECONDS)
         self._loop.close()
+        self._modules.close()
 
     def _target(self, endpoint: Endpoint) -> Target:
         return self._of_address(endpoint.address)
@@ -229,7 +236,11 @@ def _check_parameters(
     address: tuple[str, ...], parameters: Options, options: Options
 ) -> Mapping[str, str]:
     path: Any = options.get("path", ())
-    return find(address, Modules(path)).parameter_mistakes(parameters)
+    modules = Modules.newest(path)
+    try:
+        return find(address, modules).parameter_mistakes(parameters)
+    finally:
+        modules.close()
 
 
 @hookimpl

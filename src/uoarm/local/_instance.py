@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Iterator
+import threading
+from collections.abc import AsyncIterator, Callable, Hashable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -18,6 +19,7 @@ from uoarm.model import Deliver, Endpoint, Message, Options
 __all__ = ["Instance"]
 
 Write: TypeAlias = Callable[[Any], Message] | None
+Receivers: TypeAlias = Mapping[str, tuple[tuple[Hashable, Deliver], ...]]
 
 
 class Instance:
@@ -40,7 +42,8 @@ class Instance:
         self._workers = workers
         self._parameters = target.build_parameters(parameters)
         self._coroutines = coroutines
-        self._receivers: dict[str, tuple[tuple[Hashable, Deliver], ...]] = {}
+        self._receiving = threading.Lock()
+        self._receivers: Receivers = {}  # replaced and never changed, as it is read without lock
         self._services: dict[str, Callable[[Message, float], Message]] = {}
         self._source: Source | None = None
         self._object: Any = target.value(**self._parameters) if target.is_class else target.value
@@ -54,16 +57,17 @@ class Instance:
         if self._source is None:
             write = self._target.writer(endpoint)
             name = f"uoarm-{self._target.name}"
-            self._source = Source(self._iterator, partial(self._emit, write), name, self._workers)
+            emitter = partial(self._emitter, write)
+            self._source = Source(self._iterator, emitter, name, self._workers)
         return self._source
 
     def add_receiver(self, port: str, key: Hashable, deliver: Deliver) -> None:
         """Send what the component emits at a port to one more receiver."""
-        self._receivers[port] = (*self._receivers.get(port, ()), (key, deliver))
+        self._receive(port, (*self._receivers.get(port, ()), (key, deliver)))
 
     def remove_receiver(self, port: str, key: Hashable) -> None:
-        """Send nothing more to a receiver."""
-        self._receivers[port] = tuple(one for one in self._receivers[port] if one[0] is not key)
+        """Send a receiver nothing more but what is under way, which its channel counts."""
+        self._receive(port, tuple(one for one in self._receivers[port] if one[0] is not key))
 
     def feed(self, endpoint: Endpoint) -> Callable[[Message], None]:
         """Return a function that hands a message to an input and emits what comes back.
@@ -78,9 +82,14 @@ class Instance:
         call = kept if read is None else lambda message: kept(read(message))
 
         def take(message: Message) -> None:
+            before = self._receivers
             result = call(message)
-            if result is not None:
-                self._emit_all(write, result)
+            if isinstance(result, Iterator):
+                for one in result:
+                    self._emit(before, write, one)
+                    before = self._receivers
+            elif result is not None:
+                self._emit(before, write, result)
 
         return take
 
@@ -149,22 +158,28 @@ class Instance:
         text = f"{self._target.name} returned {type(made).__name__}, expected messages"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
 
-    def _emit_all(self, write: Write, result: Any) -> None:
-        if isinstance(result, Iterator):
-            for message in result:
-                self._emit(write, message)
-        else:
-            self._emit(write, result)
+    def _receive(self, port: str, receivers: tuple[tuple[Hashable, Deliver], ...]) -> None:
+        with self._receiving:
+            self._receivers = {**self._receivers, port: receivers}
 
-    def _emit(self, write: Write, message: Any) -> None:
+    def _emitter(self, write: Write) -> Callable[[Any], None]:
+        """Return what takes the next message of the source, for those who receive it now."""
+        return partial(self._emit, self._receivers, write)
+
+    def _emit(self, before: Receivers, write: Write, message: Any) -> None:
+        """Hand over what the component emits.
+
+        Where nobody receives it, those who did as it was begun get it: their channels were closed
+        meanwhile, and count it.
+        """
         port = "default"
         if isinstance(message, Emit):
             port, message, write = message.port, message.message, None
-        receivers = self._receivers.get(port)
-        if receivers and message is not None:
+        wanted = self._receivers.get(port) or before.get(port)
+        if wanted and message is not None:
             if write is not None:
                 message = write(message)
             elif message.__class__ is not dict:
                 message = plain(message)
-            for _, deliver in receivers:
+            for _, deliver in wanted:
                 deliver(message)

@@ -7,6 +7,10 @@ multiprocessing).
 
 What the program could import itself, from the same file, is imported as the program does it: there
 is one module to a file, and what is installed stays as it is.
+
+Code that is read again has a name of its own, `..._modules._g3f2a__2fhome_2frobot.kitchen`: what
+runs goes on with the modules that it has. All that is in the folders and is not installed is read
+again.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ import importlib
 import os
 import re
 import sys
+import threading
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
@@ -29,6 +35,9 @@ __path__: list[str] = []  # a package, as the import system sees it: its finder 
 
 _PREFIX = f"{__name__}."
 _INSTALLED = {"site-packages", "dist-packages"}
+_VERSION = re.compile("_g([0-9a-f]+)_")  # no octet is written so
+_users: Counter[str] = Counter()
+_lock = threading.Lock()
 
 
 class Modules:
@@ -36,11 +45,29 @@ class Modules:
 
     Args:
         folders: searched in this order, before everything that the program can import.
+        code: hexadecimal digits; for others than before the code is read again. Those that name
+            the same share its modules, which are forgotten when all have closed.
     """
 
-    def __init__(self, folders: Sequence[str]) -> None:
+    def __init__(self, folders: Sequence[str], code: str = "") -> None:
         self._folders = tuple(os.path.abspath(one) for one in folders)  # noqa: PTH100 - not resolved
-        self._package = _PREFIX + _name_of(self._folders)
+        version = f"_g{code}_" if code else ""
+        self._package = _PREFIX + version + _name_of(self._folders)
+        self._is_version = bool(code)
+        if code:
+            importlib.invalidate_caches()  # a folder may have got files within its clock's tick
+            with _lock:
+                _users[self._package] += 1
+
+    @classmethod
+    def newest(cls, folders: Sequence[str]) -> Modules:
+        """Return those of the version that was read last and is in use, or else of the first."""
+        plain = cls(folders)
+        name = plain._package[len(_PREFIX) :]
+        with _lock:
+            living = [one[len(_PREFIX) :] for one in _users]
+        found = [_VERSION.match(one) for one in living if _VERSION.sub("", one, count=1) == name]
+        return cls(folders, found[-1][1]) if found and found[-1] is not None else plain
 
     def __str__(self) -> str:
         return ", ".join((*self._folders, "sys.path"))
@@ -54,6 +81,21 @@ class Modules:
         own = _own_name(self._package, self._folders, name)
         return importlib.import_module(own or name)
 
+    def close(self) -> None:
+        """Forget the modules, where nobody else has this version of them; else they stay. Once."""
+        if not self._is_version:
+            return
+        with _lock:
+            _users[self._package] -= 1
+            if _users[self._package]:
+                return
+            del _users[self._package]
+            within = f"{self._package}."
+            for name in [one for one in sys.modules if one.startswith(within)]:
+                del sys.modules[name]
+            sys.modules.pop(self._package, None)
+            vars(sys.modules[__name__]).pop(self._package[len(_PREFIX) :], None)
+
 
 def written_name(name: str) -> str:
     """Return the name that a module has in its folder."""
@@ -63,11 +105,12 @@ def written_name(name: str) -> str:
 def _own_name(package: str, folders: Sequence[str], name: str) -> str:
     """Return the full name of a module of the folders, or "" for one of the program's."""
     top = name.partition(".")[0]
-    own = f"{package}.{top}" in sys.modules or _is_own(top, folders)
+    is_version = _VERSION.match(package[len(_PREFIX) :]) is not None
+    own = f"{package}.{top}" in sys.modules or _is_own(top, folders, is_version=is_version)
     return f"{package}.{name}" if own else ""
 
 
-def _is_own(top: str, folders: Sequence[str]) -> bool:
+def _is_own(top: str, folders: Sequence[str], *, is_version: bool) -> bool:
     if top == "uoarm" or top in sys.builtin_module_names:
         return False
     found = PathFinder.find_spec(top, folders)
@@ -76,6 +119,8 @@ def _is_own(top: str, folders: Sequence[str]) -> bool:
     here, there = _file_of(found), _file_of(_spec_in_program(top))
     if here is None or here != there:
         return here is not None or there is None  # a mere folder yields to a module, as ever
+    if is_version:
+        return not _INSTALLED & set(PurePath(here).parts)
     # Imported by the program, it imports as the program does: that must reach its folders, too.
     reached = {os.path.realpath(one) for one in sys.path}
     return not (
@@ -103,7 +148,10 @@ def _name_of(folders: Sequence[str]) -> str:
 
 
 def _folders_of(name: str) -> list[str]:
-    octets = re.sub(rb"_([0-9a-f]{2})", lambda one: bytes.fromhex(one[1].decode()), name.encode())
+    written = _VERSION.sub("", name, count=1) if _VERSION.match(name) else name
+    octets = re.sub(
+        rb"_([0-9a-f]{2})", lambda one: bytes.fromhex(one[1].decode()), written.encode()
+    )
     return os.fsdecode(octets).split("\0")
 
 
@@ -126,6 +174,16 @@ class _Finder(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     """Runs a module with an `import` statement that looks in the module's folders first."""
+
+    def path_stats(self, path: str) -> Mapping[str, Any]:
+        """Refuse for code that is read again: what was compiled of it is known by whole seconds.
+
+        Raises:
+            OSError: then nothing compiled is used or kept.
+        """
+        if _VERSION.match(self.name[len(_PREFIX) :]):
+            raise OSError("the code is read again")
+        return super().path_stats(path)
 
     def exec_module(self, module: ModuleType) -> None:
         folders = module.__name__[len(_PREFIX) :].partition(".")[0]

@@ -21,7 +21,8 @@ class Source:
 
     Args:
         iterate: makes the iterator; called in the listener's thread, so that it may refuse.
-        emit: takes each message, in the source's thread.
+        emitter: returns what takes the next message; called in the source's thread before it is
+            known whether somebody listens still, so that no message is lost between.
         name: of the thread meanwhile.
         workers: give the thread.
     """
@@ -29,12 +30,12 @@ class Source:
     def __init__(
         self,
         iterate: Callable[[], Iterator[Any]],
-        emit: Callable[[Any], None],
+        emitter: Callable[[], Callable[[Any], None]],
         name: str,
         workers: WorkerPool,
     ) -> None:
         self._iterate = iterate
-        self._emit = emit
+        self._emitter = emitter
         self._name = name
         self._workers = workers
         self._changing = threading.Lock()
@@ -52,7 +53,7 @@ class Source:
         """
         with self._changing:
             if self._run is None:
-                run = _Run(self._iterate(), self._emit, self._ended, self._name)
+                run = _Run(self._iterate(), self._emitter, self._ended, self._name)
                 if not self._workers.submit(run.work):
                     raise BridgeError(f"{self._name} is closed", FailureReason.CLOSED)
                 self._run = run
@@ -94,12 +95,12 @@ class _Run:
     def __init__(
         self,
         messages: Iterator[Any],
-        emit: Callable[[Any], None],
+        emitter: Callable[[], Callable[[Any], None]],
         ended: Callable[[_Run, Exception | None], None],
         name: str,
     ) -> None:
         self._messages = messages
-        self._emit = emit
+        self._emitter = emitter
         self._ended = ended
         self._name = name
         self.stopped = False
@@ -116,9 +117,10 @@ class _Run:
         failure: Exception | None = None
         try:
             for message in self._messages:
+                emit = self._emitter()
                 if self.stopped:
                     break
-                self._emit(message)
+                emit(message)
         except Exception as error:  # noqa: BLE001 - a component may raise anything
             failure = error
         finally:

@@ -207,10 +207,14 @@ class Target:
         Raises:
             BridgeError: with BAD_ENDPOINT; the text names each of them.
         """
+        if not given and "parameters" in self._converters:  # none were right before
+            return
         wrong = self.parameter_mistakes(given)
         if wrong:
             told = "; ".join(f"parameter {name!r}: {what}" for name, what in wrong.items())
             raise BridgeError(f"{self.name}: {told}", FailureReason.BAD_ENDPOINT)
+        if not given:
+            self._converters["parameters"] = None
 
     def build_parameters(self, given: Options) -> dict[str, Any]:
         """Return parameters as the values that their hints say.
@@ -218,13 +222,8 @@ class Target:
         Raises:
             BridgeError: they do not fit.
         """
-        if not given and "parameters" in self._converters:  # none were right before
-            return {}
         self.require_parameters(given)
-        built = build_parameters(self._accepted(given)[1], given, self.name)
-        if not given:
-            self._converters["parameters"] = None
-        return built
+        return build_parameters(self._accepted(given)[1], given, self.name) if given else {}
 
     def _accepted(self, given: Options) -> tuple[dict[str, inspect.Parameter], dict[str, Any]]:
         """Return the parameters of a component, and their hints."""

@@ -55,6 +55,7 @@ class ConfigurationChange:
             function, `+` added, `-` taken away, `~` changed.
         connections: those that do not stay as they are, as seen when it was looked at.
         is_applied: whether it is in force.
+        is_kept: whether it was written to the file of the configuration.
         time: when it was applied, in seconds since the epoch.
         robot: the configuration itself, to be applied again.
 
@@ -65,11 +66,13 @@ class ConfigurationChange:
     differences: tuple[str, ...] = ()
     connections: tuple[ConnectionEffect, ...] = ()
     is_applied: bool = False
+    is_kept: bool = False
     time: float = 0.0
     robot: Robot | None = field(default=None, eq=False, repr=False)
 
     def __str__(self) -> str:
         state = "applied" if self.is_applied else "not applied"
+        state += " and kept" if self.is_kept else ""
         lines = [f"revision {self.revision}, {state}"]
         lines += [f"  {line}" for line in self.differences] or ["  nothing is different"]
         lines += [f"  connection {one}" for one in self.connections]

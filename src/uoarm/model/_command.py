@@ -189,7 +189,7 @@ class StopReport:
         return all(one.stopped for one in self.inputs)
 
     def __str__(self) -> str:
-        held = f"commands are refused since {self.since:.3f} s"
+        held = f"commands have been refused for {self.since:.3f} s"
         lines = [held, *(str(one) for one in self.inputs or ("nothing open moves",))]
         if self.unkept:
             lines.append(f"NOT STOPPED AFTER A RESTART  {self.unkept}")

@@ -225,6 +225,9 @@ class Need:
         exclude: plugins or bridges that provide nothing here.
         unfed: patterns of inputs that may stay without a feed.
         from_application: patterns of inputs that no function feeds: the application sends to them.
+        mapping: where fields of its inputs come from that no proof finds, as in `map`; for inputs
+            that have those fields.
+        options: settings of its ports, for the bridge, over those that discovery found.
         refuse_ambiguous: whether none is taken of several that differ in nothing but their names.
     """
 
@@ -240,6 +243,8 @@ class Need:
     exclude: tuple[str, ...] = ()
     unfed: tuple[str, ...] = ()
     from_application: tuple[str, ...] = ()
+    mapping: Options = field(factory=dict, hash=False)
+    options: Options = field(factory=dict, hash=False)
     refuse_ambiguous: bool = False
 
 

@@ -26,6 +26,7 @@ class Op(Enum):
     RESUME = "Resume"
     CONFIGURE = "Configure"
     STOP = "Stop"
+    DISCOVER = "Discover"
 
 
 @frozen

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from attrs import frozen
+from attrs import field, frozen
 
 from uoarm.model._component import Endpoint
 from uoarm.model._structure import MessageStructure
@@ -20,6 +20,10 @@ class FoundPort:
         request: that of a service's request.
         reply: that of its reply.
         used_by: components of the configuration that have this endpoint.
+        rate: messages a second that come out of it: as measured while the robot has it open, else
+            as the framework states it; None where nobody knows. Findings that differ in rates
+            only are equal.
+        is_measured: whether the rate was.
     """
 
     endpoint: Endpoint
@@ -27,12 +31,16 @@ class FoundPort:
     request: MessageStructure | None = None
     reply: MessageStructure | None = None
     used_by: tuple[str, ...] = ()
+    rate: float | None = field(default=None, eq=False)
+    is_measured: bool = field(default=False, eq=False)
 
     def __str__(self) -> str:
         one = self.endpoint
         told = f"{one.role.value:<7} {', '.join(one.address)}"
         if self.message is None and self.request is None:
             told += "  (structure unknown)"
+        if self.rate is not None:
+            told += f"  {self.rate:.3g} a second" + ("" if self.is_measured else ", as stated")
         return told + (f"  used by {', '.join(self.used_by)}" if self.used_by else "")
 
 

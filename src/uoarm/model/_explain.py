@@ -104,7 +104,9 @@ def tell_reason(reason: Reason) -> list[str]:
 def tell_status(status: Mapping[str, Any]) -> str:
     """Return a status map, as data or as JSON has it, as one table for each kind of thing."""
     held = status.get("held")
-    lines = [] if held is None else [f"commands are refused since {held:.3f} s, until a release"]
+    lines = (
+        [] if held is None else [f"commands have been refused for {held:.3f} s, until a release"]
+    )
     for name, columns in _COLUMNS.items():
         found = _OF_CHANNELS[name](status) if name in _OF_CHANNELS else status.get(name, ())
         rows = [[_shown(one.get(column), column) for column in columns] for one in found]

@@ -95,6 +95,7 @@ class Robot:
         hosts: where hosts on other machines join; None where there are none.
         offers: the functions that are offered in frameworks.
         lock: how requests are held to the `robot.lock` beside the file; None: they are not.
+        text: the YAML that it was read from, empty when it was built in memory.
     """
 
     bridges: Mapping[str, BridgeSpec] = field(hash=False)
@@ -106,6 +107,7 @@ class Robot:
     hosts: Listening | None = None
     offers: tuple[Offer, ...] = ()
     lock: LockMode | None = None
+    text: str = field(default="", eq=False, repr=False)
 
     def components(self) -> Iterator[Component]:
         """Yield every component, in the order of the file."""

@@ -165,6 +165,9 @@ class RouteStatus:
         last_error: text of the last failure on this route.
         native: the framework moves the messages itself; nothing is counted here.
         facts: what the framework knows of a native link, by name.
+        copies: those of `received` that another route out of the same output got as well, such as
+            that of a candidate which serves until a better one beside it takes over. Over all
+            routes, what was sent and the copies are what was received or lost.
     """
 
     producer: str
@@ -178,6 +181,7 @@ class RouteStatus:
     last_error: str = ""
     native: bool = False
     facts: tuple[tuple[str, object], ...] = ()
+    copies: int = 0
 
 
 @frozen

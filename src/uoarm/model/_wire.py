@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from enum import Enum
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import attrs
 
@@ -22,6 +22,7 @@ T = TypeVar("T")
 _MAX_CAUSES = 50
 _MAX_DEPTH = 200
 _SHOWN = 5
+_LEAVES = frozenset({str, int, float, bool, type(None)})
 _CUT = Reason("its own causes lie too deep to be written down")
 
 
@@ -55,6 +56,12 @@ def from_json(data: Any, kind: type[T]) -> T:
 
 
 def _plain(value: Any, causes: int) -> Any:
+    # Most values of an endpoint or a structure are these: the rest asks much longer.
+    kind = type(value)
+    if kind in _LEAVES:
+        return value
+    if kind is dict:
+        return {str(key): _plain(one, causes) for key, one in value.items()}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, MessageStructure):
@@ -63,14 +70,20 @@ def _plain(value: Any, causes: int) -> Any:
         causes -= 1
         if causes <= 0 and value.because_of:
             value = attrs.evolve(value, reasons=(*value.reasons, _CUT), because_of=())
-    if attrs.has(type(value)):
-        fields = attrs.fields(type(value))
-        return {one.name: _plain(getattr(value, one.name), causes) for one in fields}
+    names = _field_names(cast(Hashable, kind))
+    if names is not None:
+        return {name: _plain(getattr(value, name), causes) for name in names}
     if isinstance(value, Mapping):
         return {str(key): _plain(one, causes) for key, one in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(one, causes) for one in value]
     return value
+
+
+@lru_cache(maxsize=256)
+def _field_names(kind: type) -> tuple[str, ...] | None:
+    """Return the names of an attrs class' fields, None for any other class."""
+    return tuple(one.name for one in attrs.fields(kind)) if attrs.has(kind) else None
 
 
 @cache

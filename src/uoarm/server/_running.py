@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import functools
 import signal
-import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from uoarm._control import RobotManager
+from uoarm._deadlines import result_within
+from uoarm._switch_interval import short_switch_interval
 from uoarm.server._server import Server
 from uoarm.server._settings import Settings
 from uoarm.server.front_end import FrontEnd
@@ -21,8 +22,8 @@ from uoarm.server.http import NoRoomError
 __all__ = ["run", "serve_in_thread"]
 
 _START_SECONDS = 10.0
-# Decoders, encoders and checks of messages keep the interpreter's lock as long as they may.
-_SWITCH_SECONDS = 0.0005
+_END_SECONDS = 10.0
+_LATE = "the server does not listen: its start takes too long"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -36,7 +37,8 @@ def run(
     """Serve until SIGTERM or Ctrl-C, then close properly. Only in the main thread.
 
     Meanwhile threads of this process that compute have turns of 0.5 ms instead of 5 ms, so that
-    the loop waits less for them (`sys.setswitchinterval`).
+    the loop waits less for them (`sys.setswitchinterval`). `UOARM_SWITCH_INTERVAL` says another
+    number of milliseconds.
 
     Args:
         robot: the manager; it stays open.
@@ -46,15 +48,12 @@ def run(
 
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
+        UsageError: `UOARM_SWITCH_INTERVAL` is no such number.
         OSError: a port is taken.
     """
-    server = Server(robot, settings, front_ends)
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_SECONDS)
-    try:
+    with short_switch_interval():
+        server = Server(robot, settings, front_ends)
         _run_loop(_new_loop(), _until_signal(server, ready))
-    finally:
-        sys.setswitchinterval(before)
 
 
 @contextmanager
@@ -71,6 +70,7 @@ def serve_in_thread(
     Raises:
         ConfigurationError: the settings are not safe, or a file of theirs has mistakes.
         OSError: a port is taken.
+        TimeoutError: it does not listen after ten seconds; nothing is left open.
     """
     server = Server(robot, settings, front_ends)
     loop = _new_loop()
@@ -80,7 +80,10 @@ def serve_in_thread(
 
     async def serve() -> None:
         try:
-            await server.start()
+            await result_within(_START_SECONDS, server.start())
+        except asyncio.TimeoutError:  # CPython 3.10 has one of its own
+            failures.append(TimeoutError(_LATE))
+            return
         except BaseException as error:  # noqa: BLE001 - raised again in the thread that waits
             failures.append(error)
             return
@@ -93,14 +96,16 @@ def serve_in_thread(
     thread = threading.Thread(target=work, name="uoarm-serve", daemon=True)
     thread.start()
     try:
-        started.wait(_START_SECONDS)
+        # Twice as long as the start has: a front end that hangs keeps the loop from ending it.
+        if not started.wait(2 * _START_SECONDS):
+            raise TimeoutError(_LATE)
         if failures:
             raise failures[0]
         yield server
     finally:
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(stop.set)
-        thread.join(settings.limits.stop_seconds + _START_SECONDS)
+        thread.join(settings.limits.stop_seconds + _END_SECONDS)
 
 
 async def _until_signal(server: Server, ready: Callable[[Server], None] | None) -> None:
@@ -115,6 +120,9 @@ async def _until_signal(server: Server, ready: Callable[[Server], None] | None) 
         await stop.wait()
     finally:
         await server.stop()
+        # Closing the loop closes where signals are told to it before it stops hearing of them:
+        # another one in between would be shown as an exception.
+        signal.set_wakeup_fd(-1)
 
 
 def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) -> None:
@@ -126,7 +134,7 @@ def _run_loop(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, None]) 
         for task in left:
             task.cancel()
         if left:
-            loop.run_until_complete(asyncio.wait(left))
+            loop.run_until_complete(asyncio.wait(left, timeout=_END_SECONDS))
         loop.run_until_complete(loop.shutdown_asyncgens())
         loop.close()
 

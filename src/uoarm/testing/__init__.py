@@ -9,10 +9,11 @@ from uoarm.testing._clock import ManualClock
 from uoarm.testing._collector import Background, Collector
 from uoarm.testing._faults import Hang, hanging, lying, raising
 from uoarm.testing._instances import find_instance, instances
-from uoarm.testing._losses import losses
+from uoarm.testing._losses import copies, losses
 from uoarm.testing._memory import MemoryBridge
 from uoarm.testing._memory_components import Emitter, Loop, Service, Taker
 from uoarm.testing._patience import patience, slowness, wait
+from uoarm.testing._ports import free_port
 from uoarm.testing._same import plain, same
 from uoarm.testing._script import Script
 
@@ -28,7 +29,9 @@ __all__ = [
     "Script",
     "Service",
     "Taker",
+    "copies",
     "find_instance",
+    "free_port",
     "hanging",
     "instances",
     "losses",

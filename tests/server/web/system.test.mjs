@@ -52,6 +52,16 @@ test("who raises is marked with its exception, and no neighbour is", () => {
   assert.deepEqual([application.health, application.data.error], ["degraded", "its callback f raised OSError"]);
 });
 
+test("who only takes messages, and who only sends them, shows how many", () => {
+  const functions = [{ name: "drive", description: "", components: [{ name: "wheels", bridge: "ros", priority: 1 }] }];
+  const status = { ...NOTHING, components: [component("wheels", "drive", ["c2"])],
+    connections: [{ id: "c2", function: "drive", state: "running", components: ["wheels"], cause: "" }],
+    routes: [route("c2", "wheels.default", { dropped: [["queue-full", 3]] })] };
+  const { functions: [{ rows: [wheels] }], connections: [application] } = join(functions, status);
+  assert.deepEqual([wheels.rate, wheels.age, wheels.lost], [10, 0.1, 0]);
+  assert.deepEqual([application.rate, application.age, application.lost], [10, 0.1, 3]);
+});
+
 test("edges flow where messages flow, and are wished for elsewhere", () => {
   const running = join(FUNCTIONS, STATUS);
   const edges = makeEdges(running, makeCards(running, running.functions, all));

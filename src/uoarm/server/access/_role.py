@@ -23,7 +23,8 @@ class Operation(Enum):
     SEE names functions and their status, REQUEST opens and receives, SEND publishes to an input,
     CALL calls a service, KILL ends what other clients hold. One's own connections may always be
     killed. CONFIGURE changes the configuration, which can name any code: it is of no function, so
-    that only the pattern `*` gives it, and nobody has it without an access file. STOP stops
+    that only the pattern `*` gives it, and nobody has it without an access file. KEEP is the same
+    for writing it to the robot's file, beside CONFIGURE. STOP stops
     whatever moves and RELEASE lets commands through again; both are of no function, too.
     """
 
@@ -33,8 +34,14 @@ class Operation(Enum):
     CALL = "call"
     KILL = "kill"
     CONFIGURE = "configure"
+    KEEP = "keep"
     STOP = "stop"
     RELEASE = "release"
+
+
+_OF_NO_FUNCTION = frozenset(
+    {Operation.CONFIGURE, Operation.KEEP, Operation.STOP, Operation.RELEASE}
+)
 
 
 @frozen
@@ -56,7 +63,14 @@ class Role:
     def require(self, operation: Operation, function: str) -> None:
         """Raise DeniedError when an operation on a function is not allowed."""
         if not self.allows(operation, function):
-            raise DeniedError(f"role {self.name!r} may not {operation.value} {function[:100]!r}")
+            what = "" if operation in _OF_NO_FUNCTION else f" {function[:100]!r}"
+            hint = ": that takes a role of an access file (serve --access)"
+            raise DeniedError(
+                f"role {self.name!r} may not {operation.value}{what}"
+                f"{hint if self is EVERYTHING else ''}"
+            )
 
 
-EVERYTHING = Role("local", dict.fromkeys(set(Operation) - {Operation.CONFIGURE}, ("*",)))
+EVERYTHING = Role(
+    "local", dict.fromkeys(set(Operation) - {Operation.CONFIGURE, Operation.KEEP}, ("*",))
+)

@@ -31,6 +31,7 @@ from uoarm.model import (
 from uoarm.server._failures import LimitError, UnknownError, code_of, without_frames
 from uoarm.server.access import Operation
 from uoarm.server.session._client import Client
+from uoarm.server.session._discoveries import Discoveries
 from uoarm.server.session._session_store import ReplyCache, SessionStore
 from uoarm.server.session._view import list_functions, show_plan, visible_status
 from uoarm.server.streams import Charge, ClientStreams, FeedRegistry, Held, feed_key, read_message
@@ -66,6 +67,7 @@ class NativeSession:
             LeaseHolder(f"session {client.identity}", client.role.name),
             lambda connection, error: self._fail(None, connection, error),
         )
+        self._discoveries = Discoveries(registry)
         self._stops: set[asyncio.Task[None]] = set()
         self._tasks: dict[asyncio.Task[None], Op] = {}
         self._quick: Mapping[Op, Callable[[ControlMessage], None]] = {
@@ -81,6 +83,7 @@ class NativeSession:
             Op.CALL: self._call,
             Op.RESOLVE: self._resolve,
             Op.CONFIGURE: self._configure,
+            Op.DISCOVER: self._discover,
         }
         self._tell({"op": "Status", "type": "hello", "jsonMessage": self._hello()})
 
@@ -211,10 +214,23 @@ class NativeSession:
         self._client.require(Operation.CONFIGURE, "*")
         wanted = asked.jsonMessage
         if wanted is None:
-            self._reply(asked, {"revisions": _told(self._registry.robot.history())})
+            robot = self._registry.robot
+            revisions, text = _told(robot.history()), robot.config.text
+            self._reply(asked, {"revisions": revisions, "configuration": text})
             return
+        if wanted.get("keep"):
+            self._client.require(Operation.KEEP, "*")
         changed = await self._registry.configure(wanted)
         self._reply(asked, _told((changed,))[0])
+
+    async def _discover(self, asked: ControlMessage) -> None:
+        take = (asked.jsonMessage or {}).get("take")
+        if take is None:
+            self._client.require(Operation.SEE, "*")  # what no function has is of no pattern
+            self._reply(asked, {"bridges": await self._discoveries.look()})
+            return
+        self._client.require(Operation.CONFIGURE, "*")
+        self._reply(asked, await self._discoveries.take(take["bridge"], take["component"]))
 
     def _stop(self, asked: ControlMessage) -> None:
         """Stop beside whatever else is under way; it counts for no limit of calls."""

@@ -86,13 +86,20 @@ export class Robot {
   call<T = Message>(name: string, message: Message, options?: { timeout?: number }): Promise<T>;
   functions(): Promise<FunctionInfo[]>;
   resolve(name: string): Promise<{ plan: Record<string, unknown>; text: string }>;
+  discover(): Promise<Record<string, unknown>[]>;
   configure(
     text: string,
-    options?: { dry_run?: boolean; force?: boolean; revision?: number },
+    options?: {
+      dry_run?: boolean;
+      force?: boolean;
+      keep?: boolean;
+      reload_code?: boolean;
+      revision?: number;
+    },
   ): Promise<Record<string, unknown>>;
   rollback(
     to: number,
-    options?: { dry_run?: boolean; force?: boolean; revision?: number },
+    options?: { dry_run?: boolean; force?: boolean; keep?: boolean; revision?: number },
   ): Promise<Record<string, unknown>>;
   stopAll(): Promise<Record<string, unknown>>;
   release(): Promise<void>;

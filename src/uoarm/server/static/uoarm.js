@@ -217,12 +217,17 @@ export class Robot {
     return (await this.#ask({ op: "List" })).functions;
   }
 
+  /** What each bridge sees now, and plugins without a bridge; needs `see` for all. */
+  async discover() {
+    return (await this.#ask({ op: "Discover" })).bridges;
+  }
+
   /** The plan of a function: data, and text for people. */
   async resolve(name) {
     return this.#ask({ op: "Resolve", type: name });
   }
 
-  /** Change the configuration to this YAML: `dry_run`, `force`, `revision`; needs `configure`. */
+  /** Change the configuration to this YAML: `dry_run`, `force`, `keep`, `reload_code`, `revision`. */
   async configure(text, options = {}) {
     return this.#ask({ op: "Configure", jsonMessage: { text, ...options } });
   }

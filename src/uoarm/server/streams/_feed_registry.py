@@ -252,19 +252,21 @@ class FeedRegistry:
 
         Args:
             options: `text`, the whole configuration, or `rollback`, a revision; and `dry_run`,
-                `force` and `revision`, as `RobotManager.apply` has them.
+                `force`, `revision`, `keep` and `reload_code`, as `RobotManager.apply` has them.
 
         Raises:
             UoarmError: as `RobotManager.apply`, and BusyError.
         """
         robot = self.robot
-        how = {name: options[name] for name in ("dry_run", "force", "revision") if name in options}
+        told = ("dry_run", "force", "revision", "keep")
+        how = {name: options[name] for name in told if name in options}
 
         def apply() -> ConfigurationChange:
             if "rollback" in options:
                 return robot.rollback(options["rollback"], **how)
             wanted = loads(options["text"], robot.config.origin, robot.registry.types)
-            return robot.apply(wanted, **how)
+            reload_code = options.get("reload_code", False)
+            return robot.apply(wanted, **how, reload_code=reload_code)
 
         return await self.workers.start(apply)
 

@@ -33,6 +33,7 @@ class LoopMailbox:
                 self._loop.call_soon_threadsafe(self._run)
             except RuntimeError:  # the loop is closed: nobody is left to notify
                 self._actions.clear()
+                self._woken = False
 
     def _run(self) -> None:
         self._woken = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 import sys
 import time
@@ -69,8 +70,9 @@ class Outbox:
     """Frames for one client, all in the loop's thread.
 
     A reply never waits behind data, save for what is being written. Streams take
-    turns. When too much waits the oldest of the fullest stream is dropped and counted, but not the
-    only message of a stream as long as there is room for it. Replies and the last messages of
+    turns, also between the pieces of a message: after each of them one message of another stream
+    may pass. When too much waits the oldest of the fullest stream is dropped and counted, but not
+    the only message of a stream as long as there is room for it. Replies and the last messages of
     streams are never dropped: with too many of them `overflowed` is set, and the client must be cut
     off. `dropped` counts the data messages that were lost here.
 
@@ -98,6 +100,8 @@ class Outbox:
         self._replies: deque[tuple[bytes, bool]] = deque()
         self._turns: deque[Lane] = deque()
         self._pieces: deque[tuple[bytes, bool]] = deque()
+        self._in_pieces: Lane | None = None
+        self._may_pass = False
         self._bytes = 0
         self._last_bytes = 0
         self._reply_bytes = 0
@@ -141,7 +145,8 @@ class Outbox:
     def put(self, lane: Lane, *frames: bytes) -> None:
         """Add one data message of a stream, dropping older ones as its policy says.
 
-        Several frames are the pieces of one message: sent one after the other, or dropped whole.
+        Several frames are the pieces of one message: sent in order, or dropped whole. What the
+        stream has after it waits for the last of them.
         """
         self._add(lane, frames)
         if len(lane.waiting) > lane.length:
@@ -207,16 +212,32 @@ class Outbox:
             self._reply_bytes -= len(frame)
             held = self._replies_held
         else:
-            if not self._pieces:
-                self._begin_message()
+            passing = self._passing()
+            if passing is not None:
+                self._begin_message(passing)
+            elif not self._pieces:
+                self._in_pieces = self._turns[0]
+                self._begin_message(self._in_pieces)
             frame, text = self._pieces.popleft()
+            self._may_pass = passing is None
         self._written[held] = self._written.get(held, 0) + len(frame)
         return frame, text
 
-    def _begin_message(self) -> None:
-        lane = self._turns.popleft()
+    def _passing(self) -> Lane | None:
+        """Return the stream whose next message, in one piece, goes between those of another's."""
+        if not (self._pieces and self._may_pass):
+            return None
+        for lane in itertools.islice(self._turns, 2):  # one of them at most is in pieces itself
+            if lane is not self._in_pieces:
+                self._drop_stale(lane)
+                return lane if len(lane.waiting[0][1]) == 1 else None
+        return None
+
+    def _begin_message(self, lane: Lane) -> None:
+        self._turns.remove(lane)
         self._drop_stale(lane)
-        self._pieces.extend((piece, lane.text) for piece in self._take(lane))
+        frames = [(piece, lane.text) for piece in self._take(lane)]
+        self._pieces.extendleft(reversed(frames))
         lane.sent += 1
         if lane.waiting:
             self._turns.append(lane)

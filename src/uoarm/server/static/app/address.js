@@ -1,6 +1,6 @@
 // The page's state that is worth a link: view and selection, in the part of the address after "#". Pure.
 
-export const VIEWS = ["graph", "list", "timeline"];
+export const VIEWS = ["graph", "list", "timeline", "configuration"];
 
 /** "#/graph/function/camera/explain" as { view, kind, name, tab }. */
 export function readAddress(hash, fallback = "graph") {

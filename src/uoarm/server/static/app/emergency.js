@@ -32,7 +32,7 @@ export function Stopped({ store }) {
   const old = store.link === "open" ? "" : "Not connected: this is what was known last.";
   return html`
     <section class="stopped" aria-label="Emergency stop">
-      <p role="alert"><b>Stopped.</b> Commands are refused since ${span(held)}. ${old}</p>
+      <p role="alert"><b>Stopped.</b> Commands have been refused for ${span(held)}. ${old}</p>
       <ul>${inputs.map((one) => html`<li key=${one.name} class=${one.stopped ? "" : "bad"}>
         <b>${one.stopped ? "stopped" : "NOT STOPPED"}</b> ${one.name} (${one.of})${one.stopped ? `, ${span(one.since)} ago` : `: ${one.cause}`}</li>`)}
         ${inputs.length === 0 && html`<li>Nothing open moves.</li>`}</ul>

@@ -2,6 +2,7 @@
 
 import { render, useEffect, useMemo, useState } from "../vendor/htm-preact.js";
 import { readAddress, writeAddress } from "./address.js";
+import { Configuration } from "./configuration.js";
 import { Stopped } from "./emergency.js";
 import { Graph } from "./graph.js";
 import { List } from "./list.js";
@@ -13,6 +14,7 @@ import { Timeline } from "./timeline.js";
 import { html } from "./ui.js";
 
 const NARROW = "(max-width: 700px)";
+const NARROWED = new Set(["graph", "list"]); // by search and filter, and by what runs
 const KEPT = "uoarm.token";
 
 function App({ store }) {
@@ -30,7 +32,7 @@ function App({ store }) {
   };
   const given = { system: store.system, shown, selected, select };
   const view = useMemo(() => {
-    if (address.view === "timeline") return null;
+    if (!NARROWED.has(address.view)) return null;
     return address.view === "list" ? html`<${List} ...${given} />` : html`<${Graph} ...${given} />`;
   }, [store.system, shown, selected, address.view, address.tab]);
 
@@ -42,9 +44,11 @@ function App({ store }) {
         ? html`<${Lock} tried=${store.wire.token !== ""} unlock=${(token) => unlock(store, token)} />`
         : html`
           <div class="view">
-            ${address.view !== "timeline" && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
-            ${view ?? html`<${Timeline} events=${store.events} since=${store.since} query=${query}
+            ${NARROWED.has(address.view) && html`<${Summary} system=${store.system} filter=${filter} setFilter=${setFilter} />`}
+            ${address.view === "configuration" && html`<${Configuration} store=${store} query=${query} />`}
+            ${address.view === "timeline" && html`<${Timeline} events=${store.events} since=${store.since} query=${query}
               owners=${store.owners} open=${follow} />`}
+            ${view}
           </div>
           ${selected && html`<${Panel} store=${store} address=${address} close=${() => close(address, go)} />`}`}
     </main>`;

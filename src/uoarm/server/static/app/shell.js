@@ -7,7 +7,7 @@ import { noun } from "./format.js";
 import { html, Icon } from "./ui.js";
 
 const LINKS = { open: "live", opening: "connecting", closed: "reconnecting", locked: "locked" };
-const NAMES = { graph: "Graph", list: "List", timeline: "Timeline" };
+const NAMES = { graph: "Graph", list: "List", timeline: "Timeline", configuration: "Configuration" };
 
 export function Header({ store, address, query, setQuery }) {
   const input = useRef(null);

@@ -33,15 +33,15 @@ export function join(functions, status, events = []) {
   const from = groupBy(routes, (one) => one.from);
   const to = groupBy(routes, (one) => one.to);
   return {
-    functions: functions.map((one) => withRows(one, open, from, deaths)),
-    connections: status.connections.map((one) => withFlow(one, to.get(one.id) ?? [])),
+    functions: functions.map((one) => withRows(one, open, { from, to }, deaths)),
+    connections: status.connections.map((one) => withFlow(one, to.get(one.id) ?? from.get(one.id) ?? [])),
     bridges: status.bridges.map((one) => ({ ...one })),
     machines: status.machines.map((one) => ({ ...one, health: one.present ? "ok" : "lost" })),
     routes,
   };
 }
 
-function withRows(described, open, from, deaths) {
+function withRows(described, open, routes, deaths) {
   const rows = described.components.map((one) => {
     const live = open.get(one.name);
     const died = deaths.get(`component ${one.name}`);
@@ -49,7 +49,7 @@ function withRows(described, open, from, deaths) {
     const cause = live?.cause || (live ? "" : died?.cause) || "";
     const users = live?.users ?? [];
     const own = { failed: live?.failed ?? 0, error: live?.last_error ?? "", commands: commandsOf(live) };
-    return { ...one, open: Boolean(live), health, cause, users, ...flow(from.get(one.name) ?? []), ...own };
+    return { ...one, open: Boolean(live), health, cause, users, ...flowOf(one.name, routes), ...own };
   });
   return { ...described, rows, health: worst(rows.map((one) => one.health)) };
 }
@@ -65,6 +65,12 @@ function withFlow(connection, routes) {
   const failed = sum(routes.map(raised));
   const error = routes.find(raised)?.last_error ?? "";
   return { ...connection, ...flow(routes), failed, error };
+}
+
+/** What a component gives; of one that gives nothing, what it takes, whose losses are its producers'. */
+function flowOf(name, { from, to }) {
+  if (from.has(name)) return flow(from.get(name));
+  return { ...flow(to.get(name) ?? []), lost: 0, invalid: 0 };
 }
 
 function flow(routes) {

@@ -1,0 +1,211 @@
+"""Writing a configuration over another: only the lines of what is different change."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from attrs import evolve, frozen
+
+from uoarm._yaml import Document, Path, read
+from uoarm.config._load import loads
+from uoarm.errors import ConfigurationError
+from uoarm.model import Robot
+
+__all__ = ["is_same", "rewrite"]
+
+_COMMENT = re.compile(r"(?:^|\s)(#.*)$")
+
+
+@frozen
+class _Entry:
+    """The lines of one key with its value, or of one item of a list; from 0, the end excluded.
+
+    Comments and empty lines after the last line of the value are not of the entry.
+    """
+
+    path: Path
+    first: int
+    end: int
+    column: int
+
+
+@frozen
+class _Edit:
+    """Lines that take the place of others; where `first` is `end`, they are inserted there."""
+
+    first: int
+    end: int
+    lines: tuple[str, ...]
+
+
+class _Text:
+    """A configuration's text, and where in it everything stands."""
+
+    def __init__(self, text: str) -> None:
+        self.lines = text.splitlines()
+        self.document: Document = read(text)
+        whole = _Entry((), 0, len(self.lines), 0)
+        self.root = evolve(whole, end=self._without_tail(0, len(self.lines)))
+
+    def value(self, path: Path) -> Any:
+        found: Any = self.document.value
+        for part in path:
+            found = found[part]
+        return found
+
+    def entries(self, entry: _Entry) -> list[_Entry]:
+        """Return what a mapping or a list holds, where each stands in lines of its own."""
+        value = self.value(entry.path)
+        parts = value if isinstance(value, dict) else range(len(value))
+        starts = [self._start((*entry.path, part)) for part in parts]
+        lines = [line for line, _ in starts]
+        is_inside = not entry.path or isinstance(entry.path[-1], int)  # `- name: x` begins there
+        if not lines or (lines[0] <= entry.first and not (is_inside and lines[0] == entry.first)):
+            return []
+        if lines != sorted(set(lines)) or not all(self._begins(*start) for start in starts):
+            return []
+        nexts = [*lines[1:], entry.end]
+        ends = [self._without_tail(*both) for both in zip(lines, nexts, strict=True)]
+        return [
+            _Entry((*entry.path, part), line, end, column)
+            for part, (line, column), end in zip(parts, starts, ends, strict=True)
+        ]
+
+    def moved(self, entry: _Entry, column: int) -> tuple[str, ...]:
+        """Return the lines of an entry, as they are where it begins in another column."""
+        lines = self.lines[entry.first : entry.end]
+        head = f"{' ' * column}{lines[0][entry.column :]}"
+        shift = column - entry.column
+        rest = (
+            f"{' ' * (len(one) - len(one.lstrip(' ')) + shift)}{one.lstrip(' ')}" if one else one
+            for one in lines[1:]
+        )
+        return head, *rest
+
+    def _start(self, path: Path) -> tuple[int, int]:
+        if not isinstance(path[-1], int):
+            place = self.document.key_place(path)
+            return place.line - 1, place.column - 1
+        place = self.document.place(path)
+        line = self.lines[place.line - 1]
+        return place.line - 1, line.find("-")
+
+    def _begins(self, line: int, column: int) -> bool:
+        """Say whether nothing but a dash of a list stands before an entry in its line."""
+        return column >= 0 and not self.lines[line][:column].strip(" -")
+
+    def _without_tail(self, first: int, end: int) -> int:
+        while end - 1 > first and not self.lines[end - 1].partition("#")[0].strip():
+            end -= 1
+        return end
+
+
+def rewrite(text: str, wanted: str) -> str:
+    """Return a configuration's text with what another one has.
+
+    What both have stays as it stands, its comments, order and spelling included; what is new is
+    written as in the other one, after what was there. Where the other text was made from this one,
+    which its lines and comments tell, it is returned as it is.
+
+    Args:
+        text: the configuration so far, as YAML without mistakes.
+        wanted: the other one, likewise.
+
+    Raises:
+        ConfigurationError: one has mistakes, or it cannot be done line by line.
+    """
+    robot = loads(wanted)
+    if _is_made_from(wanted, text):
+        return wanted
+    if is_same(loads(text), robot):
+        return text
+    old, new = _Text(text), _Text(wanted)
+    lines = list(old.lines)
+    edits = list(_edits(old, old.root, new, new.root))
+    for edit in sorted(edits, key=lambda one: (one.first, one.end), reverse=True):
+        lines[edit.first : edit.end] = edit.lines
+    made = "\n".join(lines) + "\n"
+    try:
+        is_made = is_same(loads(made), robot)
+    except ConfigurationError:
+        is_made = False
+    if not is_made:
+        raise ConfigurationError(
+            "the change cannot be written line by line, such as where entries share a line or "
+            "an anchor: write the file by hand and reload it"
+        )
+    return made
+
+
+def is_same(one: Robot, other: Robot) -> bool:
+    """Say whether two configurations are the same but for remarks, their file and their text."""
+    return evolve(one, warnings=other.warnings, origin=other.origin) == other
+
+
+def _is_made_from(text: str, other: str) -> bool:
+    """Say whether a text has all comments of another, and half of its lines at least."""
+    lines, others = set(text.splitlines()), set(other.splitlines())
+    return 2 * len(lines & others) >= len(others) and _comments(others) <= _comments(lines)
+
+
+def _comments(lines: Iterable[str]) -> set[str]:
+    return {found[1].strip() for found in map(_COMMENT.search, lines) if found is not None}
+
+
+def _edits(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Edit]:
+    """Yield what makes one mapping or list the other; both stand in lines of their own."""
+    mine = {_name(old, one): one for one in old.entries(entry)}
+    theirs = {_name(new, one): one for one in new.entries(other)}
+    last = None
+    for name, one in mine.items():
+        if name not in theirs:
+            yield _Edit(one.first, one.end, ())
+        elif old.value(one.path) != new.value(theirs[name].path):
+            yield from _changed(old, one, new, theirs[name])
+        last = one
+    assert last is not None, "the caller looked"
+    more = [line for name, one in theirs.items() if name not in mine
+            for line in new.moved(one, last.column)]  # fmt: skip
+    if more:
+        yield _Edit(last.end, last.end, tuple(more))
+
+
+def _changed(old: _Text, entry: _Entry, new: _Text, other: _Entry) -> Iterator[_Edit]:
+    value, wanted = old.value(entry.path), new.value(other.path)
+    if type(value) is type(wanted) and isinstance(value, dict | list):
+        mine, theirs = old.entries(entry), new.entries(other)
+        if mine and theirs and _can_be_matched(old, mine, new, theirs):
+            yield from _edits(old, entry, new, other)
+            return
+    lines = new.moved(other, entry.column)
+    before = old.lines[entry.first : entry.end]
+    kept = _COMMENT.search(before[0])
+    if len(before) == len(lines) == 1 and kept is not None and not _COMMENT.search(lines[0]):
+        lines = (f"{lines[0]}  {kept[1]}",)
+    yield _Edit(entry.first, entry.end, lines)
+
+
+def _can_be_matched(
+    old: _Text, mine: Sequence[_Entry], new: _Text, theirs: Sequence[_Entry]
+) -> bool:
+    """Say whether items of lists have names of their own, and those of both the same order."""
+    if not isinstance(mine[0].path[-1], int):
+        return True
+    names = [_name(old, one) for one in mine]
+    others = [_name(new, one) for one in theirs]
+    if None in {*names, *others}:
+        return False
+    common = [one for one in names if one in others]
+    shared = [one for one in others if one in names]
+    return common == shared == others[: len(set(common))]
+
+
+def _name(text: _Text, entry: _Entry) -> object:
+    """Return the key of an entry, or the name that an item of a list has."""
+    part = entry.path[-1]
+    if not isinstance(part, int):
+        return part
+    value = text.value(entry.path)
+    return value.get("name") if isinstance(value, dict) else None

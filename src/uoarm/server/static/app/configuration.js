@@ -1,0 +1,150 @@
+// The configuration: what frameworks show, and the file's text, tried before it is applied.
+
+import { useEffect, useRef, useState } from "../vendor/htm-preact.js";
+import { noun } from "./format.js";
+import { Facts, Framework, html, Notice } from "./ui.js";
+
+const EVERY = 2000;
+
+/** What a search leaves of the bridges: whole ones by their name, else their components. Pure. */
+export function narrowed(bridges, query) {
+  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
+  const has = (...texts) => words.every((word) => texts.join(" ").toLowerCase().includes(word));
+  return bridges.map((one) => (has(one.bridge, one.plugin) ? one
+    : { ...one, components: one.components.filter((each) => has(one.bridge, one.plugin, each.name, each.detail)) }))
+    .filter((one) => words.length === 0 || one.components.length > 0 || has(one.bridge, one.plugin));
+}
+
+/** Whether something of a component is in no function yet. Pure. */
+export const isFree = (component) => component.ports.some((one) => one.used_by.length === 0);
+
+/** Args: the store, and what is searched. */
+export function Configuration({ store, query }) {
+  const [bridges, setBridges] = useState(null);
+  const [trouble, setTrouble] = useState("");
+  const [edited, setEdited] = useState(null);
+  const editor = useRef(null);
+  useEffect(() => {
+    let over = false;
+    let timer;
+    const look = async () => {
+      try {
+        const told = await store.wire.ask("Discover");
+        if (over) return;
+        setBridges(told.bridges);
+        setTrouble("");
+      } catch (error) {
+        if (!over) setTrouble(error.message);
+      }
+      if (!over) timer = setTimeout(look, EVERY);
+    };
+    look();
+    return () => {
+      over = true;
+      clearTimeout(timer);
+    };
+  }, []);
+  const take = async (bridge, component) => {
+    try {
+      const { text } = await store.wire.ask("Discover", "", { take: { bridge, component } });
+      setEdited(text);
+      editor.current?.scrollIntoView({ block: "nearest" });
+    } catch (error) {
+      setTrouble(error.message);
+    }
+  };
+  return html`
+    <section class="configuration" aria-label="Configuration">
+      <h2>What frameworks show</h2>
+      ${trouble && html`<${Notice} kind="bad" title="Not shown">${trouble}</${Notice}>`}
+      ${bridges && html`<ul class="found">${narrowed(bridges, query).map((one) => html`
+        <${Bridge} key=${`${one.bridge} ${one.plugin}`} of=${one} take=${take} />`)}</ul>`}
+      <div ref=${editor}><${Editor} store=${store} given=${edited} /></div>
+    </section>`;
+}
+
+function Bridge({ of, take }) {
+  const state = !of.configured ? "not configured" : of.cause ? `not reachable: ${of.cause}` : "reachable";
+  const ports = of.components.reduce((sum, one) => sum + one.ports.length + one.more, 0);
+  const count = `${of.components.length} ${noun(of.components.length, "component")}, ${ports} ${noun(ports, "port")}`;
+  return html`
+    <li class="found-bridge">
+      <h3><${Framework} name=${of.bridge || of.plugin} /> <span class="quiet">${of.plugin}</span> <b>${state}</b>
+        ${of.configured && !of.cause && html`<span class="quiet">${count}</span>`}</h3>
+      <details><summary>What is installed</summary><${Facts} of=${Object.entries(of.facts)} /></details>
+      <ul>${of.components.map((one) => html`<li key=${one.name} class="found-component">
+        <b>${one.name}</b> <span class="quiet">${one.detail}</span>
+        ${isFree(one) && html`<button type="button" class="button" onClick=${() => take(of.bridge, one.name)}>Take
+          <span class="hidden"> ${one.name} into a function</span></button>`}
+        <ul>${one.ports.map((port) => html`<li key=${`${port.role} ${port.address.join(" ")}`}>${port.role} ${port.address.join(", ")}
+          ${!port.known && " (structure unknown)"}${port.rate !== null && `, ${port.rate.toPrecision(3)} a second${port.measured ? "" : ", as stated"}`}${port.used_by.length > 0 && `, used by ${port.used_by.join(", ")}`}</li>`)}</ul>
+        ${one.more > 0 && html`<p>and ${one.more} ports more</p>`}</li>`)}</ul>
+      ${of.more > 0 && html`<p>and ${of.more} components more</p>`}
+      ${of.left_out > 0 && html`<p>and ${of.left_out} ports beyond the limit</p>`}
+    </li>`;
+}
+
+/** The text in force, or one with something taken into it: first tried, then applied. */
+function Editor({ store, given }) {
+  const [text, setText] = useState("");
+  const [revision, setRevision] = useState(null);
+  const [tried, setTried] = useState(null); // the text that was looked at, and what would happen
+  const [keep, setKeep] = useState(false);
+  const [trouble, setTrouble] = useState("");
+  const ask = (message) => store.wire.ask("Configure", "", message);
+  const load = async () => {
+    try {
+      const told = await store.wire.ask("Configure");
+      setText(told.configuration);
+      setRevision(told.revisions.at(-1).revision);
+      setTrouble("");
+    } catch (error) {
+      setTrouble(error.message);
+    }
+  };
+  const look = async (wanted) => {
+    setTried(null);
+    try {
+      const told = await store.wire.ask("Configure");
+      setRevision(told.revisions.at(-1).revision);
+      setTried({ text: wanted, told: (await ask({ text: wanted, dry_run: true })).text });
+      setTrouble("");
+    } catch (error) {
+      setTrouble(error.message);
+    }
+  };
+  const apply = async () => {
+    try {
+      const change = await ask({ text, revision, ...(keep ? { keep } : {}) });
+      setTried({ text, told: change.text, done: true });
+      setRevision(change.revision);
+      setTrouble("");
+      await store.refresh();
+    } catch (error) {
+      setTried(null);
+      setTrouble(error.message);
+    }
+  };
+  useEffect(() => { // what is being edited stays when the connection comes back
+    if (store.link === "open" && revision === null) load();
+  }, [store.link, revision]);
+  useEffect(() => {
+    if (given === null) return;
+    setText(given);
+    look(given);
+  }, [given]);
+  const isTried = tried !== null && tried.text === text && !tried.done;
+  return html`
+    <h2>The configuration${revision !== null && html` <span class="quiet">revision ${revision}</span>`}</h2>
+    <label class="editor"><span class="hidden">Configuration, YAML</span>
+      <textarea spellcheck=${false} rows="24" value=${text} onInput=${(event) => setText(event.target.value)}></textarea></label>
+    <p class="editor-tools">
+      <button type="button" class="button main" onClick=${() => look(text)}>Show what would happen</button>
+      <button type="button" class="button" disabled=${!isTried} onClick=${apply}>Apply</button>
+      <label><input type="checkbox" checked=${keep} onChange=${(event) => setKeep(event.target.checked)} />
+        write it to the robot's file</label>
+      <button type="button" class="button" onClick=${load}>Read again</button>
+    </p>
+    ${tried && html`<${Notice} title=${tried.done ? "Done" : "What would happen"}><pre>${tried.told}</pre></${Notice}>`}
+    ${trouble && html`<${Notice} kind="bad" title="Refused"><pre>${trouble}</pre></${Notice}>`}`;
+}

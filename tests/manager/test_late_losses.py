@@ -1,0 +1,129 @@
+"""What is lost as a component is let go, or a moment later, in a thread that was under way."""
+
+from __future__ import annotations
+
+from uoarm import RobotManager
+from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.emergency_stop import EmergencyStop
+from uoarm._control.live.failure_watch import FailureWatch
+from uoarm._control.live.losses import LossAccount
+from uoarm._dataplane import Outlet, Route
+from uoarm.bridge import Bridge, Sink, Source
+from uoarm.config import loads
+from uoarm.model import Deliver, Endpoint, FailureLimits, MessageStructure, RouteStatus, Step
+from uoarm.testing import ManualClock, MemoryBridge, losses
+
+ROBOT = """
+version: 1
+bridges: {one: {plugin: memory}}
+functions:
+  found:
+    components:
+      - name: finder
+        bridge: one
+        input: {endpoint: [finder]}
+        output: {endpoint: [finder]}
+"""
+
+
+class Calls(Bridge):
+    """A framework that answers a message as its input is closed, and goes on calling back."""
+
+    def __init__(self) -> None:
+        super().__init__("one", {})
+        self.deliver: Deliver = lambda _: None
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        self.deliver = deliver
+        return Source(endpoint, lambda: None)
+
+    def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
+        return Sink(endpoint, lambda _: None, lambda: self.deliver("answer"))
+
+    def _close(self) -> None:
+        pass
+
+
+class Ended:
+    """A route that has ended, and drops another message each time somebody looks."""
+
+    dropped = 0
+
+    def status(self) -> RouteStatus:
+        self.dropped += 1
+        return RouteStatus("p.out", "c.in", self.dropped, 0, (("closed", self.dropped),))
+
+
+def finder(bridge: Bridge) -> LiveComponent:
+    memory = MemoryBridge("one", {})
+    memory.loop("finder", {"type": "integer"})
+    with RobotManager(loads(ROBOT), bridges={"one": memory}) as robot:
+        (step,) = robot.resolve("found").steps
+    return _live(step, bridge)
+
+
+def _live(step: Step, bridge: Bridge) -> LiveComponent:
+    clock = ManualClock()
+    failures = FailureWatch("finder", FailureLimits(), clock, lambda *_: None)
+    return LiveComponent(step, bridge, failures, EmergencyStop(clock), lambda _: None)
+
+
+def test_what_comes_after_a_component_was_let_go_is_lost_with_it() -> None:
+    bridge, account = Calls(), LossAccount()
+    live = finder(bridge)
+    live.open_output("default")
+    gone = account.close([live])
+    account.settle(gone, ())
+    assert account.lost == 0
+    bridge.deliver("late")
+    assert account.lost == 1
+    for _ in range(20):  # so many more ends that it is looked at no longer
+        account.settle((), (Ended(),))
+    assert account.lost == 1
+    bridge.close()
+
+
+def test_an_input_is_closed_first_so_that_what_comes_of_its_messages_is_counted() -> None:
+    bridge, account, got = Calls(), LossAccount(), list[object]()
+    live = finder(bridge)
+    route = Route("finder.default", "c1", got.append, clock=ManualClock())
+    live.outlets["default"].attach(route)
+    live.open_output("default")
+    live.open_input("default", lambda: False)
+    account.settle(account.close([live]), ())
+    assert (got, account.lost) == (["answer"], 0)
+    bridge.close()
+
+
+def test_a_route_that_ended_is_looked_at_until_eight_others_have_ended() -> None:
+    account, first = LossAccount(), Ended()
+    account.settle((), (first,))
+    for _ in range(7):
+        account.settle((), (Ended(),))
+    first.dropped = 100
+    (ended,) = account.ended
+    assert dict(ended.dropped)["closed"] == 101 + 7
+    account.settle((), (Ended(),))
+    first.dropped = 1000
+    (ended,) = account.ended
+    assert dict(ended.dropped)["closed"] == 102 + 6 * 2 + 2 + 1
+
+
+def test_what_a_component_emits_while_nobody_takes_it_is_in_the_status() -> None:
+    memory = MemoryBridge("one", {})
+    memory.loop("finder", {"type": "integer"})
+    with RobotManager(loads(ROBOT), bridges={"one": memory}) as robot:
+        robot.request("found")
+        (outlet,) = _outlets(robot)
+        for route in outlet.routes:
+            outlet.detach(route)
+        assert losses(robot.status()).total() == 0
+        outlet.deliver(1)
+        assert losses(robot.status()) == {"unheard": 1}
+
+
+def _outlets(robot: RobotManager) -> list[Outlet]:
+    lives = robot._executor.live.components.values()
+    return [outlet for live in lives for outlet in live.outlets.values()]

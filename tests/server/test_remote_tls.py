@@ -1,0 +1,113 @@
+"""Commands that ask a server over TLS: what they trust, and what they say when they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from tests.server.authority import Authority
+from tests.server.conftest import Serve
+
+from uoarm.cli import main
+from uoarm.client import trust_fingerprint
+from uoarm.errors import UsageError
+from uoarm.server import Server, fingerprint_of, hash_token
+
+ACCESS = """
+version: 1
+roles:
+  driver: {{see: ["*"], stop: ["*"]}}
+tokens:
+  - {{name: tablet, role: driver, sha256: {tablet}}}
+certificates:
+  joystick.example: {{role: driver}}
+"""
+
+
+def url_of(server: Server) -> str:
+    return f"wss://127.0.0.1:{server.ports[0]}/"
+
+
+def ask(command: str, url: str, *more: object) -> tuple[int, str]:
+    result = CliRunner().invoke(main, [command, "--url", url, *map(str, more)])
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def access(tmp_path: Path) -> Path:
+    path = tmp_path / "access.yaml"
+    path.write_text(ACCESS.format(tablet=hash_token("tablet")))
+    return path
+
+
+def test_its_own_certificate_is_known_by_its_fingerprint(
+    serve: Serve, access: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    url = url_of(serve(own_certificate=True, access=access))
+    known = fingerprint_of(tmp_path / "uoarm" / "tls" / "server.pem")
+    trusted = ("--fingerprint", known, "--token", "tablet")
+    for command in ("stop", "status"):
+        assert ask(command, url, *trusted)[0] == 0
+    code, told = ask("status", url)
+    assert (code, "self-signed" in told, "--fingerprint" in told) == (4, True, True)
+    other = known.translate(str.maketrans("0123456789ABCDEF", "123456789ABCDEF0"))
+    code, told = ask("stop", url, "--fingerprint", other, "--token", "tablet")
+    assert (code, known.replace(":", "").lower() in told) == (4, True)
+    code, told = ask("status", url, "--fingerprint", known)
+    assert (code, "without a token" in told) == (4, True)
+    code, told = ask("status", url.replace("wss", "ws"))
+    assert (code, "with TLS it is wss://" in told) == (4, True)
+
+
+def test_an_authority_is_trusted_and_a_certificate_is_shown(
+    serve: Serve, tmp_path: Path, access: Path
+) -> None:
+    authority = Authority(tmp_path)
+    server = serve(
+        access=access,
+        certificate=authority.issue("server"),
+        client_authority=authority.path,
+    )
+    joystick = authority.issue("joystick.example")
+    trusted = ("--authority", authority.path, "--certificate", joystick)
+    assert ask("stop", url_of(server), *trusted, "--key", joystick)[0] == 0
+    assert ask("status", url_of(server), *trusted)[0] == 0
+    assert ask("status", url_of(server), "--certificate", joystick)[0] == 4
+    known = fingerprint_of(tmp_path / "server.pem")
+    of_one = ("--fingerprint", known, "--token", "tablet")
+    assert ask("status", url_of(server), *of_one)[0] == 0  # though it does not sign itself
+
+
+@pytest.mark.parametrize(
+    ("url", "more", "said"),
+    [
+        ("ws://127.0.0.1:1/", ("--fingerprint", "ab"), "--fingerprint is for TLS"),
+        ("wss://127.0.0.1:1/", ("--fingerprint", "ab", "--authority", __file__), "not both"),
+        ("wss://127.0.0.1:1/", ("--key", __file__), "--certificate, which is missing"),
+        ("wss://127.0.0.1:1/", ("--authority", "no such file"), "does not exist"),
+    ],
+)
+def test_options_that_do_nothing_together_are_wrong_usage(
+    url: str, more: tuple[str, ...], said: str
+) -> None:
+    code, told = ask("status", url, *more)
+    assert (code, said in told) == (2, True), told
+
+
+@pytest.mark.parametrize(
+    ("url", "fingerprint", "said"),
+    [
+        ("wss://127.0.0.1:1/", "12:34", "64 hexadecimal digits, got 12:34"),
+        ("wss://127.0.0.1:1/", "g" * 64, "64 hexadecimal digits"),
+        ("ws://127.0.0.1:1/", "a" * 64, "expected wss://"),
+        ("wss:///", "a" * 64, "expected wss://"),
+        ("wss://127.0.0.1:99999/", "a" * 64, "expected wss://"),
+    ],
+)
+def test_what_is_no_fingerprint_or_no_server_is_refused(
+    url: str, fingerprint: str, said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        trust_fingerprint(url, fingerprint)
