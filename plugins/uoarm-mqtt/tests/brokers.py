@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from uoarm_mqtt._link import ThreadedClient
 
 from uoarm.testing import patience, wait
 
@@ -92,7 +92,9 @@ class Peer:
     """Another client: paho, as an application uses it."""
 
     def __init__(self, broker: Broker, will: tuple[str, str] | None = None, **more: Any) -> None:
-        self._client = Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+        self._client = ThreadedClient(
+            CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5
+        )
         self._client.on_message = self._on_message
         self._handlers: dict[str, Callable[[Any], object]] = {}
         self._suback = threading.Event()
@@ -156,7 +158,7 @@ class Peer:
         self._client.loop_stop()
         self._client._reset_sockets()
 
-    def _on_message(self, client: Client, user: object, message: Any) -> None:
+    def _on_message(self, client: object, user: object, message: Any) -> None:
         del client, user
         for topic, handler in list(self._handlers.items()):
             if message.topic == topic or topic.endswith("#"):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from uoarm_mqtt._link import ThreadedClient
 from uoarm_mqtt._outage import Outage
 from uoarm_mqtt._subscriptions import Incoming, Receiver, Subscriptions
 
@@ -24,6 +27,28 @@ def test_what_nobody_relied_upon_is_not_lost_and_its_coming_is_news() -> None:
     outage = Outage(grace=10.0)
     assert [outage.down(now, final=True) for now in (0.0, 100.0)] == [None, None]
     assert outage.up() is Health.OK
+
+
+class Ending(ThreadedClient):
+    """Its thread is gone whenever somebody has looked whether it is there."""
+
+    _looked = False
+
+    @property
+    def _thread(self) -> threading.Thread | None:
+        thread = None if self._looked else threading.Thread(target=int)
+        if thread is not None:
+            thread.start()
+        self._looked = True
+        return thread
+
+    @_thread.setter
+    def _thread(self, _: threading.Thread | None) -> None:
+        self._looked = False
+
+
+def test_a_thread_that_ends_while_it_is_waited_for_is_no_error() -> None:
+    assert Ending(CallbackAPIVersion.VERSION2).loop_stop() is MQTTErrorCode.MQTT_ERR_SUCCESS
 
 
 def receiver(topic: str, *, retained: bool = False) -> Receiver:

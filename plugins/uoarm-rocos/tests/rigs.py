@@ -19,8 +19,8 @@ from uoarm.model import BridgeSpec, Endpoint, Health, Role
 __all__ = ["Events", "bridged", "endpoint", "running", "served", "unplugged_by"]
 
 ROLES = {"output": Role.OUTPUT, "input": Role.INPUT, "service": Role.SERVICE}
-# `describe` waits five seconds itself, and is to say what became of the device.
-QUICK = {"wait": 4.0, "backoff": [0.02, 0.1]}
+# `describe` waits as long as a test does, and is to say what became of the device before.
+QUICK = {"wait": LIMIT / 2, "backoff": [0.02, 0.1]}
 
 
 def endpoint(device: str, api: str, role: str = "output") -> Endpoint:

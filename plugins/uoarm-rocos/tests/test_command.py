@@ -20,6 +20,12 @@ from uoarm.model import MessageStructure
 ANY = MessageStructure(True)
 
 
+@pytest.mark.parametrize("words", [[], ["simulate"]])
+def test_help_cuts_no_sentence(words: list[str]) -> None:
+    shown = CliRunner().invoke(main, [*words, "--help"], terminal_width=80)
+    assert (shown.exit_code, "..." in shown.output.partition("Commands:")[2]) == (0, False)
+
+
 @contextmanager
 def simulating(*words: str) -> Iterator[str]:
     """A simulator as a process; the URL that it prints."""

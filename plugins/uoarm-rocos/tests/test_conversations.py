@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
 
 import pytest
 from lines import LIMIT, listening
@@ -26,7 +30,7 @@ from uoarm_rocos._profile import ProfileDevice
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health
-from uoarm.testing import slowness
+from uoarm.testing import slowness, wait
 
 ECHO = endpoint("robot", "echo", "service")
 ODOMETRY = endpoint("robot", "odometry")
@@ -117,20 +121,46 @@ def test_a_result_that_breaks_the_catalogue_is_an_error() -> None:
 
 
 def test_a_device_of_another_profile_says_so() -> None:
-    def script(device: Scripted) -> None:
-        asked = device.hear(Describe)
-        assert isinstance(asked, Describe)
-        assert asked.profile == 1
-        told = "this device speaks 2"
-        device.say(lambda seq: ErrorMessage(seq, asked.id, ErrorCode.PROFILE, told))
+    told = "this device speaks 2"
 
-    def call(bridge: Bridge) -> object:
+    profiles: set[int] = set()
+
+    def refuse(listener: socket.socket, over: threading.Event) -> None:
+        """Answer so each time that it is asked: whoever is silent then is given up for that."""
+        while True:
+            connection = listener.accept()[0]
+            # A bridge that is closed while it connects anew goes before it asks, or is answered.
+            with connection, suppress(OSError, AssertionError):
+                if over.is_set():
+                    return
+                device = Scripted(connection)
+                asked = device.hear(Describe)
+                assert isinstance(asked, Describe)
+                profiles.add(asked.profile)
+                device.say(partial(_refusal, asked.id, told))
+                while connection.recv(4096):  # until the bridge has read it, and gone
+                    pass
+
+    def says_so(bridge: Bridge) -> bool:
         with pytest.raises(BridgeError) as raised:
             bridge.describe(ECHO)
-        return str(raised.value)
+        return told in str(raised.value)
 
-    # It is asked once more, and silent then: three seconds later that would be the cause.
-    assert "this device speaks 2" in str(answering(script, call, wait=2.0))
+    with listening() as (listener, port), ThreadPoolExecutor(1) as pool:
+        over = threading.Event()
+        refusing = pool.submit(refuse, listener, over)
+        try:
+            with bridged(robot={"url": f"tcp://127.0.0.1:{port}", "wait": 0.5}) as (bridge, _):
+                wait(lambda: says_so(bridge))
+        finally:
+            over.set()
+            socket.create_connection(("127.0.0.1", port)).close()
+        refusing.result(LIMIT)
+    assert profiles == {1}
+
+
+def _refusal(asked: int, told: str, seq: int) -> ErrorMessage:
+    return ErrorMessage(seq, asked, ErrorCode.PROFILE, told)
 
 
 def test_the_host_numbers_what_it_says() -> None:

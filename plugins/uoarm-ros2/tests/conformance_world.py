@@ -13,7 +13,7 @@ from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.testing import slowness
+from uoarm.testing import patience, slowness
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
 KINDS = {
@@ -24,7 +24,8 @@ KINDS = {
     "echoed": "geometry_msgs/msg/PoseStamped",  # by way of a node in another process
 }
 BOUND_OCTETS = 22  # of test_msgs/msg/Strings
-WAIT_SECONDS = slowness()  # a fifth of it would do with the discovery of these tests
+# What is not there is looked for so long; what is there may be found later on a busy machine.
+WAIT_SECONDS = slowness()
 SILENT_SECONDS = 3.0
 SERVICE = "test_msgs/srv/BasicTypes"
 
@@ -54,7 +55,7 @@ class RosWorld(World):
     def pair(self, kind: str) -> Pair:
         topic, native = f"/conformance/{kind}", KINDS[kind]
         if kind == "echoed":
-            return Pair(at(Role.INPUT, "/asked", native), at(Role.OUTPUT, "/echoed", native))
+            return Pair(there(Role.INPUT, "/asked", native), there(Role.OUTPUT, "/echoed", native))
         qos = {"depth": 100}  # a burst is longer than what is kept of pictures by default
         return Pair(
             at(Role.INPUT, topic, native, peer="optional", qos=qos),
@@ -83,7 +84,7 @@ class RosWorld(World):
     def victim(self) -> Victim:
         talker = self._start("victim", **MORTAL)
         talker.do("advertise", topic="/mortal")
-        return Victim(at(Role.OUTPUT, "/mortal", "std_msgs/msg/Int64"), talker.kill)
+        return Victim(there(Role.OUTPUT, "/mortal", "std_msgs/msg/Int64"), talker.kill)
 
     def served(self) -> Served:
         mortal = self._start("failing", **MORTAL)
@@ -92,7 +93,7 @@ class RosWorld(World):
         request = {**default_of(native.Request), "int64_value": 2**62, "string_value": "abc"}
         reply = {**default_of(native.Response), "int64_value": 2**62 + 1, "string_value": "cba"}
         service, failing, silent = (
-            at(Role.SERVICE, name, SERVICE) for name in ("/add", "/failing", "/silent")
+            there(Role.SERVICE, name, SERVICE) for name in ("/add", "/failing", "/silent")
         )
         return Served(service, request, reply, failing, silent)
 
@@ -110,6 +111,11 @@ class RosWorld(World):
 
 def at(role: Role, name: str, native: str, **options: object) -> Endpoint:
     return Endpoint("ros", name.strip("/"), role, (name, native), options=options)
+
+
+def there(role: Role, name: str, native: str) -> Endpoint:
+    """One that another process has, as soon as discovery tells of it."""
+    return at(role, name, native, wait=patience())
 
 
 def special(value: float) -> Message:

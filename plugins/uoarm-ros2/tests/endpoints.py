@@ -54,10 +54,12 @@ class Inbox:
         return [message["data"] for message in self.messages]
 
     def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
+        """Wait for so many, as long as within each `timeout` some more come."""
         with self._changed:
-            assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
-                f"{len(self.messages)} of {count} messages"
-            )
+            while len(self.messages) < count:
+                before = len(self.messages)
+                self._changed.wait_for(lambda: len(self.messages) >= count, timeout)
+                assert len(self.messages) > before, f"{before} of {count} messages"
             return list(self.messages)
 
     def wait_until(self, wanted: Any, timeout: float = patience()) -> Any:

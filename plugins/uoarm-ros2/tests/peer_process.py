@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from typing import Any
 import rclpy
 import test_msgs.msg
 from geometry_msgs.msg import PoseStamped
+from lifecycle_node import Numbers
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
@@ -89,6 +91,7 @@ class Doer:
         self.seen: dict[str, list[Any]] = {}
         self.group = ReentrantCallbackGroup()
         self.ends: list[str] = []
+        self.over = threading.Event()
         self.begun = threading.Event()
         self.clients: dict[str, Any] = {}
         self.goals: list[Any] = []
@@ -140,8 +143,8 @@ class Doer:
             else:
                 message = Int64(data=number)
             patiently(publisher, message)
-            if period:
-                time.sleep(period)
+            if period and self.over.wait(period):
+                break
         return {"published": count}
 
     def subscribe(self, topic: str, kind: str = "Int64", **qos: Any) -> dict[str, Any]:
@@ -155,11 +158,32 @@ class Doer:
         self.node.create_subscription(native, topic, take, profile(**qos))
         return {}
 
+    def subscribe_timed(self, topics: list[str]) -> dict[str, Any]:
+        """Note what comes on several topics of numbers, with the times at which it was written.
+
+        The order in which messages of two topics arrive says nothing; that of their times does.
+        """
+        self.timed: list[tuple[int, str, int]] = []
+        for topic in topics:
+
+            def take(message: Any, info: Any, topic: str = topic) -> None:
+                self.timed.append((info["source_timestamp"], topic, message.data))
+
+            self.node.create_subscription(Int64, topic, take, profile())
+        return {}
+
+    def report_timed(self) -> dict[str, Any]:
+        """Return what came so far on these topics, in the order in which it was written."""
+        return {"seen": [[topic, number] for _, topic, number in sorted(self.timed)]}
+
     def report(self, topic: str, expected: int, timeout: float = PATIENCE) -> dict[str, Any]:
-        deadline = time.monotonic() + timeout
+        """Return what has come once it is so much, or once nothing more comes for so long."""
         seen = self.seen[topic]
+        before, deadline = len(seen), time.monotonic() + timeout
         while len(seen) < expected and time.monotonic() < deadline:
             time.sleep(0.01)
+            if len(seen) > before:
+                before, deadline = len(seen), time.monotonic() + timeout
         return {"seen": list(seen)}
 
     def subscriptions(self, topic: str, expected: int) -> dict[str, Any]:
@@ -229,6 +253,28 @@ class Doer:
         self.node.destroy_client(client)
         return {"success": reply.success, "message": reply.message}
 
+    def manage(self, name: str, topic: str, fails: str = "") -> dict[str, Any]:
+        """Start a lifecycle node beside the first one."""
+        self.managed = Numbers(name, topic, fails)
+        self.node.executor.add_node(self.managed)
+        return {}
+
+    def trigger(self, transition: str) -> dict[str, Any]:
+        """Change the state of the lifecycle node, as somebody else than the tested bridge does."""
+        self.within(getattr(self.managed, f"trigger_{transition}"))
+        return {}
+
+    def transitions(self, expected: int, timeout: float = PATIENCE) -> dict[str, Any]:
+        """Wait until the lifecycle node was asked for so much."""
+        deadline = time.monotonic() + timeout
+        while len(self.managed.asked) < expected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return {
+            "asked": list(self.managed.asked),
+            "gains": self.managed.gains,
+            "writes": self.managed.writes,
+        }
+
     def act(self, name: str, period: float = 0.05) -> dict[str, Any]:
         def execute(goal: Any) -> Any:
             self.begun.set()
@@ -238,9 +284,10 @@ class Doer:
                     goal.canceled()
                     self.ends.append("canceled")
                     return Fibonacci.Result(sequence=sequence)
-                sequence.append(sequence[-1] + sequence[-2])
+                sequence.append((sequence[-1] + sequence[-2]) % 2**31)  # int32, in long goals too
                 goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
-                time.sleep(period)
+                if self.over.wait(period):
+                    break
             self.ends.append("completed")
             if goal.request.order == 13:
                 goal.abort()
@@ -349,10 +396,19 @@ def say(answer: dict[str, Any]) -> None:
     print(json.dumps(answer), flush=True)  # noqa: T201 - the answer
 
 
-def obey(doer: Doer) -> None:
-    say({"ready": True})
+def listen(doer: Doer, orders: queue.SimpleQueue[dict[str, Any] | None]) -> None:
+    """Pass on orders as they come; at their end what still publishes stops."""
     for line in sys.stdin:
-        order = json.loads(line)
+        orders.put(json.loads(line))
+    doer.over.set()
+    orders.put(None)
+
+
+def obey(doer: Doer) -> None:
+    orders: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+    threading.Thread(target=listen, args=(doer, orders), daemon=True).start()
+    say({"ready": True})
+    while (order := orders.get()) is not None:
         operation = getattr(doer, order.pop("op"))
         try:
             say(operation(**order))

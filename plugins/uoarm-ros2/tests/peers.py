@@ -109,7 +109,7 @@ class Peer:
         self._process.stdout.close()
 
     def _answer(self) -> dict[str, Any]:
-        answer = self._answers.get(timeout=2 * patience())  # the peer waits for others itself
+        answer = self._answers.get(timeout=8 * patience())  # the peer has the limits itself
         assert answer is not None, "the peer process ended"
         assert "failed" not in answer, answer
         return answer

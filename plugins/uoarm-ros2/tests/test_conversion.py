@@ -40,9 +40,11 @@ def test_the_defaults_of_a_type_are_what_its_class_makes(name: str) -> None:
     made: object = shape.native()
     ours = writer(shape)(reader(shape)(made))
     assert same(reader(shape)(ours), plain(reader(shape)(made)))
-    wires = [bytes(serialize_message(native)) for native in (ours, made)]
-    padding = 3  # Fast CDR rounds up to four bytes and leaves there what memory held
-    assert wires[0][:-padding] == wires[1][:-padding]
+    # What is on the wire cannot be compared: between fields and at its end Fast CDR aligns, and
+    # leaves there what memory held.
+    wires = [serialize_message(native) for native in (ours, made)]
+    heard = [reader(shape)(deserialize_message(wire, shape.native)) for wire in wires]
+    assert same(*map(plain, heard))
     assert len(wires[0]) == len(wires[1])
 
 

@@ -103,10 +103,13 @@ class Counter:
         self._outputs["status"].emit({"goal_id": name, "status": status})
 
     def feed(self, name: str, *numbers: int) -> None:
+        wait(self._outputs["feedback"].channels)
         told = {"goal_id": name, "feedback": {"sequence": list(numbers)}}
         self._outputs["feedback"].emit(told)
 
     def end(self, name: str, status: str, *numbers: int) -> None:
+        """Give the result, and how it ended; after a takeover each output is opened for itself."""
+        wait(self._outputs["result"].channels)
         result = {"sequence": list(numbers)}
         self._outputs["result"].emit({"goal_id": name, "status": status, "result": result})
         self.status(name, status)

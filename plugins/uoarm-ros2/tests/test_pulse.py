@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from uoarm_ros2._pulse import Pulse
+from uoarm_ros2._pulse import Pulse, SimulatedClock
 
 from uoarm.model import Health
 
@@ -86,3 +86,12 @@ def test_silence_is_stale_and_a_message_mends_it(clock: Clock) -> None:
     pulse.tick()
     assert told[-1][0] is Health.OK
     assert len(told) == 2
+
+
+def test_a_simulated_clock_stands_and_begins_again() -> None:
+    clock = SimulatedClock()
+    seen = []
+    for seconds in (10, 12, 12, 1, 3):
+        clock.take(seconds * 1_000_000_000)
+        seen.append(clock())
+    assert seen == [0, 2, 2, 2, 4]

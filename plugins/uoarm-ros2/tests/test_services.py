@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
 from messages import default_of
-from peers import MORTAL, Peer
+from peers import DOMAIN, MORTAL, Peer
+from uoarm_ros2._actions import Action
+from uoarm_ros2._graph import Graph
+from uoarm_ros2._middleware import GoalRequest, Participant
 from uoarm_ros2._types import import_type
 
 from uoarm import RobotManager
@@ -23,7 +27,7 @@ from uoarm.errors import (
     MessageError,
 )
 from uoarm.model import Health, Role
-from uoarm.testing import patience
+from uoarm.testing import patience, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -205,23 +209,52 @@ def test_an_action_is_a_call(make_bridge: Make, peer: Start) -> None:
 def test_an_action_that_is_given_up_is_cancelled(bridge: Bridge, peer: Start) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
+    bridge.call(service("/fibonacci", FIBONACCI), {"order": 2}, timeout=patience())  # it is known
     with pytest.raises(BridgeTimeoutError):
-        bridge.call(service("/fibonacci", FIBONACCI), {"order": 80}, timeout=0.5)
-    assert server.do("goal_ends")["ends"] == ["canceled"]
+        bridge.call(service("/fibonacci", FIBONACCI), {"order": 2000}, timeout=0.5)
+    wait(lambda: server.do("goal_ends")["ends"] == ["completed", "canceled"])
 
 
-def test_an_action_that_an_emergency_stop_ends_is_cancelled(make_bridge: Make, peer: Start) -> None:
+def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> None:
+    participant = Participant(DOMAIN, "")
+    try:
+        station = participant.station("late")
+        asked: list[GoalRequest] = []
+        cancelled: list[bytes] = []
+        goals = station.goal_server(
+            import_type(FIBONACCI),
+            "/late",
+            asked.append,
+            may_cancel=lambda _: True,
+            cancel=cancelled.append,
+        )
+        action = Action(station, Graph(station, 0.0), "/late", FIBONACCI)
+        action.wait(patience())
+        with pytest.raises(BridgeTimeoutError, match="did not answer in time"):
+            action.call({"order": 3}, 0.1, 0.1, lambda _: nullcontext())
+        wait(lambda: asked != [])
+        goals.accept(asked[0])
+        wait(lambda: cancelled == [asked[0].id])
+    finally:
+        participant.close(patience())
+
+
+@pytest.mark.parametrize("is_hosted", [False, True])
+def test_an_action_that_an_emergency_stop_ends_is_cancelled(
+    peer: Start, *, is_hosted: bool
+) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
     settings = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
+    host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
     text = f"""
 version: 1
-bridges: {{ros: {{plugin: ros2}}}}
+bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}}}
 functions:
   reach: {{components: [{{name: arm, bridge: ros, service: {{{settings}}}}}]}}
 """
     came: list[BaseException] = []
-    with RobotManager(loads(text), bridges={"ros": make_bridge()}) as robot:
+    with RobotManager(loads(text)) as robot:
 
         def call() -> None:
             try:

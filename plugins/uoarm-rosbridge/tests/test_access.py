@@ -57,6 +57,14 @@ def test_a_role_may_do_what_is_named_and_nothing_else(guarded: Server) -> None:
         assert driver.call("/rosapi/topics")["topics"] == ["/uoarm/echo"]
 
 
+def test_parameters_are_seen_and_set_by_those_who_may(guarded: Server) -> None:
+    with at(guarded, "viewer") as viewer, at(guarded, "driver") as driver:
+        viewer.send(op="call_service", id="1", service="/rosapi/set_param",
+                    args={"name": "speed", "value": "1"})  # fmt: skip
+        assert "may not send '/speed'" in viewer.receive()["values"]
+        assert driver.call("/rosapi/get_param_names") == {"names": []}
+
+
 ROSAPI = (
     "topics", "topics_and_raw_types", "services", "nodes", "topic_type", "topics_for_type",
     "service_type", "services_for_type", "service_node", "service_providers", "publishers",

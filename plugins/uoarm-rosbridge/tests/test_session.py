@@ -133,7 +133,9 @@ def test_a_function_is_a_service(enter: Enter) -> None:
         ("/uoarm/numbers", {}, "a stream, not a service"),
         ("/elsewhere", {}, "there is no service"),
         ("/rosapi/fly", {}, "no service 'fly'"),
-        ("/rosapi/get_param", {"name": "x"}, "no parameters"),
+        ("/rosapi/get_param", {}, "expected a text as 'name'"),
+        ("/rosapi/set_param", {"name": "x", "value": "{"}, "expected a JSON text"),
+        ("/rosapi/set_param", {"name": "/uoarm/add", "value": "1"}, "belongs to the server"),
         ("", {}, "is no name"),
     ],
 )
@@ -389,7 +391,7 @@ def test_rosapi_shows_functions_and_components(enter: Enter) -> None:
         assert providers == ["/adder"]
     assert client.call("/rosapi/get_ros_version")["version"] == 2
     default = client.call("/rosapi/get_param", {"name": "x", "default_value": "7"})
-    assert default == {"value": "7"}
+    assert default["value"] == "7"
     picture = client.call("/rosapi/message_details", {"type": "Picture"})["typedefs"][0]
     assert picture["fieldnames"] == ["width", "data"]
     assert picture["fieldtypes"] == ["int64", "uint8"]

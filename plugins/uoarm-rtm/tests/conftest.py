@@ -17,7 +17,7 @@ from uoarm_rtm._nameserver import NameServer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
-from uoarm.testing import slowness
+from uoarm.testing import patience, slowness
 
 settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("rtm-long", max_examples=2000, deadline=None)
@@ -46,14 +46,14 @@ def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
     registry = Registry()
 
     def make(name: str = "rtm", **options: object) -> Bridge:
-        given = {"nameserver": nameserver, "watch": 0.1, "call_timeout": 2 * slowness(), **options}
+        given = {"nameserver": nameserver, "watch": 0.1, "call_timeout": 5 * slowness(), **options}
         bridge = registry.create(BridgeSpec(name, "rtm", given))
         made.append(bridge)
         return bridge
 
     yield make
     for bridge in made:
-        bridge.close()
+        bridge.close(timeout=patience())
 
 
 @pytest.fixture

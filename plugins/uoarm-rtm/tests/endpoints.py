@@ -7,9 +7,12 @@ from typing import Any
 
 from uoarm.bridge import Bridge, Channel, HealthEvent
 from uoarm.model import Endpoint, Health, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import patience, slowness, wait
 
-__all__ = ["Inbox", "endpoint", "looked", "of", "sink", "source", "stamped"]
+__all__ = ["HANGS_AFTER", "Inbox", "endpoint", "looked", "of", "sink", "source", "stamped"]
+
+# As `call_timeout`: within it answers whoever does not hang, on a busy machine, too.
+HANGS_AFTER = 3 * slowness()
 
 
 def endpoint(role: Role, *address: str, **options: Any) -> Endpoint:
@@ -63,10 +66,12 @@ class Inbox:
         return [message["data"] for message in self.messages]
 
     def wait_for(self, count: int, timeout: float = patience()) -> list[Any]:
+        """Wait for so many, as long as within each `timeout` some more come."""
         with self._changed:
-            assert self._changed.wait_for(lambda: len(self.messages) >= count, timeout), (
-                f"{len(self.messages)} of {count} messages"
-            )
+            while len(self.messages) < count:
+                before = len(self.messages)
+                self._changed.wait_for(lambda: len(self.messages) >= count, timeout)
+                assert len(self.messages) > before, f"{before} of {count} messages"
             return list(self.messages)
 
     def event(self, health: Health, words: str, timeout: float = patience()) -> HealthEvent:

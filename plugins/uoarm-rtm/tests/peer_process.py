@@ -11,10 +11,10 @@ import os
 import queue
 import sys
 import threading
-import time
 from collections.abc import Mapping
 from typing import Any
 
+from endpoints import HANGS_AFTER
 from plain import plain
 from uoarm_rtm import _data_ports
 from uoarm_rtm._naming import NamingService
@@ -24,18 +24,19 @@ from uoarm_rtm._peer import pairs, peer_at, properties_of
 from uoarm_rtm._port_servant import PortServant
 from uoarm_rtm._publisher import Pulled
 from uoarm_rtm._service_port import ServicePort, servant_of
-from uoarm_rtm._stubs import RTC, SDOPackage
+from uoarm_rtm._stubs import RTC, OpenRTM, SDOPackage
 from uoarm_rtm._types import Types
 from uoarm_rtm._wishes import Refusal
 from uoarm_rtm.component import Callbacks, RtComponent, Sheet
 from uoarm_rtm.errors import IdlError
 
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience
 
-LIMIT = 2.0 * slowness()  # longer than the bridges of tests about what hangs wait
+LIMIT = 2 * HANGS_AFTER  # longer than the bridges of tests about what hangs wait
 SETS = {
     "default": {"gain": "1", "mode": "slow"},
     "fast": {"gain": "9"},
+    "plain": {"count": "0", "name": "hoge"},
     "__constraints__": {"gain": "0<=x<=150", "mode": "(slow,quick)"},
     "__widget__": {"gain": "slider.10"},
 }
@@ -83,8 +84,8 @@ class Asked(Pulled):
 class _Service:
     """What the operations of tests/service.idl do."""
 
-    def __init__(self, component: RtComponent) -> None:
-        self._component = component
+    def __init__(self) -> None:
+        self.awake = threading.Event()
 
     def answer(self, message: Any) -> Any:
         operation, arguments = message["operation"], message["arguments"]
@@ -98,9 +99,9 @@ class _Service:
                 "path": [1.0],
             }
         if operation == "stuck":
-            threading.Event().wait()
+            self.awake.wait()
         if operation == "sleep":
-            time.sleep(arguments["seconds"])
+            self.awake.wait(arguments["seconds"])
             return {}
         if operation == "echo":
             return {"return": arguments["words"]}
@@ -121,6 +122,9 @@ class Process:
         self._free.set()
         self._held = threading.Event()
         self._configured: dict[str, str] = {}
+        self._observers: dict[str, Any] = {}
+        self._asked_to_observe = 0
+        self._service = _Service()
         callbacks = Callbacks(
             activated=lambda: self._called("activated"),
             deactivated=lambda: self._called("deactivated"),
@@ -267,6 +271,35 @@ class Process:
         servant.get_active_configuration_set = read
         servant.add_configuration_set = lambda _: True
 
+    def take_observers(self, answer: bool = True) -> None:
+        """Take observers and tell them of states, as OpenRTM does; or answer that it does not."""
+        servant = getattr(self._component, "_configuration")  # noqa: B009 - private
+        lifecycle = self._component.lifecycle
+        enter = lifecycle._enter
+
+        def add(profile: Any) -> bool:
+            self._asked_to_observe += 1
+            if answer:
+                self._observers[profile.id] = profile
+            return answer
+
+        def tell(state: Any) -> None:
+            enter(state)
+            hint = f"{str(state).removesuffix('_STATE')}:0"
+            for each in list(self._observers.values()):
+                service = each.service._narrow(OpenRTM.ComponentObserver)
+                service.update_status(OpenRTM.RTC_STATUS, hint)
+
+        setattr(lifecycle, "_enter", tell)  # noqa: B010 - of this instance alone
+        servant.add_service_profile = add
+        servant.remove_service_profile = lambda name: self._observers.pop(name, None) is not None
+
+    def observers(self) -> list[dict[str, str]]:
+        return [properties_of(each.properties) for each in self._observers.values()]
+
+    def asked_to_observe(self) -> int:
+        return self._asked_to_observe
+
     def asked(self) -> int:
         return Asked.asking
 
@@ -288,8 +321,12 @@ class Process:
         types = Types([idl])
         found, _ = types.interface(interface)
         name = f"{self._component.sheet.name}.served"
-        servant = servant_of(found, "", _Service(self._component).answer)
+        servant = servant_of(found, "", self._service.answer)
         self._component.add_port(ServicePort(self._orb, name, found, servant))
+
+    def wake(self) -> None:
+        """Let the operations that sleep or are stuck answer."""
+        self._service.awake.set()
 
     def require(self, idl: str, interface: str) -> None:
         """Add a CorbaPort `wanted` that calls whatever is connected to it."""
@@ -348,6 +385,7 @@ class Process:
                 port.drop(each.connector_id)
 
     def close(self) -> None:
+        self.wake()
         self._component.close()
         self._orb.close()
 

@@ -16,7 +16,11 @@ from uoarm.model import Role
 
 Start = Callable[..., Peer]
 AT = endpoint(Role.SERVICE, "Worker.rtc", "@configuration")
-SETS = {"default": {"gain": "1", "mode": "slow"}, "fast": {"gain": "9"}}
+SETS = {
+    "default": {"gain": "1", "mode": "slow"},
+    "fast": {"gain": "9"},
+    "plain": {"count": "0", "name": "hoge"},
+}
 
 
 def test_sets_are_read_written_and_activated(bridge: Bridge, peer: Start) -> None:
@@ -50,7 +54,7 @@ def test_a_write_leaves_the_active_set_in_force(bridge: Bridge, peer: Start) -> 
             "no configuration set 'fats'; there are default",
         ),
         ({"set": "fats", "activate": True}, "no configuration set 'fats'"),
-        ({"values": {"gian": "2"}}, "there is no parameter 'gian'; there are gain, mode"),
+        ({"values": {"gian": "2"}}, "no parameter 'gian'; there are count, gain, mode, name"),
         ({"values": {"gain": "abc"}}, r"\$\.values\.gain: expected a number, got 'abc'"),
         ({"values": {"gain": "151"}}, r"\$\.values\.gain: expected 0<=x<=150, got 151"),
         ({"values": {"mode": "fast"}}, r"\$\.values\.mode: expected one of \(slow,quick\)"),
@@ -66,6 +70,19 @@ def test_what_does_not_fit_is_refused_and_nothing_written(
         bridge.call(AT, message)
     reply = bridge.call(AT, {})
     assert (reply["active"], reply["sets"]) == ("default", SETS)
+
+
+def test_a_text_where_a_number_was_is_written_with_a_warning(
+    bridge: Bridge, peer: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    peer("Worker")
+    reply = bridge.call(AT, {"set": "plain", "values": {"count": "1e3, 5", "name": "7"}})
+    assert "warnings" not in reply
+    reply = bridge.call(AT, {"set": "plain", "values": {"count": "abc"}})
+    assert reply["sets"]["plain"] == {"count": "abc", "name": "7"}
+    (warning,) = reply["warnings"]
+    assert "values.count: 'abc' is no number, which it was ('1e3, 5')" in warning
+    assert warning in caplog.text
 
 
 def test_a_new_set_is_made_where_that_is_asked(bridge: Bridge, peer: Start) -> None:

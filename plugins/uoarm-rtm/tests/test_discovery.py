@@ -15,11 +15,12 @@ from uoarm_rtm import _orb
 from uoarm_rtm._nameserver import NameServer
 from uoarm_rtm._naming import NamingService, corbaloc
 from uoarm_rtm._orb import Orb
+from uoarm_rtm.component import RtComponent, Sheet, Types
 
 from uoarm.bridge import Bridge, BridgeType, Registry
 from uoarm.errors import BridgeError, ConfigurationError
 from uoarm.model import BridgeSpec, Health, Role
-from uoarm.testing import wait
+from uoarm.testing import patience, wait
 
 Start = Callable[..., Peer]
 Make = Callable[..., Bridge]
@@ -43,8 +44,9 @@ def test_components_are_discovered_with_ports_types_and_state(
     found = {each.name: each for each in bridge.discover()}
     assert set(found) == {"Worker.rtc", "some.host_cxt/Odd.rtc"}
     worker = found["Worker.rtc"]
-    parameters = "gain 0<=x<=150, mode (slow,quick)"
+    parameters = "gain 0<=x<=150, mode (slow,quick), count, name"
     assert worker.detail == f"Uoarm, inactive, 1 execution context; parameters {parameters}"
+    assert worker.rates == {}  # its execution context runs it when something happens
     by_port = {at.address[1]: (at.role, what) for at, what in worker.endpoints}
     assert set(by_port) == {"in", "out", "@lifecycle", "@configuration"}
     role, what = by_port["out"]
@@ -179,3 +181,18 @@ def test_the_doctor_tells_what_is_installed() -> None:
     facts = doctor()
     assert facts["omniORBpy"].startswith("4.")
     assert facts["omniNames"].endswith("omniNames")
+
+
+def test_outputs_of_a_component_that_runs_periodically_state_its_rate(
+    make_bridge: Make, names: str
+) -> None:
+    orb = Orb("127.0.0.1", call_seconds=patience())
+    component = RtComponent(orb, Sheet("Steady"), rate=50.0, seconds=patience())
+    try:
+        component.add_out_port("out", "RTC::TimedLong", Types())
+        component.bind([NamingService(orb, names, seconds=patience())])
+        [steady] = make_bridge(nameserver=names).discover()
+        assert steady.rates == {"out": 50.0}
+    finally:
+        component.close()
+        orb.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import threading
@@ -11,14 +12,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from endpoints import Inbox, endpoint, looked, sink, source, stamped
+from endpoints import HANGS_AFTER, Inbox, endpoint, looked, sink, source, stamped
 from peers import Peer
+from uoarm_rtm import _nameserver
 from uoarm_rtm._nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Health, Role
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import free_port, patience, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -74,7 +76,7 @@ def test_a_death_in_mid_flow_harms_no_other_channel(bridge: Bridge, peer: Start)
 
 
 def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None:
-    bridge = make_bridge(call_timeout=0.3 * slowness())
+    bridge = make_bridge(call_timeout=HANGS_AFTER)
     component = peer("Mortal")
     events = Inbox()
     bridge.watch(events)
@@ -85,9 +87,9 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
         into.send(stamped(1))
     with pytest.raises(BridgeTimeoutError):
         bridge.describe(OUT)
-    found = {each.name: each.detail for each in bridge.discover()}
+    found = {each.name: each.detail for each in bridge.discover(timeout=patience())}
     assert found["Mortal.rtc"] == "hung"
-    events.event(Health.LOST, "it hangs")
+    events.event(Health.LOST, "component Mortal.rtc does not answer: it hangs")  # not its port
     component.thaw()
     assert events.event(Health.OK, "answers again").component == "Mortal.rtc"
 
@@ -95,7 +97,7 @@ def test_a_hung_component_never_hangs_us(make_bridge: Make, peer: Start) -> None
 def test_a_connection_that_a_hung_component_makes_later_is_undone(
     make_bridge: Make, peer: Start
 ) -> None:
-    bridge = make_bridge(call_timeout=0.4 * slowness(), watch=0)
+    bridge = make_bridge(call_timeout=HANGS_AFTER, watch=0)
     component = peer("Mortal")
     structure = bridge.describe(OUT).message
     assert structure is not None
@@ -106,8 +108,9 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     with pytest.raises(BridgeTimeoutError):
         OutPortSource(place, Inbox())
     component.thaw()
+    wait(lambda: all(each.name != "uoarm-rtm-undo" for each in threading.enumerate()))
     wait(lambda: component.connectors() == [0, 0])
-    time.sleep(0.2)  # the connection may have come about only now: nothing else tells
+    time.sleep(0.2)  # without an undoing the connection may come about only now
     assert component.connectors() == [0, 0]
 
 
@@ -165,8 +168,8 @@ def test_silence_is_told_when_asked(bridge: Bridge, peer: Start) -> None:
 
 def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: Start) -> None:
     events, inbox = Inbox(), Inbox()
-    with NameServer() as first:
-        port = first.port
+    port = free_port()
+    with NameServer(port) as first:
         bridge = make_bridge(nameserver=first.address, component="Manager")
         bridge.watch(events)
         component = peer("Mortal", at=first.address)
@@ -188,6 +191,23 @@ def test_a_naming_service_may_die_and_come_back_empty(make_bridge: Make, peer: S
     assert not [each for each in events.messages if each.channel is not None]
 
 
+def test_a_naming_service_takes_another_port_where_one_is_taken_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        used, free = taken.getsockname()[1], free_port()
+        ports: list[int] = [free, used, used]
+        monkeypatch.setattr(_nameserver, "_free_port", lambda _: ports.pop())
+        with NameServer() as server:
+            assert (server.port, ports) == (free, [])
+        ports[:] = [free] + 5 * [used]
+        with pytest.raises(BridgeError, match=f"is port {used} in use"):
+            NameServer()
+        assert ports == [free]
+        with pytest.raises(BridgeError, match=f"is port {used} in use"):
+            NameServer(used)
+
+
 ASKED: dict[str, Callable[[Bridge], object]] = {
     "discover": lambda bridge: [each.name for each in bridge.discover()] == ["Mortal.rtc"],
     "describe": lambda bridge: bridge.describe(OUT).message,
@@ -201,8 +221,8 @@ ASKED: dict[str, Callable[[Bridge], object]] = {
 def test_the_first_request_after_a_naming_service_came_back_succeeds(
     make_bridge: Make, peer: Start, asked: str
 ) -> None:
-    with NameServer() as first:
-        port = first.port
+    port = free_port()
+    with NameServer(port) as first:
         bridge = make_bridge(nameserver=first.address, watch=0)
         with ThreadPoolExecutor(4) as pool:  # for several connections to it
             assert set(pool.map(lambda _: bridge.discover(), range(8))) == {()}

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from endpoints import Inbox, endpoint, source
+from endpoints import HANGS_AFTER, Inbox, endpoint, source
 from peers import Peer
 from uoarm_rtm._journal import Entry, Journal, journal
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import patience, wait
 
 HERE = Path(__file__).parent
 Start = Callable[..., Peer]
@@ -29,10 +29,12 @@ sys.path.insert(0, {here!r})
 from endpoints import Inbox, endpoint, sink, source
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Role
+from uoarm.testing import patience
 bridge = Registry().create(BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}}}))
 at = lambda role, name, port: endpoint(role, f"{{name}}.rtc", port)
 out, into = at(Role.OUTPUT, "From", "out"), at(Role.INPUT, "Into", "in")
-channels = [bridge.link(out, into), source(bridge, out, Inbox()), sink(bridge, into)]
+linked = bridge.link(out, into, timeout=patience())
+channels = [linked, source(bridge, out, Inbox()), sink(bridge, into)]
 print("open", flush=True)
 sys.stdin.read()
 """
@@ -107,7 +109,7 @@ def test_what_hangs_is_left_to_the_process_after_the_next(
     second.freeze()
     peer("Other")
     other = endpoint(Role.OUTPUT, "Other.rtc", "out")
-    source(make_bridge(call_timeout=0.5 * slowness()), other, Inbox())
+    source(make_bridge(call_timeout=HANGS_AFTER), other, Inbox())
     second.thaw()
     wait(lambda: first.connectors()[1] == 0)
     source(make_bridge(), other, Inbox())

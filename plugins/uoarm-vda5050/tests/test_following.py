@@ -11,6 +11,7 @@ from brokers import Broker
 from fleet import MAKER, bridge_to, driven, endpoint, goal
 from uoarm_vda5050._follower import Follower
 from uoarm_vda5050._health_state import VehicleHealth
+from uoarm_vda5050._messages import check_of
 from uoarm_vda5050._orders import Order
 from uoarm_vda5050._presence import Presence
 from uoarm_vda5050._releases import RELEASES
@@ -144,6 +145,46 @@ def test_a_state_that_lacks_what_the_rules_need_is_unreadable_and_the_next_is_ta
     assert told[0][0] is Health.DEGRADED
     assert lacking in told[0][1]
     assert follower.facts()["states_unreadable"] == 1
+
+
+def test_an_order_that_the_client_fails_to_send_is_rejected_and_the_next_state_is_taken() -> None:
+    release = RELEASES["2.1"]
+    whole = state(VehicleState(release, frozenset()))
+
+    def publish(topic: str, *_: object, **__: object) -> None:
+        if topic.endswith("/order"):  # which is sent in the follower's thread, after a state
+            raise RuntimeError(f"no {topic}")
+
+    link: Any = SimpleNamespace(publish=publish, require_up=lambda: None, unsubscribe=print)
+    taken: list[bytes] = []
+
+    def split(payload: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+        taken.append(payload)
+        return {}, whole
+
+    codec: Any = SimpleNamespace(split=split, encode=lambda _: b"")
+    codecs = dict.fromkeys(("order", "instantActions", "state"), codec)
+    follower = Follower(
+        link, "v2/m/s", TransportState(release), VehicleHealth(patience()), codecs, lambda *_: None
+    )
+    heard: list[Any] = []
+    follower.join(heard.append)
+    came: Any = SimpleNamespace(payload=b"")
+    try:
+        follower.goal(goal("a", "b", order="one"))
+        follower._inbox.put(came)  # from which on the order can be sent
+        wait(lambda: ends(heard) == [("rejected", "RuntimeError('no v2/m/s/order')")], str(heard))
+        follower._inbox.put(came)
+        wait(lambda: len(taken) == 2)
+    finally:
+        follower.close()
+    assert follower.facts()["states_unreadable"] == 0
+
+
+def test_a_schema_that_cannot_be_applied_is_said_to_be() -> None:
+    check = check_of({"type": "object", "properties": {"headerId": {"$ref": "#/$defs/none"}}})
+    assert check({}) == ""
+    assert "it cannot be held against the schema" in check({"headerId": 1})
 
 
 def test_a_vehicle_that_goes_before_it_is_followed_is_told() -> None:

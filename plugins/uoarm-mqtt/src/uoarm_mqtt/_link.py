@@ -6,8 +6,8 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -66,7 +66,24 @@ class _Pending:
     survives: bool  # a break: paho sends it again
 
 
-class _Client(Client):
+class ThreadedClient(Client):
+    """paho's client, whose thread may end while it is waited for."""
+
+    def loop_stop(self) -> MQTTErrorCode:
+        """End the thread and wait for it.
+
+        paho's own reads the attribute twice, and the thread clears it at its end.
+        """
+        thread = self._thread
+        if thread is None:
+            return MQTTErrorCode.MQTT_ERR_INVAL
+        self._thread_terminate = True
+        if thread is not threading.current_thread():
+            thread.join()
+        return MQTTErrorCode.MQTT_ERR_SUCCESS
+
+
+class _Client(ThreadedClient):
     """paho's client, whose thread does not end without a word."""
 
     when_ended: Callable[[Exception | None], None]
@@ -114,6 +131,7 @@ class BrokerConnection:
     _cause: str = ""  # why it is not up; empty: not known yet
     _running: bool = False
     _closed: bool = False
+    _calls: int = 0  # of paho that are under way, which `close` waits for
     _largest: int | None = None  # octets of a packet that the broker takes
     _changed: threading.Condition = field(factory=threading.Condition, init=False)
     _subscriptions: Subscriptions = field(factory=Subscriptions, init=False)
@@ -154,16 +172,17 @@ class BrokerConnection:
         """Return when the link is up; the first call connects.
 
         Raises:
-            BridgeError: it is not; the text says why.
+            BridgeError: it is not, or it is closed; the text says why.
         """
-        with self._changed:
-            start = not self._running and not self._closed
+        with self._calling():
+            with self._changed:
+                start = not self._running
+                if start:
+                    self._running, self._cause = True, ""
             if start:
-                self._running, self._cause = True, ""
-        if start:
-            self._start()
+                self._start()
         with self._changed:
-            self._changed.wait_for(lambda: self._up or self._cause, _STEP_SECONDS)
+            self._changed.wait_for(lambda: self._up or self._cause or self._closed, _STEP_SECONDS)
             if not self._up:
                 where = f"{self.settings.host}:{self.settings.port}"
                 cause = self._cause or "no answer yet"
@@ -191,9 +210,10 @@ class BrokerConnection:
         with self._changed:
             is_last = self._subscriptions.remove(receiver)
         if is_last:
-            _, mid = self._client.unsubscribe(receiver.topic)
-            if mid is not None:
-                self._note(("u", mid), _Pending(_ignore, survives=False))
+            with suppress(BridgeError), self._calling():  # a closed link unsubscribes from all
+                _, mid = self._client.unsubscribe(receiver.topic)
+                if mid is not None:
+                    self._note(("u", mid), _Pending(_ignore, survives=False))
 
     def barrier(self) -> None:
         """Return when the broker has worked through all that was sent before.
@@ -228,17 +248,21 @@ class BrokerConnection:
             # The broker would end the connection for it, and again when paho repeats it.
             text = f"{topic}: {size:,} octets, while the broker takes {self._largest:,} at most"
             raise MessageError(text)
-        info = self._client.publish(topic, payload, qos, retain, said)
-        # Not connected any more: paho keeps what has a QoS, and sends it when it is.
-        if info.rc and not (qos and info.rc == MQTTErrorCode.MQTT_ERR_NO_CONN):
-            text = f"bridge {self.name!r}: {topic}: not sent: {info.rc.name}"
-            raise BridgeError(text, FailureReason.UNAVAILABLE)
-        self._note(("p", info.mid), _Pending(done, survives=qos > 0))
+        with self._calling():
+            info = self._client.publish(topic, payload, qos, retain, said)
+            # Not connected any more: paho keeps what has a QoS, and sends it when it is.
+            if info.rc and not (qos and info.rc == MQTTErrorCode.MQTT_ERR_NO_CONN):
+                text = f"bridge {self.name!r}: {topic}: not sent: {info.rc.name}"
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+            self._note(("p", info.mid), _Pending(done, survives=qos > 0))
 
     def close(self) -> None:
         """Say goodbye, where there is somebody to say it to, and end paho's thread."""
         with self._changed:
             self._closed = True
+            self._changed.notify_all()
+            # Below, what they have started is ended, and what they have noted is answered.
+            self._changed.wait_for(lambda: not self._calls, _STEP_SECONDS)
             was_up = self._up
         said = self.settings.announcement
         if was_up and said is not None:
@@ -253,6 +277,25 @@ class BrokerConnection:
         self._client.loop_stop()
         self._client.release()
         self._fail("the bridge was closed", everything=True)
+
+    @contextmanager
+    def _calling(self) -> Iterator[None]:
+        """Call paho, and note what it was given, in any thread; `close` waits for the end of it.
+
+        Raises:
+            BridgeError: the connection is closed.
+        """
+        with self._changed:
+            if self._closed:
+                text = f"bridge {self.name!r}: the connection to the broker is closed"
+                raise BridgeError(text, FailureReason.CLOSED)
+            self._calls += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._calls -= 1
+                self._changed.notify_all()
 
     def _start(self) -> None:
         mine = self.settings
@@ -292,11 +335,12 @@ class BrokerConnection:
             outcomes.append(outcome)
             answered.set()
 
-        rc, mid = send()
-        if rc or mid is None:
-            text = f"bridge {self.name!r}: {what}: the connection to the broker is broken"
-            raise BridgeError(text, FailureReason.UNAVAILABLE)
-        self._note((kind, mid), _Pending(done, survives=False))
+        with self._calling():
+            rc, mid = send()
+            if rc or mid is None:
+                text = f"bridge {self.name!r}: {what}: the connection to the broker is broken"
+                raise BridgeError(text, FailureReason.UNAVAILABLE)
+            self._note((kind, mid), _Pending(done, survives=False))
         if not answered.wait(_STEP_SECONDS):
             raise BridgeTimeoutError(f"bridge {self.name!r}: {what}: the broker does not answer")
         (outcome,) = outcomes

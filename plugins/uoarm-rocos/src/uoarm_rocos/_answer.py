@@ -26,23 +26,24 @@ class Answer:
     """Waited for by one thread, given once by another."""
 
     def __init__(self) -> None:
-        self._given = threading.Event()
+        self._given = threading.Lock()
+        self._given.acquire()
         self._value: Any = None
         self._error: BridgeError | None = None
 
     def give(self, value: Any) -> None:
         """Answer."""
         self._value = value
-        self._given.set()
+        self._given.release()
 
     def fail(self, error: BridgeError) -> None:
         """Answer that there is none."""
         self._error = error
-        self._given.set()
+        self._given.release()
 
     def wait(self, timeout: float) -> bool:
-        """Wait so many seconds; return whether there is an answer."""
-        return self._given.wait(timeout)
+        """Wait so many seconds, once; return whether there is an answer."""
+        return self._given.acquire(timeout=timeout)
 
     def value(self) -> Any:
         """Return the answer that was given.

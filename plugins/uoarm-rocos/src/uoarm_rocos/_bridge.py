@@ -85,7 +85,7 @@ class RocosBridge(Bridge):
         name, api_name, _ = address_of(endpoint)
         began = time.monotonic()
         api = self._described.get((name, api_name)) or self._find(endpoint, timeout)
-        left = timeout - (time.monotonic() - began)
+        left = max(0.0, timeout - (time.monotonic() - began))
         return self._device(endpoint).call(api, message, left)
 
     def _discover(self) -> tuple[Discovered, ...]:

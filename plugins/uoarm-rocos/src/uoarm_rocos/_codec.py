@@ -35,6 +35,7 @@ from uoarm_rocos._values import (
     text,
     write_values,
 )
+from uoarm_rocos._written_form import WrittenForm
 
 __all__ = ["Codec", "XmlCodec"]
 
@@ -64,6 +65,7 @@ class XmlCodec:
 
     def __init__(self, limits: Limits | None = None) -> None:
         self._limits = limits or Limits()
+        self._written_form = WrittenForm(self._limits)
 
     def write(self, message: WireMessage) -> bytes:
         """Return the octets of a message.
@@ -85,6 +87,10 @@ class XmlCodec:
         Raises:
             WireError: it is no message of the profile, or beyond the limits.
         """
+        return self._written_form.read(data) or self._read_any(data)
+
+    def _read_any(self, data: bytes) -> WireMessage:
+        """Read a message in any form that XML allows, or say what is wrong with it."""
         root = parse(data, self._limits)
         reader = _READERS.get(root.tag)
         if reader is None:

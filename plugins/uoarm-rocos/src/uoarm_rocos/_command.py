@@ -44,7 +44,10 @@ def main() -> None:
 
 @main.group()
 def simulate() -> None:
-    """Be a device on a pseudo-terminal or on a TCP port of this machine, until Ctrl-C."""
+    """Be a device on a line of this machine, until Ctrl-C.
+
+    The line is a pseudo-terminal or a TCP port.
+    """
 
 
 def _line_options(command: F) -> F:
@@ -79,9 +82,28 @@ def robot(catalogue: str, **line: Any) -> None:
 
 @simulate.command()
 @_line_options
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="contec", show_default=True)
-@click.option("--pulse", type=click.FloatRange(30, 220), default=72.0, show_default=True)
-@click.option("--spo2", type=click.FloatRange(50, 100), default=97.0, show_default=True)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(FORMATS),
+    default="contec",
+    show_default=True,
+    help="Of which maker its frames are.",
+)
+@click.option(
+    "--pulse",
+    type=click.FloatRange(30, 220),
+    default=72.0,
+    show_default=True,
+    help="Beats a minute.",
+)
+@click.option(
+    "--spo2",
+    type=click.FloatRange(50, 100),
+    default=97.0,
+    show_default=True,
+    help="Oxygen saturation, percent.",
+)
 @click.option("--apnoea", type=_SECONDS, default=0.0, help="Seconds from one apnoea to the next.")
 @click.option("--finger-in", type=_SECONDS, default=0.0, help="When the finger is put in.")
 @click.option("--finger-out", type=_SECONDS, help="When the finger is taken out.")
@@ -104,11 +126,32 @@ def oximeter(
 
 @simulate.command("blood-pressure")
 @_line_options
-@click.option("--interval", type=click.FloatRange(0.1, 86_400), default=10.0, show_default=True)
-@click.option("--systolic", type=click.FloatRange(60, 230), default=118.0, show_default=True)
-@click.option("--diastolic", type=click.FloatRange(30, 150), default=76.0, show_default=True)
+@click.option(
+    "--interval",
+    type=click.FloatRange(0.1, 86_400),
+    default=10.0,
+    show_default=True,
+    help="Seconds from one measurement to the next.",
+)
+@click.option(
+    "--systolic",
+    type=click.FloatRange(60, 230),
+    default=118.0,
+    show_default=True,
+    help="Upper pressure, mmHg.",
+)
+@click.option(
+    "--diastolic",
+    type=click.FloatRange(30, 150),
+    default=76.0,
+    show_default=True,
+    help="Lower pressure, mmHg.",
+)
 def blood_pressure(*, interval: float, systolic: float, diastolic: float, **line: Any) -> None:
-    """A blood-pressure monitor that measures now and then and waits for its acknowledgement."""
+    """A blood-pressure monitor that measures now and then.
+
+    It keeps what nobody has acknowledged.
+    """
     if systolic <= diastolic:
         raise click.UsageError("--systolic must be above --diastolic")
     person = Person(systolic=systolic, diastolic=diastolic)

@@ -8,22 +8,35 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from uoarm_rocos._errors import WireError
 from uoarm_rocos._fields import NAME
 
-__all__ = ["attribute", "read_real", "read_values", "read_whole", "real", "text", "write_values"]
+__all__ = [
+    "attribute",
+    "octets",
+    "read_real",
+    "read_values",
+    "read_whole",
+    "real",
+    "text",
+    "truth",
+    "write_values",
+]
 
 _WHOLE = re.compile(r"-?[0-9]{1,20}", re.ASCII)
 _REAL = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+\-]?[0-9]{1,4})?", re.ASCII)
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_UNLIKE_XML = re.compile("[&<>\x00-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
 _SPECIAL = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf}
 _TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
 _ATTRIBUTE = str.maketrans(
     {"&": "&amp;", "<": "&lt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
 )
 _SHOWN = 40
+_LONGEST = 64  # name: what is longer is not kept, either
 _DEPTH = 32
 _TWENTY_DIGITS = 10**20
 
@@ -82,6 +95,29 @@ def read_whole(written: str) -> int:
     return int(written)
 
 
+def truth(written: str) -> bool:
+    """Read true or false.
+
+    Raises:
+        WireError: it is neither.
+    """
+    if written not in {"true", "false"}:
+        raise WireError(f"<boolean>: expected true or false, got {written[:_SHOWN]!r}")
+    return written == "true"
+
+
+def octets(written: str) -> bytes:
+    """Read octets from base64.
+
+    Raises:
+        WireError: it is none.
+    """
+    try:
+        return base64.b64decode(written.encode("ascii"), validate=True)
+    except (binascii.Error, UnicodeEncodeError) as error:
+        raise WireError(f"not base64: {error}") from error
+
+
 def write_values(values: Mapping[str, Any]) -> str:
     """Write named values.
 
@@ -124,9 +160,15 @@ def _check(value: str) -> None:
 
 
 def _named(name: object, value: Any, path: str, depth: int) -> str:
-    if not isinstance(name, str) or not NAME.fullmatch(name):
+    if not isinstance(name, str) or len(name) > _LONGEST or not (shown := _name(name)):
         raise WireError(f"{path or 'message'}: {str(name)[:_SHOWN]!r} is no name of the profile")
-    return _write(f' name="{name}"', value, f"{path}.{name}" if path else name, depth)
+    return _write(shown, value, f"{path}.{name}" if path else name, depth)
+
+
+@lru_cache(1024)
+def _name(name: str) -> str:
+    """Return the attribute of a name; nothing where it is none."""
+    return f' name="{name}"' if NAME.fullmatch(name) else ""
 
 
 def _write(name: str, value: Any, path: str, depth: int) -> str:
@@ -155,6 +197,8 @@ def _write(name: str, value: Any, path: str, depth: int) -> str:
 
 def _string(name: str, value: str, path: str) -> str:
     """Write text as it is, or as base64 of its UTF-8 where XML cannot hold it."""
+    if not _UNLIKE_XML.search(value):
+        return f"<string{name}>{value}</string>"
     if not _FORBIDDEN.search(value):
         return f"<string{name}>{value.translate(_TEXT)}</string>"
     try:
@@ -185,24 +229,15 @@ def _read(element: ET.Element) -> Any:
     if tag == "string":
         return _unwrapped(written) if "base64" in element.attrib else written
     if tag == "boolean":
-        if written not in {"true", "false"}:
-            raise WireError(f"<boolean>: expected true or false, got {written[:_SHOWN]!r}")
-        return written == "true"
+        return truth(written)
     if tag == "octets":
-        return _octets(written)
+        return octets(written)
     raise WireError(f"<{tag[:_SHOWN]}> is no type of the profile")
-
-
-def _octets(written: str) -> bytes:
-    try:
-        return base64.b64decode(written.encode("ascii"), validate=True)
-    except (binascii.Error, UnicodeEncodeError) as error:
-        raise WireError(f"not base64: {error}") from error
 
 
 def _unwrapped(written: str) -> str:
     try:
-        return _octets(written).decode("utf-8")
+        return octets(written).decode("utf-8")
     except UnicodeDecodeError as error:
         raise WireError(f"<string base64>: not UTF-8: {error}") from error
 

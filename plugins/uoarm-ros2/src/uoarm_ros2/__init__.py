@@ -8,6 +8,7 @@ from __future__ import annotations
 from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
+from uoarm_ros2._parameters import mistakes
 from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake, topic_name
 
 __all__ = ["uoarm_bridge_types"]
@@ -25,6 +26,7 @@ def uoarm_bridge_types() -> list[BridgeType]:
             check_endpoint=mistake,
             topic=topic_name,
             doctor=_doctor,
+            check_parameters=_check_parameters,
             contract=2,
         )
     ]
@@ -36,6 +38,13 @@ def _create(name: str, options: Options) -> Bridge:
     except ImportError as error:
         raise PluginError(f"bridge {name!r}: {missing(error)}") from error
     return Ros2Bridge(name, options)
+
+
+def _check_parameters(
+    address: tuple[str, ...], parameters: Options, options: Options
+) -> dict[str, str]:
+    del address, options  # which parameters a node has only the node knows
+    return mistakes(parameters)
 
 
 def _doctor() -> dict[str, str]:

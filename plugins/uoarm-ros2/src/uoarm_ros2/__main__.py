@@ -1,4 +1,4 @@
-"""`uoarm ros2`: a look at the graph, at its types and at what is installed."""
+"""`uoarm ros2`: a look at the graph, at its types and at what is installed; wheels of types."""
 
 from __future__ import annotations
 
@@ -6,26 +6,32 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
-from uoarm.errors import PluginError, UoarmError
+from uoarm.errors import ConfigurationError, PluginError, UoarmError
 from uoarm.plugins import Command, hookimpl
 from uoarm_ros2 import missing
 from uoarm_ros2._types import type_mistake
 
 __all__ = ["main", "uoarm_commands"]
 
-_USAGE, _BRIDGE, _INTERRUPTED = 2, 4, 130
+_REFUSED, _USAGE, _BRIDGE, _INTERRUPTED = 1, 2, 4, 130
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; returns the exit status: 2 for wrong words, 4 where ROS 2 has it not."""
+    """Run a command; returns the exit status.
+
+    That is 1 for definitions that cannot be built, 2 for wrong words, 4 where ROS 2 has it not.
+    """
     given = _parser().parse_args(arguments)
     mistake = type_mistake(given.type) if getattr(given, "type", "") else ""
     if mistake:
         return _fail(mistake, _USAGE)
     try:
-        return _show(given)
+        return _build(given) if given.command == "build-interfaces" else _show(given)
+    except ConfigurationError as error:
+        return _fail(str(error), _REFUSED)
     except UoarmError as error:
         return _fail(str(error), _BRIDGE)
     except KeyboardInterrupt:
@@ -55,7 +61,25 @@ def _parser() -> argparse.ArgumentParser:
     )
     echo.add_argument("name")
     echo.add_argument("type", nargs="?", default="", help="package/msg/Name; default: the graph's")
+    build = commands.add_parser(
+        "build-interfaces",
+        parents=[printing],
+        help="build wheels of .msg, .srv and .action files; needs a C and a C++ compiler",
+    )
+    build.add_argument("folder", type=Path, help="below it: package/msg/Name.msg and alike")
+    build.add_argument("--output", type=Path, default=Path(), help="where wheels go; default: .")
     return parser
+
+
+def _build(given: argparse.Namespace) -> int:
+    from uoarm_ros2._interfaces import build_wheels  # noqa: PLC0415 - other commands do not need it
+
+    def tell(step: str) -> None:
+        sys.stderr.write(f"{step}\n")
+        sys.stderr.flush()
+
+    built = build_wheels(given.folder, given.output, tell)
+    return _print(given, [str(each) for each in built], lambda paths: paths)
 
 
 def _show(given: argparse.Namespace) -> int:

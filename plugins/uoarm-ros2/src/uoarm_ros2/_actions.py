@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
 from uoarm.bridge import Channel, Description, Sink, Source
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros2._graph import Graph
-from uoarm_ros2._middleware import Station
+from uoarm_ros2._middleware import Station, rclpy_errors
 from uoarm_ros2._read import reader
 from uoarm_ros2._schema import schema_of, structure_of
 from uoarm_ros2._services import answered
@@ -123,16 +123,22 @@ class Action:
         deadline = time.monotonic() + timeout
         what = f"action {self.name}"
         goal = self._write_goal(message)
-        self.wait(min(wait, timeout))
-        handle = answered(self._client.send_goal_async(goal), deadline, self.ready, what)
-        if not handle.accepted:
-            raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
-        try:
-            with cancelling(handle.cancel_goal_async):
-                reply = answered(handle.get_result_async(), deadline, self.ready, what)
-        except BridgeTimeoutError:
-            handle.cancel_goal_async()
-            raise
+        with rclpy_errors(what):
+            self.wait(min(wait, timeout))
+            sent = self._client.send_goal_async(goal)
+            try:
+                handle = answered(sent, deadline, self.ready, what)
+            except BridgeError:
+                sent.add_done_callback(_cancel_unwanted)
+                raise
+            if not handle.accepted:
+                raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
+            try:
+                with cancelling(lambda: _cancel(handle)):
+                    reply = answered(handle.get_result_async(), deadline, self.ready, what)
+            except BridgeTimeoutError:
+                _cancel(handle)
+                raise
         status = _STATUS.get(reply.status, "unknown")
         if status != "succeeded":
             result = self._read_result(reply.result)
@@ -161,7 +167,7 @@ class Action:
         with self._lock:
             goals = [goal for name, goal in self._goals.items() if wanted in {"", name}]
         for goal in goals:
-            goal.cancel_goal_async()
+            _cancel(goal)
 
     def join(self, listener: ActionSource) -> None:
         """Have messages of the listener's part delivered to it."""
@@ -186,10 +192,6 @@ class Action:
                 lost, self._goals = list(self._goals), {}
             for goal_id in lost:
                 self._emit("status", {"goal_id": goal_id, "status": "lost"})
-
-    def destroy(self) -> None:
-        """Put the client away."""
-        self._client.destroy()
 
     def _emit(self, part: str, message: Message) -> None:
         for listener in self._listeners:
@@ -219,6 +221,21 @@ class Action:
         ended = {"goal_id": goal_id, "status": _STATUS.get(reply.status, "aborted")}
         self._emit("result", {**ended, "result": self._read_result(reply.result)})
         self._emit("status", ended)
+
+
+def _cancel(goal: Any) -> bool:
+    """Ask the server to cancel a goal; False: it cannot be told, since the bridge was closed."""
+    with suppress(BridgeError), rclpy_errors("cancelling a goal"):
+        goal.cancel_goal_async()
+        return True
+    return False
+
+
+def _cancel_unwanted(sent: Any) -> None:
+    """Cancel a goal that was accepted when its call had been given up."""
+    handle = sent.result()
+    if handle is not None and handle.accepted:
+        _cancel(handle)
 
 
 def _id(goal_id: Any) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
-from typing import TypeVar
+from contextlib import ExitStack, suppress
+from typing import Any, TypeVar
 
 from attrs import evolve
 
@@ -20,7 +22,7 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_ros2 import _actions, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
@@ -29,8 +31,11 @@ from uoarm_ros2._cdr_write import cdr_writer
 from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._discovery import Attendance, discovered
 from uoarm_ros2._end import Place
+from uoarm_ros2._frame_lookups import FrameLookups
 from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._link import Relay, SameTopic
+from uoarm_ros2._managed_node import NodeAccess
+from uoarm_ros2._managed_nodes import ManagedNodes
 from uoarm_ros2._middleware import Participant, Station
 from uoarm_ros2._offered_action import (
     OfferedAction,
@@ -38,20 +43,31 @@ from uoarm_ros2._offered_action import (
     OfferedSink,
     OfferedSource,
 )
+from uoarm_ros2._pulse import SimulatedClock
+from uoarm_ros2._qos import Policies
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._services import Caller, Server
-from uoarm_ros2._settings import Address, BridgeSettings, Settings, address_of, settings_of
+from uoarm_ros2._settings import (
+    LOOKUP,
+    Address,
+    BridgeSettings,
+    Settings,
+    address_of,
+    settings_of,
+)
 from uoarm_ros2._shape import is_described, is_large, shape_of
 from uoarm_ros2._sink import TopicSink
 from uoarm_ros2._source import TopicSource
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, TypeFinder
-from uoarm_ros2._types import ACTION
+from uoarm_ros2._types import ACTION, import_type
 from uoarm_ros2._write import writer
 
 __all__ = ["Ros2Bridge"]
 
 _CLOSE_SECONDS = 1.0
+_LEAVE_SECONDS = 3.0
 _DESCRIPTION_SECONDS = 2.0
+_CLOCK = "rosgraph_msgs/msg/Clock"
 Watched = TypeVar("Watched", TopicSource, TopicSink, Relay)
 
 
@@ -76,14 +92,19 @@ class Ros2Bridge(Bridge):
         )
         try:
             self._station = self._participant.station(node)
+            self._clock = self._hear_clock() if self._settings.use_sim_time else time.monotonic
         except BaseException:
             self._participant.close(_CLOSE_SECONDS)
             raise
         self._graph = Graph(self._station, self._settings.wait)
         self._types = TypeFinder(self._ask_for_description, self._station.ends, defined)
         self._attendance = Attendance(
-            self._station.node, self._participant.node_names, self._node_changed
+            self._station.node, self._participant.node_names, self._told_of
         )
+        access = NodeAccess(self._ask, self._station.has_server, self._listen, self._told_of)
+        resolve = self._station.topic_name
+        self._managed = ManagedNodes(access, self._graph, resolve)
+        self._lookups = FrameLookups(self._station, self._graph, self._types.find)
         self._making = threading.RLock()
         self._replies: Station | None = None
         self._callers: dict[tuple[str, str], Caller] = {}
@@ -95,7 +116,10 @@ class Ros2Bridge(Bridge):
         self._station.cut_off = self._cut_off
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        address, settings = address_of(endpoint), settings_of(endpoint)
+        address = address_of(endpoint)
+        settings = self._managed.described(endpoint, settings_of(endpoint))
+        if address.part == LOOKUP:
+            return self._lookups.describe(address, settings)
         if endpoint.role is Role.SERVICE:
             return self._describe_service(address, settings)
         if address.kind == ACTION:
@@ -119,7 +143,7 @@ class Ros2Bridge(Bridge):
         at_most: float = math.inf,
     ) -> tuple[bool, str, str]:
         """Return whether it is an action, its full name and its type, once a server is there."""
-        name = self._station.node.resolve_service_name(address.name)
+        name = self._station.service_name(address.name)
         hidden = f"{name}/_action/send_goal"
 
         def there() -> bool:
@@ -144,12 +168,14 @@ class Ros2Bridge(Bridge):
         if address.kind == ACTION and endpoint.is_offered:
             with self._making:
                 return OfferedSource(endpoint, self._offering(address), address.part, deliver)
-        if address.kind == ACTION:
-            return self._open_action_source(endpoint, address, settings, deliver)
-        place = self._place(endpoint, address, settings)
-        read = cdr_reader(shape_of(place.native, place.topic.type))
-        source = TopicSource(place, read, deliver)
-        return self._waited(source)
+        with self._managed.held(endpoint, settings) as held:
+            if address.kind == ACTION:
+                action = self._reachable(address, held.settings)
+                source = ActionSource(endpoint, action, address.part, deliver, self._told)
+                return held.until_closed(source)
+            place = self._place(endpoint, address, held.settings)
+            read = cdr_reader(shape_of(place.native, place.topic.type))
+            return held.until_closed(self._waited(TopicSource(place, read, deliver)))
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
@@ -157,36 +183,34 @@ class Ros2Bridge(Bridge):
         if address.kind == ACTION and endpoint.is_offered:
             with self._making:
                 return OfferedSink(endpoint, self._offering(address), address.part)
-        if address.kind == ACTION:
-            return ActionSink(endpoint, self._reachable(address, settings), address.part)
-        place = self._place(endpoint, address, settings)
-        shape = shape_of(place.native, place.topic.type)
-        write: Callable[[Message], object] = writer(shape)
-        if is_described(place.native):
-            write = _serialising(write, cdr_writer(shape))
-        sink = TopicSink(place, write)
-        return self._waited(sink)
-
-    def _open_action_source(
-        self, endpoint: Endpoint, address: Address, settings: Settings, deliver: Deliver
-    ) -> Source:
-        action = self._reachable(address, settings)
-        return ActionSource(endpoint, action, address.part, deliver, self._told)
+        with self._managed.held(endpoint, settings) as held:
+            if address.kind == ACTION:
+                action = self._reachable(address, held.settings)
+                return held.until_closed(ActionSink(endpoint, action, address.part))
+            place = self._place(endpoint, address, held.settings)
+            shape = shape_of(place.native, place.topic.type)
+            write: Callable[[Message], object] = writer(shape)
+            if is_described(place.native):
+                write = _serialising(write, cdr_writer(shape))
+            return held.until_closed(self._waited(TopicSink(place, write)))
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)
-        wait = min(self._graph.limit(settings), timeout / 2)
-        server = self._called.get(address)
-        if server is None or not server.ready():
-            action, name, type_name = self._require_server(address, settings, at_most=wait)
-            server = (self._action if action else self._caller)(name, type_name)
-            self._called[address] = server
-        if isinstance(server, Action):
-            return server.call(message, timeout, wait, self.cancelling)
-        return server.call(message, timeout, wait)
+        with self._managed.held(endpoint, settings) as held:
+            if address.part == LOOKUP:
+                return self._lookups.call(address, message, timeout)
+            wait = min(self._graph.limit(settings), timeout / 2)
+            server = self._called.get(address)
+            if server is None or not server.ready():
+                action, name, type_name = self._require_server(address, held.settings, at_most=wait)
+                server = (self._action if action else self._caller)(name, type_name)
+                self._called[address] = server
+            if isinstance(server, Action):
+                return server.call(message, timeout, wait, self.cancelling)
+            return server.call(message, timeout, wait)
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
@@ -196,7 +220,7 @@ class Ros2Bridge(Bridge):
         if not address.type:
             text = f"{endpoint}: serving needs a type, as package/srv/Name, in the address"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
-        name = self._station.node.resolve_service_name(address.name)
+        name = self._station.service_name(address.name)
         kind = OfferedCall if address.kind == ACTION else Server
         station, at_once = self._reply_station(), settings.at_once
         return kind(station, endpoint, name, address.type, handler, at_once, self._told)
@@ -205,14 +229,23 @@ class Ros2Bridge(Bridge):
         wanted = [(each, address_of(each), settings_of(each)) for each in (source, sink)]
         if any(address.kind == ACTION for _, address, _ in wanted):
             return None
-        places = [self._place(*each) for each in wanted]
-        if places[0].topic.type != places[1].topic.type:
-            return None
-        if places[0].topic.name != places[1].topic.name:
-            return self._waited(Relay(*places))
-        same = SameTopic(*places)
-        self._watched[same] = same.tick
-        return same
+        with ExitStack() as stack:
+            ends = [stack.enter_context(self._managed.held(end, asked)) for end, _, asked in wanted]
+            places = [
+                self._place(end, address, held.settings)
+                for (end, address, _), held in zip(wanted, ends, strict=True)
+            ]
+            if places[0].topic.type != places[1].topic.type:
+                return None
+            if places[0].topic.name != places[1].topic.name:
+                link: Channel = self._waited(Relay(*places))
+            else:
+                same = SameTopic(*places)
+                self._watched[same] = same.tick
+                link = same
+            for held in ends:
+                held.until_closed(link)
+            return link
 
     def _discover(self) -> tuple[Discovered, ...]:
         self._graph.settled("anything", lambda: False, Settings())
@@ -220,6 +253,8 @@ class Ros2Bridge(Bridge):
         return discovered(self.name, self._station.node, own, self._structure)
 
     def _close(self) -> None:
+        self._managed.close(_LEAVE_SECONDS)
+        self._lookups.close()
         self._watched.clear()
         for offered in list(self._offered.values()):
             offered.destroy()
@@ -234,9 +269,17 @@ class Ros2Bridge(Bridge):
         if not self._station.has_server(name):
             text = f"there is no service {name}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        return self._caller(name, DESCRIPTION_SERVICE).call(
-            request, _DESCRIPTION_SECONDS, _DESCRIPTION_SECONDS
-        )
+        return self._ask(name, DESCRIPTION_SERVICE, request, _DESCRIPTION_SECONDS)
+
+    def _ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
+        return self._caller(name, type_name).call(request, seconds, seconds)
+
+    def _listen(self, topic: str, heard: Callable[[], None]) -> Callable[[], None]:
+        """Have something called, in the station's thread, when a node tells of its lifecycle."""
+        native = import_type("lifecycle_msgs/msg/TransitionEvent")
+        station = self._station
+        made = station.subscribe(native, topic, Policies(), lambda _: heard(), events={})
+        return lambda: station.discard(made)
 
     def _place(self, endpoint: Endpoint, address: Address, settings: Settings) -> Place:
         topic = self._graph.topic(address, endpoint.role, settings)
@@ -253,7 +296,21 @@ class Ros2Bridge(Bridge):
             settings,
             self._settings.settle,
             self._told,
+            self._clock,
         )
+
+    def _hear_clock(self) -> SimulatedClock:
+        clock, native = SimulatedClock(), import_type(_CLOCK)
+        read = cdr_reader(shape_of(native, _CLOCK))
+
+        def take(octets: bytes) -> None:
+            with suppress(MessageError):
+                now: Any = read(octets)
+                clock.take(now["clock"]["sec"] * 1_000_000_000 + now["clock"]["nanosec"])
+
+        latest = Policies(reliability="best_effort", depth=1)
+        self._station.subscribe(native, "/clock", latest, take, events={})
+        return clock
 
     def _waited(self, channel: Watched) -> Watched:
         """Wait for the other end; nothing stays open when it does not come."""
@@ -295,7 +352,7 @@ class Ros2Bridge(Bridge):
 
     def _offering(self, address: Address) -> OfferedAction:
         """Return the server of an action; goals come where topics do, so that takers may call."""
-        name = self._station.node.resolve_service_name(address.name)
+        name = self._station.service_name(address.name)
         offered = self._offered.get((name, address.type))
         if offered is None:
             offered = OfferedAction(self._station, name, address.type)
@@ -311,8 +368,8 @@ class Ros2Bridge(Bridge):
     def _told(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
 
-    def _node_changed(self, health: Health, cause: str, node: str) -> None:
-        self.report(health, cause, component=node)
+    def _told_of(self, health: Health, cause: str, component: str) -> None:
+        self.report(health, cause, component=component)
 
     def _cut_off(self) -> None:
         text = "the ROS 2 context was shut down from outside, as rclpy's signal handlers do"
@@ -327,6 +384,8 @@ class Ros2Bridge(Bridge):
         for action in list(self._actions.values()):
             action.tick()
         self._look_after_offers()
+        self._lookups.tick()
+        self._managed.tick()
         self._graph.tick()
         self._attendance.tick()
 

@@ -16,7 +16,7 @@ from uoarm_ros2._type_hash import type_hash
 from uoarm_ros2._types import import_type, type_mistake
 from uoarm_ros2.definitions import Reading
 
-__all__ = ["DefinedTypes"]
+__all__ = ["DefinedTypes", "untyped_record"]
 
 _MOST_TOLD = 5
 
@@ -54,8 +54,13 @@ class DefinedTypes:
                 except ValueError as error:
                     text = f"{name}, as option definitions has it, cannot be used: {error}"
                     raise BridgeError(text, FailureReason.UNSUPPORTED) from error
-                self._found[name] = _native(record, type_hash(record), {}).native
+                self._found[name] = untyped_record(record).native
             return self._found[name]
+
+
+def untyped_record(record: Record) -> Record:
+    """Return a record with a class of its own, through which serialised messages pass."""
+    return _native(record, type_hash(record), {})
 
 
 def _installed(name: str) -> Record | None:

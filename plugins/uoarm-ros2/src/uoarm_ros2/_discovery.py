@@ -11,6 +11,7 @@ from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm_ros2 import _actions, _services
+from uoarm_ros2._middleware import rclpy_errors
 
 __all__ = ["Attendance", "discovered"]
 
@@ -42,7 +43,9 @@ def discovered(
     known have no structures; `detail` says why.
     """
     found = []
-    for name, namespace in sorted(set(node.get_node_names_and_namespaces())):
+    with rclpy_errors("looking for nodes"):
+        names = sorted(set(node.get_node_names_and_namespaces()))
+    for name, namespace in names:
         full = f"{namespace.rstrip('/')}/{name}"
         if full in own:
             continue

@@ -40,6 +40,7 @@ class Place:
     settings: Settings
     settle: float
     report: Callable[[Channel, Health, str], None]
+    clock: Callable[[], float] = time.monotonic
 
 
 class End(ABC):

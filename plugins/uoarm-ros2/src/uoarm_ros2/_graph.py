@@ -69,7 +69,7 @@ class Graph:
         now = time.monotonic()
         if now >= self._types_due:
             self._types_due = now + _TYPES_SECONDS
-            self._types = dict(self._station.node.get_topic_names_and_types())
+            self._types = self._station.topics()
 
     def has_other_types(self, topic: Topic) -> bool:
         """Whether a topic carried other types, too, at the last look, a second ago at most."""
@@ -112,7 +112,7 @@ class Graph:
         Raises:
             BridgeError: no such topic, no peer, another type, or two types and no choice.
         """
-        name = self._station.node.resolve_topic_name(address.name)
+        name = self._station.topic_name(address.name)
         peers = self._station.publishers if role is Role.OUTPUT else self._station.subscriptions
         wanted = address.type
         needed = settings.peer_required or not wanted
@@ -139,7 +139,7 @@ class Graph:
         Raises:
             BridgeError: the graph shows another type, or no type and none is in the address.
         """
-        name = self._station.node.resolve_service_name(address.name)
+        name = self._station.service_name(address.name)
         what = "action" if action else "service"
         listing = self._station.actions if action else self._station.services
         types = listing().get(name, [])
@@ -178,7 +178,7 @@ class Graph:
         if peers:
             text = f"topic {name} has no {who} of type {wanted}, but {_listed(_types(peers))}"
             return BridgeError(text, FailureReason.UNAVAILABLE)
-        known = name in dict(self._station.node.get_topic_names_and_types())
+        known = name in self._station.topics()
         text = f"topic {name} {f'has no {who}' if known else 'is not on the graph'}"
         if role is Role.INPUT:
             text += "; to publish without a subscription set option peer: optional"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 
 from attrs import evolve
 
 from uoarm.bridge import Channel
+from uoarm.errors import BridgeError
 from uoarm.model import Health
 from uoarm_ros2._end import Place
 from uoarm_ros2._sink import TopicSink
@@ -83,12 +85,14 @@ class SameTopic(Channel):
             self._source.report(self, Health.OK, "both ends are there")
 
     def facts(self) -> Mapping[str, object]:
-        """Return how many publishers and subscriptions the topic has."""
+        """Return how many publishers and subscriptions the topic has; nothing after the end."""
         station, name = self._source.station, self._source.topic.name
-        return {
-            "publishers": len(station.publishers(name)),
-            "subscriptions": len(station.subscriptions(name)),
-        }
+        with suppress(BridgeError):  # the bridge was closed
+            return {
+                "publishers": len(station.publishers(name)),
+                "subscriptions": len(station.subscriptions(name)),
+            }
+        return {}
 
     def _missing(self) -> str:
         station, name = self._source.station, self._source.topic.name

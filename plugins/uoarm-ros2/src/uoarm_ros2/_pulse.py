@@ -7,9 +7,26 @@ from collections.abc import Callable
 
 from uoarm.model import Health
 
-__all__ = ["Pulse"]
+__all__ = ["Pulse", "SimulatedClock"]
 
 _CALM_SECONDS = 1.0
+
+
+class SimulatedClock:
+    """Seconds that `/clock` has counted: they stand while it does, and never go back."""
+
+    def __init__(self) -> None:
+        self._seconds = 0.0
+        self._last: int | None = None
+
+    def take(self, nanoseconds: int) -> None:
+        """Take a time of the simulation; one that is earlier is that of another run."""
+        if self._last is not None:
+            self._seconds += max(0, nanoseconds - self._last) / 1e9
+        self._last = nanoseconds
+
+    def __call__(self) -> float:
+        return self._seconds
 
 
 class Pulse:

@@ -14,7 +14,7 @@ from uoarm.bridge import Channel, Description, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._graph import Graph
-from uoarm_ros2._middleware import Station
+from uoarm_ros2._middleware import Station, rclpy_errors
 from uoarm_ros2._read import reader
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import Record, shape_of
@@ -81,17 +81,19 @@ class Caller:
         Raises:
             MessageError: the request does not fit its native type.
             BridgeTimeoutError: no reply within `timeout` seconds.
-            BridgeError: no server within `wait` seconds, or it went away in mid-call.
+            BridgeError: no server within `wait` seconds, or it went away in mid-call, or the bridge
+                was closed.
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
-        if not (self._greeted and self.ready()):
-            self._meet(timeout, wait)
-        future = self._client.call_async(request)
-        try:
-            return self._read(answered(future, deadline, self.ready, self._what))
-        finally:
-            self._client.remove_pending_request(future)
+        with rclpy_errors(self._what):
+            if not (self._greeted and self.ready()):
+                self._meet(timeout, wait)
+            future = self._client.call_async(request)
+            try:
+                return self._read(answered(future, deadline, self.ready, self._what))
+            finally:
+                self._client.remove_pending_request(future)
 
     def _meet(self, timeout: float, wait: float) -> None:
         """Wait for a server, and until it has met us too."""
@@ -190,7 +192,10 @@ class Workers(Channel):
         cause = f"serving {self._name} failed: {type(error).__name__}: {error}"
         _log.warning("%s", cause)
         self._report(self, Health.DEGRADED, cause)
-        self._refuse(asked, error)
+        try:
+            self._refuse(asked, error)
+        except Exception as another:  # noqa: BLE001 - rclpy's; the thread has more to handle
+            _log.warning("a client of %s could not be refused: %s", self._name, another)
 
 
 class Server(Workers):

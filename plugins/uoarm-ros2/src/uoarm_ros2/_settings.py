@@ -14,11 +14,14 @@ from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
 __all__ = [
     "BRIDGE_OPTIONS",
+    "LOOKUP",
+    "TF_MESSAGE",
     "Address",
     "BridgeSettings",
     "Settings",
     "address_of",
     "mistake",
+    "node_of",
     "settings_of",
 ]
 
@@ -32,6 +35,8 @@ _PARTS = {
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
 _MOST_AT_ONCE = 64
+TF_MESSAGE, LOOKUP = "tf2_msgs/msg/TFMessage", "lookup"
+_AFTERWARDS = ("deactivate", "cleanup", "leave")
 
 _SECONDS: dict[str, object] = {"type": "number", "minimum": 0, "maximum": 60}
 BRIDGE_OPTIONS: Schema = {
@@ -58,6 +63,10 @@ BRIDGE_OPTIONS: Schema = {
             "maxItems": 64,
             "description": "folders of .msg files for message types that are not installed",
         },
+        "use_sim_time": {
+            "type": "boolean",
+            "description": "whether stale_after counts the seconds of /clock; default false",
+        },
         "wait": {**_SECONDS, "description": "seconds to wait for the other end; default 3.5"},
         "shared_memory": {
             "type": "integer",
@@ -81,7 +90,7 @@ class Address:
     Attributes:
         name: as written; relative names are resolved in the bridge's namespace.
         type: `package/msg/Name` or the like; empty to take what the graph shows.
-        part: of an action the stream meant; otherwise empty.
+        part: of an action the stream meant, of `/tf` `lookup`; otherwise empty.
     """
 
     name: str
@@ -105,6 +114,7 @@ class BridgeSettings:
     settle: float = _SETTLE_SECONDS
     shared_memory: int | None = None
     definitions: tuple[str, ...] = ()
+    use_sim_time: bool = False
 
 
 @frozen
@@ -117,6 +127,9 @@ class Settings:
         wait: seconds to wait for the other end; None: as the bridge says.
         stale_after: seconds without a message after which the channel is lost; None: never.
         at_once: requests to a service that is offered that are handled at the same time.
+        node: behind the component; empty: its name.
+        activate: `false`, `true` or `keep`: whether a lifecycle node is active while it is used.
+        afterwards: `deactivate`, `cleanup` or `leave`: what then becomes of it.
     """
 
     qos: QosWish = field(factory=QosWish)
@@ -124,6 +137,9 @@ class Settings:
     wait: float | None = None
     stale_after: float | None = None
     at_once: int = 8
+    node: str = ""
+    activate: str = "false"
+    afterwards: str = "deactivate"
 
 
 def address_of(endpoint: Endpoint) -> Address:
@@ -134,6 +150,9 @@ def address_of(endpoint: Endpoint) -> Address:
     """
     with reading_endpoint(endpoint):
         address = _address(endpoint.address)
+        if address.part == LOOKUP:
+            _is_called(endpoint)
+            return address
         parts = _PARTS[_seen_by_clients(endpoint)]
         _fits(address, endpoint.role, parts)
         if address.kind == ACTION and endpoint.role is not Role.SERVICE:
@@ -150,7 +169,27 @@ def settings_of(endpoint: Endpoint) -> Settings:
     """
     with reading_endpoint(endpoint):
         settings = _settings(endpoint.options)
-        return evolve(settings, peer_required=False) if endpoint.is_offered else settings
+        if not endpoint.is_offered:
+            return settings
+        if settings.node or settings.activate != "false":
+            raise ValueError(
+                "what is offered stands on no node: node and activate do not go with it"
+            )
+        return evolve(settings, peer_required=False)
+
+
+def node_of(endpoint: Endpoint, settings: Settings) -> str:
+    """Return the node behind a component, empty where nothing is asked of one.
+
+    Raises:
+        ValueError: it is not named, and the component's name is none of a node.
+    """
+    if not (settings.node or settings.activate != "false" or endpoint.parameters):
+        return ""
+    name = settings.node or endpoint.component
+    if not _NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is not the name of a node: say which it is with option node")
+    return name
 
 
 def mistake(address: tuple[str, ...], options: Options) -> str:
@@ -180,6 +219,8 @@ def _address(parts: tuple[str, ...]) -> Address:
     if wrong:
         raise ValueError(wrong)
     known = tuple(part for parts in _PARTS.values() for part in parts)
+    if (address.type, address.part) == (TF_MESSAGE, LOOKUP):
+        return address
     if address.part and (address.kind != ACTION or address.part not in known):
         text = f"only an action has parts, and they are {', '.join(known)}; got {address.part!r}"
         raise ValueError(text)
@@ -191,6 +232,11 @@ def _seen_by_clients(endpoint: Endpoint) -> Role:
     if not endpoint.is_offered or endpoint.role is Role.SERVICE:
         return endpoint.role
     return Role.OUTPUT if endpoint.role is Role.INPUT else Role.INPUT
+
+
+def _is_called(endpoint: Endpoint) -> None:
+    if endpoint.role is not Role.SERVICE or endpoint.is_offered:
+        raise ValueError("looking frames up is a service that is called, and nothing else")
 
 
 def _fits(address: Address, role: Role, parts: tuple[str, ...]) -> None:
@@ -209,19 +255,31 @@ def _default_part(endpoint: Endpoint, parts: tuple[str, ...]) -> str:
 
 
 def _settings(options: Options) -> Settings:
-    known = ("at_once", "peer", "qos", "stale_after", "wait")
+    known = ("activate", "afterwards", "at_once", "node", "peer", "qos", "stale_after", "wait")
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise ValueError(f"there is no option {unknown[0]!r}; there are {', '.join(known)}")
     peer = options.get("peer", "required")
     if peer not in {"required", "optional"}:
         raise ValueError(f"peer must be required or optional, got {peer!r}")
+    node = options.get("node", "")
+    if node and not (isinstance(node, str) and _NAME.fullmatch(node)):
+        raise ValueError(f"node must be the name of a node such as /camera, got {node!r}")
+    activate = options.get("activate", False)
+    if activate not in (True, False, "keep"):
+        raise ValueError(f"activate must be true, false or keep, got {activate!r}")
+    afterwards = options.get("afterwards", _AFTERWARDS[0])
+    if afterwards not in _AFTERWARDS:
+        raise ValueError(f"afterwards must be {' or '.join(_AFTERWARDS)}, got {afterwards!r}")
     return Settings(
         wish_from(options.get("qos")),
         peer == "required",
         _seconds(options, "wait", zero=True),
         _seconds(options, "stale_after", zero=False),
         _at_once(options),
+        str(node),
+        str(activate).lower(),
+        str(afterwards),
     )
 
 

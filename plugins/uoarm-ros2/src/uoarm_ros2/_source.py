@@ -90,7 +90,9 @@ class TopicSource(Source):
         self._read = read
         self._deliver = deliver
         self.pulse = Pulse(
-            lambda health, cause: place.report(self, health, cause), place.settings.stale_after
+            lambda health, cause: place.report(self, health, cause),
+            place.settings.stale_after,
+            place.clock,
         )
         self._end = _Subscription(place, self.pulse, self._receive)
 

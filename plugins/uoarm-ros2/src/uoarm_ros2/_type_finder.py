@@ -9,7 +9,9 @@ from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message
 from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._described import described_type
+from uoarm_ros2._frame_lookups import tf_message
 from uoarm_ros2._middleware import Peer
+from uoarm_ros2._settings import TF_MESSAGE
 from uoarm_ros2._types import import_type
 
 __all__ = ["DESCRIPTION_SERVICE", "TypeFinder"]
@@ -55,6 +57,8 @@ class TypeFinder:
         defined = self._defined.find(name)
         if defined is not None:
             return defined
+        if name == TF_MESSAGE:
+            return tf_message()
         asked: list[str] = []
         for peer in self._peers(topic):
             if peer.type != name or not peer.definition:

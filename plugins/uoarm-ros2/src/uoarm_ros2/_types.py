@@ -42,8 +42,9 @@ def import_type(name: str) -> type:
         missing = f"{package}.{kind}" if error.name is None else error.name
         text = (
             f"type {name!r}: Python package {missing!r} cannot be imported ({error}); install "
-            f"ros-<distribution>-{package.replace('_', '-')} (as ros-jazzy-...), or source the "
-            f"workspace that provides {package!r}"
+            f"ros-<distribution>-{package.replace('_', '-')} (as ros-jazzy-...), have `uoarm ros2 "
+            f"build-interfaces` build it of its definitions, or source the workspace that "
+            f"provides {package!r}"
         )
         raise BridgeError(text, FailureReason.NOT_FOUND) from error
     found = getattr(module, type_name, None)

@@ -21,6 +21,7 @@ from uoarm.server.front_end import (
     UnknownError,
 )
 from uoarm_rosbridge._action_hub import ActionHub
+from uoarm_rosbridge._parameters import Parameters
 from uoarm_rosbridge._typedefs import is_same_type
 
 __all__ = ["Hub", "Provider", "Topic"]
@@ -78,10 +79,11 @@ class Topic:
 
 
 class Hub:
-    """All topics and services between the clients of one server, in the loop's thread.
+    """All topics, services and parameters between the clients of one server, in the loop's thread.
 
     Attributes:
         actions: all actions.
+        parameters: all parameters.
     """
 
     def __init__(self) -> None:
@@ -90,6 +92,7 @@ class Hub:
         self._numbers = itertools.count(1)
         self._waiting: dict[str, tuple[Provider, asyncio.Future[Message]]] = {}
         self.actions = ActionHub()
+        self.parameters = Parameters()
 
     @property
     def topics(self) -> dict[str, str]:

@@ -7,12 +7,12 @@ from collections import deque
 from collections.abc import Callable
 
 from uoarm.errors import MessageError, UoarmError
-from uoarm.model import Message
+from uoarm.model import LeaseHolder, Message
 from uoarm.server.front_end import (
-    Account,
     Backend,
     BusyError,
     Charge,
+    Client,
     Done,
     Feed,
     FeedKey,
@@ -33,7 +33,7 @@ class Publication:
         place: the function and its input.
         kind: the type that the client states; empty: none.
         backend: where the function is opened.
-        account: of the client.
+        client: who publishes, and commands what has a lease as its session.
         on_failed: hears why it could not be opened, or that it ended.
     """
 
@@ -42,13 +42,14 @@ class Publication:
         place: Place,
         kind: str,
         backend: Backend,
-        account: Account,
+        client: Client,
         on_failed: Callable[[BaseException], None],
     ) -> None:
         self._place = place
         self._kind = kind
         self._backend = backend
-        self._account = account
+        self._account = client.account
+        self._holder = LeaseHolder(f"session {client.identity}", client.role.name)
         self._on_failed = on_failed
         self._limit = backend.limits.queue_messages
         self._waiting: deque[tuple[Message, Done, Charge]] = deque()
@@ -97,7 +98,9 @@ class Publication:
             return
         assert feed.connection is not None, "join returns feeds that are open"
         self._feed = feed
-        self._sending = self._backend.sender(feed.connection, self._account, read_arguments)
+        self._sending = self._backend.sender(
+            feed.connection, self._account, read_arguments, self._holder
+        )
         feed.add(self)
         while self._waiting:
             message, done, charge = self._waiting.popleft()

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from uoarm import __version__
 from uoarm.errors import UsageError
 from uoarm.model import Component, Function, MessageStructure
-from uoarm.server.front_end import Backend, Operation, Role, UnknownError
+from uoarm.server.front_end import Backend, Client, Operation, UnknownError
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import find_place, topic_of
 from uoarm_rosbridge._stream_runner import is_action
@@ -19,7 +19,7 @@ __all__ = ["PREFIX", "Rosapi"]
 
 PREFIX = "/rosapi/"
 Arguments: TypeAlias = Mapping[str, Any]
-_NO_PARAMETERS = "there are no parameters here: a component's are in the configuration"
+_ABSENT = "null"
 
 
 class Rosapi:
@@ -29,10 +29,11 @@ class Rosapi:
     has it in a later answer once it can be had.
     """
 
-    def __init__(self, backend: Backend, hub: Hub, role: Role) -> None:
+    def __init__(self, backend: Backend, hub: Hub, client: Client) -> None:
         self._backend = backend
         self._hub = hub
-        self._role = role
+        self._client = client
+        self._role = client.role
         self._services: Mapping[str, Callable[[Arguments], Awaitable[dict[str, Any]]]] = {
             "topics": self._topics,
             "topics_and_raw_types": self._topics_and_raw_types,
@@ -53,7 +54,9 @@ class Rosapi:
             "get_time": self._get_time,
             "get_ros_version": self._get_version,
             "get_param": self._get_param,
-            "get_param_names": self._no_names,
+            "set_param": self._set_param,
+            "delete_param": self._delete_param,
+            "get_param_names": self._param_names,
             "has_param": self._has_param,
             "action_servers": self._action_servers,
         }
@@ -63,13 +66,13 @@ class Rosapi:
 
         Raises:
             UnknownError: there is no such service, topic, type or node.
-            UsageError: what it would change does not exist here.
+            UsageError: an argument is missing or wrong.
+            DeniedError: the client may not change it.
+            LimitError: there is no room for it.
         """
         answer = self._services.get(name)
         if answer is not None:
             return await answer(arguments)
-        if name in {"set_param", "delete_param"}:
-            raise UsageError(_NO_PARAMETERS)
         raise UnknownError(f"rosapi has no service {name!r:.100}")
 
     async def _topics(self, arguments: Arguments) -> dict[str, Any]:
@@ -177,18 +180,38 @@ class Rosapi:
         return {"version": 2, "distro": f"uoarm {__version__}"}
 
     async def _get_param(self, arguments: Arguments) -> dict[str, Any]:
-        default = arguments.get("default_value") or arguments.get("default")
-        if not isinstance(default, str):
-            raise UsageError(_NO_PARAMETERS)
-        return {"value": default}
+        """Answer with JSON; what nobody set has the default that the client names, or null."""
+        found = self._parameter(arguments)
+        if found is None:
+            default = arguments.get("default_value") or arguments.get("default")
+            value = default if isinstance(default, str) else _ABSENT
+            return {"value": value, **_outcome(done=False)}
+        return {"value": found, **_outcome(done=True)}
 
-    async def _no_names(self, arguments: Arguments) -> dict[str, Any]:
+    async def _set_param(self, arguments: Arguments) -> dict[str, Any]:
+        name = self._changeable(arguments)
+        self._hub.parameters.set(name, _text(arguments, "value"))
+        return _outcome(done=True)
+
+    async def _delete_param(self, arguments: Arguments) -> dict[str, Any]:
+        return _outcome(done=self._hub.parameters.delete(self._changeable(arguments)))
+
+    async def _param_names(self, arguments: Arguments) -> dict[str, Any]:
         del arguments
-        return {"names": []}
+        return {"names": list(self._visible(dict.fromkeys(self._hub.parameters.names, "")))}
 
     async def _has_param(self, arguments: Arguments) -> dict[str, Any]:
-        del arguments
-        return {"exists": False}
+        return {"exists": self._parameter(arguments) is not None}
+
+    def _parameter(self, arguments: Arguments) -> str | None:
+        """Return the JSON text of a parameter that is there for this client."""
+        name = find_place(_text(arguments, "name")).name
+        return self._hub.parameters.get(name) if name in self._visible({name: ""}) else None
+
+    def _changeable(self, arguments: Arguments) -> str:
+        place = find_place(_text(arguments, "name"))
+        self._client.require(Operation.SEND, place.right)
+        return place.name
 
     async def _action_servers(self, arguments: Arguments) -> dict[str, Any]:
         """Name what takes goals: actions, and services as actions without feedback."""
@@ -243,6 +266,11 @@ class Rosapi:
 
     def _components(self, function: str) -> list[Component]:
         return [one for f in self._functions() if f.name == function for one in f.components]
+
+
+def _outcome(*, done: bool) -> dict[str, Any]:
+    """Say how it went, in the fields of rosapi for ROS 2; that of ROS 1 has none."""
+    return {"successful": done, "reason": "" if done else "there is no such parameter"}
 
 
 def _text(arguments: Arguments, name: str) -> str:

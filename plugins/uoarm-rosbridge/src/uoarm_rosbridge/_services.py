@@ -48,7 +48,7 @@ class Services:
         self._tell = tell
         self._ask = ask
         self._cancel_goals = cancel_goals
-        self._rosapi = Rosapi(backend, hub, client.role)
+        self._rosapi = Rosapi(backend, hub, client)
         self._provided: set[str] = set()
 
     async def call(self, fields: Fields) -> None:

@@ -141,9 +141,8 @@ class Topics:
             if place.function not in self._backend.robot.config.functions:
                 raise UsageError(f"there is no function {place.function!r}")
             failed = lambda error: self._publication_failed(place, fields, error)  # noqa: E731
-            account = self._client.account
             self._publications[place.name] = Publication(
-                place, _type_in(fields), self._backend, account, failed
+                place, _type_in(fields), self._backend, self._client, failed
             )
         else:
             self._hub.advertise(place.name, _type_in(fields), self)

@@ -63,6 +63,7 @@ class Activations:
                 if peer is None:
                     continue
                 try:
-                    change(peer, "deactivate", self._seconds, there_is_fine=True)
+                    if state_of(peer, self._seconds) != "error":  # which is not active either
+                        change(peer, "deactivate", self._seconds, there_is_fine=True)
                 except BridgeError as error:
                     _log.warning("component %s could not be deactivated: %s", path, error)

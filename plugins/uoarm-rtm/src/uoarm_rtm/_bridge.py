@@ -32,6 +32,7 @@ from uoarm_rtm._directory import Directory
 from uoarm_rtm._discovery import discovered
 from uoarm_rtm._naming import NamingService
 from uoarm_rtm._native import Native
+from uoarm_rtm._observers import Observers
 from uoarm_rtm._orb import Orb
 from uoarm_rtm._own import Own
 from uoarm_rtm._peer import Peer, Port, state_of
@@ -97,6 +98,7 @@ class RtmBridge(Bridge):
         self._ticking: dict[Channel, Callable[[], None]] = {}
         own = f"{self._settings.component}.rtc"
         self._attendance = Attendance(self._directory, self._component_changed, own)
+        self._observers = Observers(self._orb, self._settings.component, seconds, self._soon)
         self._watch = Watch(self._ticks, self._settings.watch_seconds)
         self._at_exit = partial(_let_go, weakref.ref(self))
         atexit.register(self._at_exit)
@@ -167,7 +169,10 @@ class RtmBridge(Bridge):
         key = (address.component, address.port, address.type)
         caller = self._callers.get(key)
         if caller is None:
-            caller = self._callers.setdefault(key, self._caller(address))
+            made = self._caller(address)
+            with self._guard:
+                self._be_open()
+                caller = self._callers.setdefault(key, made)
         try:
             return caller.call(message, *limit)
         except (IdlError, BridgeTimeoutError):
@@ -219,10 +224,7 @@ class RtmBridge(Bridge):
         if is_big_in_cpp(start.peer, settings) or is_big_in_cpp(end.peer, settings):
             return None
         native = Native(start, end, settings, self.report)
-        for place in (end, start):
-            self._activate(native, place)
-        with self._guard:
-            self._ticking[native] = native.tick
+        self._looked_after(native, native.tick, end, start)
         return native
 
     def _discover(self) -> tuple[Discovered, ...]:
@@ -235,11 +237,19 @@ class RtmBridge(Bridge):
             with self._guard:
                 self._ticking.clear()
             self._active.tick()
-            for caller in list(self._callers.values()):
+            self._observers.close()
+            # Steps may be under way: none makes a caller any more, and one that makes our
+            # component puts it away itself; the ORB waits for that, as long as a call may take.
+            is_made = self._making.acquire(timeout=self._settings.call_seconds)
+            with self._guard:
+                callers, own = list(self._callers.values()), self._own
+            if is_made:
+                self._making.release()
+            for caller in callers:
                 with contextlib.suppress(BridgeError):
-                    caller.close()
-            if self._own is not None:
-                self._own.close()
+                    caller.end()
+            if own is not None:
+                own.close()
             self._watch.close(_WATCH_SECONDS)
         finally:
             self._orb.close()  # the process has one, which would have a user for ever
@@ -257,6 +267,7 @@ class RtmBridge(Bridge):
                 with contextlib.suppress(BridgeError):
                     channel._close()  # noqa: SLF001 - all of them are ours
         self._active.tick()
+        self._observers.close(_EXIT_SECONDS)
 
     def _place(self, endpoint: Endpoint) -> Place:
         peer, port = self._port(endpoint, address_of(endpoint))
@@ -291,11 +302,15 @@ class RtmBridge(Bridge):
             )
             raise BridgeError(text, FailureReason.UNAVAILABLE)
 
-    def _looked_after(self, channel: Channel, tick: Callable[[], None], place: Place) -> None:
-        """Have a channel watched, and its component activated when that is asked."""
-        self._activate(channel, place)
+    def _looked_after(self, channel: Channel, tick: Callable[[], None], *places: Place) -> None:
+        """Have a channel watched, and its components activated when that is asked."""
+        for place in places:
+            self._activate(channel, place)
         with self._guard:
             self._ticking[channel] = tick
+        if self._settings.observe and self._settings.watch_seconds:
+            for place in places:
+                self._observers.enter(channel, tick, place.peer)
 
     def _activate(self, channel: Channel, place: Place) -> None:
         """Activate a component for as long as channels ask for it, where that is asked."""
@@ -305,22 +320,39 @@ class RtmBridge(Bridge):
             channel.close()
             raise
 
+    def _be_open(self) -> None:
+        if self.closed:
+            raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)
+
     def _ours(self) -> Own:
         """Return our own component, made when it is first needed."""
         with self._making:
-            if self._own is None:
-                name, seconds = self._settings.component, self._settings.call_seconds
-                self._own = Own(
-                    self._orb, name, self._services, self._types, seconds, self._our_name_changed
-                )
-            return self._own
+            self._be_open()
+            if self._own is not None:
+                return self._own
+            name, seconds = self._settings.component, self._settings.call_seconds
+            made = Own(
+                self._orb, name, self._services, self._types, seconds, self._our_name_changed
+            )
+            try:
+                with self._guard:
+                    self._be_open()
+                    self._own = made
+            except BridgeError:
+                made.close()
+                raise
+            return made
 
     def _ticks(self) -> list[Callable[[], None]]:
         with self._guard:
             for channel in [each for each in self._ticking if each.closed]:
                 del self._ticking[channel]
-            ticks = [*self._ticking.values(), self._active.tick, self._attendance.tick]
-            return ticks if self._own is None else [*ticks, self._own.tick]
+            ticks = [*self._ticking.values()]
+        ticks += [self._active.tick, self._observers.tick, self._attendance.tick]
+        return ticks if self._own is None else [*ticks, self._own.tick]
+
+    def _soon(self, tick: Callable[[], None]) -> None:
+        self._watch.soon(tick)
 
     def _told(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)

@@ -19,13 +19,15 @@ class Calls:
     """A context manager around calls; entered from any thread, also nested."""
 
     def __init__(self) -> None:
-        self._changed = threading.Condition(threading.Lock())
+        # Taken twice for each message, and as it is: a condition would double what that costs.
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._count = 0
         self._ended = False
 
     def __enter__(self) -> None:
         """Begin a call; raises CORBA.BAD_INV_ORDER when no call may begin any more."""
-        with self._changed:
+        with self._lock:
             if self._ended:
                 raise CORBA.BAD_INV_ORDER(0, CORBA.COMPLETED_NO)
             self._count += 1
@@ -37,7 +39,7 @@ class Calls:
         trace: TracebackType | None,
     ) -> None:
         """End a call."""
-        with self._changed:
+        with self._lock:
             self._count -= 1
             if self._ended and not self._count:
                 self._changed.notify_all()

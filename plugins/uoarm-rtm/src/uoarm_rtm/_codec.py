@@ -37,7 +37,7 @@ class Codec:
         self.shape = shape
         self._encoding = encoding
         self.name = name
-        self._writers: dict[Order, Callable[[Message], bytearray]] = {}
+        self._writers: dict[Order, Callable[[Message], bytes]] = {}
         self._readers: dict[Order, Callable[[bytes], Message]] = {}
 
     def encode(self, message: Message, order: Order = LITTLE) -> bytes:
@@ -50,7 +50,7 @@ class Codec:
         if write is None:
             write = self._writers[order] = writer(self.shape, order, self._encoding)
         try:
-            return bytes(write(message))
+            return write(message)
         except (*_UNFIT, struct.error) as error:
             raise self._unfit(message, error) from None
 

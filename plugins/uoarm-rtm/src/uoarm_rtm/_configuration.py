@@ -6,6 +6,7 @@ activated, and forgets sets that it does not know without an error (observed).
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,13 +14,15 @@ from attrs import frozen
 
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Message
-from uoarm_rtm._constraints import CONSTRAINTS, TYPES, WIDGETS, problem
+from uoarm_rtm._constraints import CONSTRAINTS, TYPES, WIDGETS, doubt, problem
 from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._orb import narrowed
 from uoarm_rtm._peer import Peer, pairs, properties_of
 from uoarm_rtm._stubs import SDOPackage
 
 __all__ = ["configure", "limits"]
+
+_log = logging.getLogger("uoarm.rtm")
 
 
 def configure(peer: Peer, message: Message, seconds: float) -> Message:
@@ -47,7 +50,10 @@ def configure(peer: Peer, message: Message, seconds: float) -> Message:
             text = f"{what}: {error.description}"
             raise BridgeError(text, FailureReason.REFUSED) from error
     _kept(what, _name(before, message), written, now)
-    return now.reply()
+    doubts = _doubts(before, written)
+    for each in doubts:
+        _log.warning("%s: %s", what, each)
+    return {**now.reply(), **({"warnings": doubts} if doubts else {})}
 
 
 def limits(peer: Peer, seconds: float) -> str:
@@ -132,6 +138,16 @@ def _checked(sets: _Sets, message: Mapping[str, Any]) -> dict[str, str]:
         if wrong:
             raise MessageError(f"$.values.{parameter}: {wrong}")
     return written
+
+
+def _doubts(before: _Sets, written: Mapping[str, str]) -> list[str]:
+    """Return what is odd about the values of parameters of which the component tells nothing."""
+    doubts = []
+    for parameter, value in written.items():
+        if not any(before.told(about, parameter) for about in (CONSTRAINTS, TYPES)):
+            held = [each[parameter] for each in before.usual.values() if parameter in each]
+            doubts.append((parameter, doubt(value, held)))
+    return [f"values.{parameter}: {text}" for parameter, text in doubts if text]
 
 
 def _write(

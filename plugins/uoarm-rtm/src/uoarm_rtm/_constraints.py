@@ -7,9 +7,9 @@ the parameter's name. OpenRTM's tools keep to them; the components themselves do
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
-__all__ = ["CONSTRAINTS", "TYPES", "WIDGETS", "problem"]
+__all__ = ["CONSTRAINTS", "TYPES", "WIDGETS", "doubt", "problem"]
 
 CONSTRAINTS, WIDGETS, TYPES = "__constraints__", "__widget__", "__type__"
 
@@ -62,6 +62,29 @@ def problem(value: str, constraint: str, kind: str, widget: str) -> str:
         if test is not None and not test(float(element)):
             return f"expected {constraint}, got {element}"
     return ""
+
+
+def doubt(value: str, before: Iterable[str]) -> str:
+    """Return what is odd about a value where the component tells neither type nor constraint.
+
+    One that has a number where the text is none takes its default, without an error (observed);
+    but nothing tells a number from a text that happens to look like one, so it is no problem.
+
+    Args:
+        value: as it was written.
+        before: what the parameter was, in each set that has it.
+    """
+    if _is_numeric(value) or not all(map(_is_numeric, before)):
+        return ""
+    kept = ", ".join(map(repr, dict.fromkeys(before)))
+    return (
+        f"{value!r} is no number, which it was ({kept}): the component tells no type, and one that "
+        "expects a number takes its default instead, without an error"
+    )
+
+
+def _is_numeric(value: str) -> bool:
+    return all(re.fullmatch(_NUMBER, each.strip()) for each in value.split(","))
 
 
 def _test(constraint: str) -> Callable[[float], bool] | None:

@@ -55,6 +55,7 @@ CONFIGURATION_REPLY = _closed(
         "constraints": _TEXTS,
         "widgets": _TEXTS,
         "types": _TEXTS,
+        "warnings": {"type": "array", "items": {"type": "string"}},
     },
     *("active", "sets"),
 )

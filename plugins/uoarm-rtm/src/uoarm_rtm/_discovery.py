@@ -10,6 +10,7 @@ from uoarm.model import Endpoint, Role
 from uoarm_rtm import _control
 from uoarm_rtm._configuration import limits
 from uoarm_rtm._directory import Directory
+from uoarm_rtm._faults import corba_errors
 from uoarm_rtm._peer import Peer, Port, contexts_of, state_of
 from uoarm_rtm._service_call import described
 from uoarm_rtm._settings import CONFIGURATION, LIFECYCLE
@@ -33,7 +34,8 @@ def discovered(
 
 def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discovered:
     endpoints: list[tuple[Endpoint, Description]] = []
-    remarks = [f"{peer.type_name}, {_state(peer, seconds)}"]
+    state, rate = _state(peer, seconds)
+    remarks = [f"{peer.type_name}, {state}"]
     for port in peer.ports:
         role = _ROLES.get(port.kind)
         if role is None:
@@ -59,7 +61,9 @@ def _component(bridge: str, peer: Peer, types: Types, seconds: float) -> Discove
     ):
         endpoint = Endpoint(bridge, peer.path, Role.SERVICE, (peer.path, name), port=name)
         endpoints.append((endpoint, Description(request=request, reply=reply)))
-    return Discovered(peer.path, tuple(endpoints), "; ".join(remarks))
+    given = [one.name for one in peer.ports if _ROLES.get(one.kind) is Role.OUTPUT]
+    rates = {} if rate is None else dict.fromkeys(given, rate)
+    return Discovered(peer.path, tuple(endpoints), "; ".join(remarks), rates)
 
 
 def _description(port: Port, types: Types) -> tuple[Description, str]:
@@ -78,9 +82,14 @@ def _service(type_name: str, types: Types) -> tuple[Description, str]:
         return Description(), str(error)
 
 
-def _state(peer: Peer, seconds: float) -> str:
+def _state(peer: Peer, seconds: float) -> tuple[str, float | None]:
+    """Return the state in words, and how often a second its execution context runs it."""
     try:
-        contexts = len(contexts_of(peer, seconds))
-        return f"{state_of(peer, seconds)}, {contexts} execution context{'s'[: contexts != 1]}"
+        contexts = contexts_of(peer, seconds)
+        told = f"{state_of(peer, seconds)}, {len(contexts)} execution context"
     except BridgeError as error:
-        return str(error)
+        return str(error), None
+    rate: float | None = None
+    with contextlib.suppress(BridgeError), corba_errors(f"component {peer.path!r}: its rate"):
+        rate = float(contexts[0].get_rate()) if contexts else None
+    return told + "s"[: len(contexts) != 1], rate or None  # 0: when something happens

@@ -33,6 +33,11 @@ class Source:
         """Add a line at the present depth."""
         self._lines.append("    " * self.depth + text)
 
+    def cut(self, head: str) -> str | None:
+        """Take the last line back where it begins so, outside every block; return its rest."""
+        begin = "    " + head
+        return self._lines.pop()[len(begin) :] if self._lines[-1].startswith(begin) else None
+
     def name(self) -> str:
         """Return a variable's name that is not in use."""
         self._names += 1

@@ -1,11 +1,11 @@
-"""The connectors of this process in private files, so that what a killed one leaves can be ended.
+"""What this process has in components, in private files, so that what a killed one leaves ends.
 
     $XDG_STATE_HOME/uoarm/rtm/TOKEN/lock     held locked for as long as the process runs
-    $XDG_STATE_HOME/uoarm/rtm/TOKEN/ID.json  one for each connector that may exist
+    $XDG_STATE_HOME/uoarm/rtm/TOKEN/ID.json  one for each connector or observer that may exist
 
 The kernel lets go of the lock however the process ends, so a folder whose lock can be had belongs
-to a process that is gone. An entry is written before the ports are asked to connect and removed
-after they have let go: what is in no file was never connected, or has ended.
+to a process that is gone. An entry is written before a component is asked to connect and removed
+after it has let go: what is in no file was never connected, or has ended.
 """
 
 from __future__ import annotations
@@ -36,17 +36,23 @@ _log = logging.getLogger("uoarm.rtm")
 
 @frozen
 class Entry:
-    """A connector: its id, the stringified references of its ports, and where it leads."""
+    """A connector, or an observer in a component.
+
+    Attributes:
+        references: stringified, of the ports, or of the configuration that has the observer.
+        where: the ports or the component, for people.
+    """
 
     id: str
-    ports: tuple[str, ...]
+    references: tuple[str, ...]
     where: str
+    is_observer: bool = False
 
 
 class Journal:
     """The files of one process.
 
-    Where they cannot be written, that is logged once and connectors are made all the same.
+    Where they cannot be written, that is logged once and connections are made all the same.
 
     Args:
         base: folder of all processes of this user.
@@ -75,11 +81,12 @@ class Journal:
                 folder = self._folder()
                 file = folder / f"{entry.id}.json"
                 new = file.with_suffix(".new")
-                new.write_text(json.dumps({"ports": entry.ports, "where": entry.where}))
+                kind = "observer" if entry.is_observer else "ports"
+                new.write_text(json.dumps({kind: entry.references, "where": entry.where}))
                 new.replace(file)
             except OSError as error:
                 self._broken = True
-                text = "connectors cannot be noted in %s (%s): a kill would leave them behind"
+                text = "connections cannot be noted in %s (%s): a kill would leave them behind"
                 _log.warning(text, self._base, error)
 
     def erase(self, identifier: str) -> None:
@@ -164,10 +171,12 @@ class Journal:
             try:
                 with file.open("rb") as opened:
                     found = json.loads(opened.read(_MOST_OCTETS))
-                ports = tuple(str(each) for each in found["ports"])
-                entries.append(Entry(file.stem, ports, str(found["where"])))
+                is_observer = "observer" in found
+                references = found["observer" if is_observer else "ports"]
+                texts = tuple(str(each) for each in references)
+                entries.append(Entry(file.stem, texts, str(found["where"]), is_observer))
             except (OSError, ValueError, KeyError, TypeError):
-                _log.warning("%s is no entry of a connector: removed", file)
+                _log.warning("%s is no entry of a connection: removed", file)
                 self.forget(token, file.stem)
         return entries
 

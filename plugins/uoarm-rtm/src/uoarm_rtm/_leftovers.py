@@ -1,5 +1,5 @@
 # ruff: noqa: SLF001 - CORBA begins the names of its own operations with an underscore
-"""Connectors that processes of ours have left behind: ended by the next one, and only those."""
+"""What processes of ours have left in components: ended by the next one, and only that."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from uoarm.errors import BridgeError
 from uoarm_rtm._calls import calls
 from uoarm_rtm._journal import Entry, journal
 from uoarm_rtm._orb import Orb, limit
-from uoarm_rtm._stubs import RTC
+from uoarm_rtm._stubs import RTC, SDOPackage
 
-__all__ = ["NAME", "PROCESS", "Leftovers", "end_connector"]
+__all__ = ["NAME", "PROCESS", "Leftovers", "end_connector", "end_observer"]
 
 NAME, PROCESS = "uoarm.name", "uoarm.process"
 """Properties by which a connector tells its maker: the bridge, and `Journal.process`."""
@@ -49,6 +49,20 @@ def end_connector(identifier: str, ports: Sequence[Any]) -> None:
             _log.debug("connector %s: a port is gone: %r", identifier, error)
     if silent is not None:
         raise silent
+
+
+def end_observer(identifier: str, configuration: Any) -> None:
+    """Remove an observer from a component, which may be gone or have none of that name.
+
+    Raises:
+        CORBA.TIMEOUT: the component did not answer.
+    """
+    try:
+        configuration.remove_service_profile(identifier)
+    except CORBA.TIMEOUT:
+        raise
+    except CORBA.Exception as error:
+        _log.debug("observer %s: %r", identifier, error)
 
 
 class Leftovers:
@@ -84,22 +98,26 @@ class Leftovers:
                         journal().forget(token, entry.id)
                         ended += 1
         if ended:
-            _log.info("ended %d connectors that killed processes of ours had left", ended)
+            _log.info("ended %d connections that killed processes of ours had left", ended)
         return ended
 
     def _end(self, entry: Entry) -> bool:
         """End one; returns whether it is certain that it does not exist any more."""
-        ports = []
-        for ior in entry.ports:
+        kind = SDOPackage.Configuration if entry.is_observer else RTC.PortService
+        references = []
+        for ior in entry.references:
             try:
-                reference = self._orb.reference(ior)._unchecked_narrow(RTC.PortService)
-                ports.append(limit(reference, self._seconds))
+                reference = self._orb.reference(ior)._unchecked_narrow(kind)
+                references.append(limit(reference, self._seconds))
             except (BridgeError, AttributeError):  # what cannot be read was never connected
-                _log.warning("%s: the journal has no reference of its port", entry.where)
+                _log.warning("%s: the journal has no reference of it", entry.where)
         try:
             with calls:
-                end_connector(entry.id, ports)
+                if not entry.is_observer:
+                    end_connector(entry.id, references)
+                for each in references if entry.is_observer else ():
+                    end_observer(entry.id, each)
         except CORBA.Exception as error:
-            _log.warning("connector %s to %s is left: %r", entry.id, entry.where, error)
+            _log.warning("%s at %s is left: %r", entry.id, entry.where, error)
             return False
         return True

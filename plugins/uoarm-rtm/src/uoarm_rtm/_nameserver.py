@@ -8,6 +8,7 @@ import struct
 import subprocess
 import tempfile
 import time
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -20,6 +21,7 @@ __all__ = ["NameServer", "nameserver_command"]
 
 _START_SECONDS = 10.0
 _STOP_SECONDS = 3.0
+_TRIES = 5
 
 
 def nameserver_command(
@@ -43,7 +45,7 @@ class NameServer:
     """A running omniNames; a context manager that ends it.
 
     Args:
-        port: TCP port; 0 for any that is free.
+        port: TCP port; 0 for any that is free, in up to five tries.
         address: interface to listen on.
         folder: where it keeps its names between runs; None: nowhere.
 
@@ -55,35 +57,29 @@ class NameServer:
     def __init__(
         self, port: int = 0, address: str = "127.0.0.1", folder: Path | None = None
     ) -> None:
-        self.port = port or _free_port(address)
-        self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
         kept = folder if folder is not None else Path(tempfile.mkdtemp(prefix="uoarm-names-"))
         self._own = None if folder is not None else kept
-        command = nameserver_command(self.port, address, kept)
-        try:
-            self.process = subprocess.Popen(  # noqa: S603 - a program of our dependency
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        except OSError as error:
-            text = f"omniNames cannot be started: {error}"
-            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-        try:
-            self._wait(address)
-        except BaseException:
-            self.close()
-            raise
+        tries = 1 if port else _TRIES
+        with ExitStack() as failing:
+            failing.callback(self._forget)
+            for left in reversed(range(tries)):
+                self.port = port or _free_port(address)
+                self.process = _start(nameserver_command(self.port, address, kept))
+                if _serves_soon(self.process, address, self.port):
+                    break
+                if not left:  # else another program took the port meanwhile: try the next
+                    ended = f"omniNames ended with {self.process.returncode}"
+                    text = f"{ended}: is port {self.port} in use, the folder writable?"
+                    raise BridgeError(text, FailureReason.UNAVAILABLE)
+            failing.pop_all()
+        self.address = f"corbaloc:iiop:{address}:{self.port}/NameService"
 
     def close(self) -> None:
         """End it; names that were kept nowhere are forgotten."""
-        self.process.terminate()
-        try:
-            self.process.wait(_STOP_SECONDS)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
+        _end(self.process)
+        self._forget()
+
+    def _forget(self) -> None:
         if self._own is not None:
             shutil.rmtree(self._own, ignore_errors=True)
 
@@ -98,24 +94,44 @@ class NameServer:
     ) -> None:
         self.close()
 
-    def _wait(self, address: str) -> None:
-        deadline = time.monotonic() + _START_SECONDS
-        while True:
-            code = self.process.poll()
-            if code is not None:
-                text = (
-                    f"omniNames ended with {code}: is port {self.port} in use, the folder writable?"
-                )
-                raise BridgeError(text, FailureReason.UNAVAILABLE)
-            try:
-                if _serves(address, self.port):
-                    return
-            except OSError:
-                pass  # it does not listen yet
+
+def _start(command: tuple[str, ...]) -> subprocess.Popen[bytes]:
+    try:
+        return subprocess.Popen(  # noqa: S603 - a program of our dependency
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError as error:
+        text = f"omniNames cannot be started: {error}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(_STOP_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _serves_soon(process: subprocess.Popen[bytes], address: str, port: int) -> bool:
+    """Wait until it serves; False: it has ended. Ends it on any error."""
+    deadline = time.monotonic() + _START_SECONDS
+    with ExitStack() as failing:
+        failing.callback(_end, process)
+        while process.poll() is None:
+            with suppress(OSError):  # it does not listen yet
+                if _serves(address, port):
+                    failing.pop_all()
+                    return process.poll() is None
             if time.monotonic() > deadline:
-                text = f"omniNames did not serve on {address}:{self.port} within 10 s"
+                text = f"omniNames did not serve on {address}:{port} within 10 s"
                 raise BridgeTimeoutError(text)
             time.sleep(0.01)
+    return False
 
 
 def _serves(address: str, port: int) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from uoarm.bridge import Channel, Sink, Source
@@ -111,6 +112,8 @@ class Own:
         self._orb = orb
         self._services = services
         self._report = report
+        self._binding = threading.Lock()
+        self._closed = False
         self.component = RtComponent(orb, Sheet(name), seconds=seconds)
         self.component.lifecycle.activate()
         try:
@@ -159,18 +162,22 @@ class Own:
         self.component.remove_port(port)
 
     def tick(self) -> None:
-        """Bind the name again where a naming service has forgotten it."""
+        """Bind the name again where a naming service has forgotten it; nothing once closed."""
         for service in self._services:
             try:
-                if service.resolve(self.component.path) is None:
+                with self._binding:
+                    if self._closed or service.resolve(self.component.path) is not None:
+                        continue
                     self.component.bind([service])
-                    text = f"naming service {service.address} had forgotten us; bound again"
-                    self._report(Health.OK, text)
             except BridgeError:
                 continue  # the attendance says that it is gone
+            text = f"naming service {service.address} had forgotten us; bound again"
+            self._report(Health.OK, text)
 
     def close(self) -> None:
         """Disappear."""
+        with self._binding:  # a look that is under way would take what is unbound for forgotten
+            self._closed = True
         self.component.close()
 
     def _free(self, name: str) -> None:

@@ -26,7 +26,8 @@ class Pusher:
     Args:
         target: the InPort, with its time limit set.
         sizes: what is known of how large a message it takes.
-        lost: told once, when the InPort is gone.
+        lost: told when the InPort is gone; not once `end` was called, when it is still to be told
+            of the end.
     """
 
     def __init__(self, target: Any, sizes: SizeLimit, lost: Callable[[], None]) -> None:
@@ -34,6 +35,7 @@ class Pusher:
         self._target = target
         self._sizes = sizes
         self._lost = lost
+        self._ended = False
         self._putting = Calls()
 
     def write(self, data: bytes) -> bool:
@@ -52,7 +54,8 @@ class Pusher:
                 _log.warning("%s", too_large)
                 self.dropped += 1
                 return False
-            self._lost()
+            if not self._ended:
+                self._lost()
         else:
             self._sizes.passed(len(data))
         return True
@@ -62,6 +65,7 @@ class Pusher:
 
     def end(self, seconds: float) -> None:
         """Send no more, and wait up to `seconds` for what is under way."""
+        self._ended = True
         self._putting.end(seconds)
 
 

@@ -124,6 +124,7 @@ class Caller:
         self._lock = threading.Lock()
         self._connector: Connector | None = None
         self._object: Any = None
+        self._ended = False
 
     def call(self, message: Message, seconds: float, whose: str) -> Message:
         """Call the operation and return its reply, in so many seconds; `whose` names their limit.
@@ -163,8 +164,17 @@ class Caller:
         if connector is not None:
             connector.disconnect()
 
+    def end(self) -> None:
+        """Disconnect for good: a call that has not begun yet fails, and connects no more."""
+        with self._lock:
+            self._ended = True
+        self.close()
+
     def _reach(self) -> Any:
         with self._lock:
+            if self._ended:
+                text = f"{self._where}: the bridge was closed"
+                raise BridgeError(text, FailureReason.CLOSED)
             if self._object is None:
                 connector = self._connections.connect(self._where, {}, self._port)
                 names = f"{self._offer.type}.{self._offer.name}"

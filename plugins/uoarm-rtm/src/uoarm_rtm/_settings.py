@@ -65,6 +65,11 @@ BRIDGE_OPTIONS: Schema = {
             "maximum": 3600,
             "description": "seconds between looks at who is there; 0 never; default 1",
         },
+        "observe": {
+            "type": "boolean",
+            "description": "whether components are asked to tell when their states change; "
+            "default true",
+        },
         "text": {
             "enum": ["utf-8", "latin-1"],
             "description": "encoding of strings in data; default utf-8",
@@ -112,6 +117,7 @@ class BridgeSettings:
     text: str = "utf-8"
     most_octets: int = 1 << 26
     operation_seconds: float | None = None
+    observe: bool = True
 
 
 @frozen
@@ -153,6 +159,7 @@ def bridge_settings(name: str, options: Options) -> BridgeSettings:
         str(options.get("text", defaults.text)),
         int(str(options.get("max_message", defaults.most_octets))),
         _seconds(options, "call_timeout"),
+        options.get("observe", defaults.observe) is True,
     )
 
 

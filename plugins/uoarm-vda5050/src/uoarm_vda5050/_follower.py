@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +21,8 @@ from uoarm_vda5050._transport_state import Action, Ended, Feedback, Send, Status
 __all__ = ["Follower", "News"]
 
 _MOST_STATES = 1000
+
+_log = logging.getLogger("uoarm.vda5050")
 
 News = Status | Feedback | Ended
 _Event = Incoming | tuple[bool, str]
@@ -169,11 +172,14 @@ class Follower:
             try:
                 payload = self._codecs[action.topic].encode(action.body)
                 self._link.publish(f"{self._topic}/{action.topic}", payload, _ignore, qos=0)
-            except MessageError as error:
-                if action.topic == "order":
-                    self._do(self._transport.unsendable(str(error)))
             except BridgeError:
                 continue  # the broker is away, which is told; it is sent again
+            except Exception as error:  # noqa: BLE001 - the MQTT client's own would end the thread
+                why = str(error) if isinstance(error, MessageError) else repr(error)
+                if action.topic == "order":
+                    self._do(self._transport.unsendable(why))
+                else:
+                    _log.warning("%s/%s cannot be sent: %s", self._topic, action.topic, why)
 
 
 def _ignore(_: Outcome) -> None:

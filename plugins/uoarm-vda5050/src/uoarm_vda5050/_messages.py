@@ -129,9 +129,13 @@ def check_of(schema: Schema) -> Check:
     validator = Draft202012Validator(schema)
 
     def check(message: object) -> str:
-        for error in validator.iter_errors(message):
-            where = "/".join(map(str, error.absolute_path)) or "the message"
-            return f"{where}: {error.message[:300]}"
+        try:
+            for error in validator.iter_errors(message):
+                where = "/".join(map(str, error.absolute_path)) or "the message"
+                return f"{where}: {error.message[:300]}"
+        except Exception as error:  # noqa: BLE001 - of a user's schema: references, numbers, depth
+            told = f"{type(error).__name__}: {error}"[:300]
+            return f"it cannot be held against the schema: {told}"
         return ""
 
     return check

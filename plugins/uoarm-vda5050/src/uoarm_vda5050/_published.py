@@ -82,7 +82,13 @@ def _decoded(octets: bytes) -> dict[str, Any]:
         raise ValueError(f"{len(octets):,} octets; {_MOST_OCTETS:,} are allowed")
     schema = json.loads(octets.decode("utf-8-sig"))
     if not isinstance(schema, dict) or not isinstance(schema.get("properties"), dict):
-        raise ValueError("it is no schema of an object")  # noqa: TRY004 - one error for all
+        text = "it is no schema of an object, for want of `properties`"
+        if isinstance(schema, dict) and schema.keys() >= {"type", "headerId"}:
+            text += (
+                "; its fields stand beside them, as release 2.0.0 published its factsheet. Correct"
+                " the file; or remove it, and the plugin's own structure is used instead"
+            )
+        raise ValueError(text)  # noqa: TRY004 - one error for all
     return schema
 
 

@@ -78,7 +78,7 @@ class Speech(Device):
             raise BridgeTimeoutError(f"{self._name} was still speaking after {timeout:g} s")
         try:
             self._check_open()
-            left = end - time.monotonic()
+            left = max(0.0, end - time.monotonic())  # a lock takes no negative one
             voice, rate = asked.get("voice", self._voice), asked.get("rate", 1.0)
             sound = self._engine.speak(asked["text"], voice, rate, left)
             self._check_open()

@@ -5,6 +5,7 @@ signal handlers, its logging and its global executor are left to the application
 """
 
 from uoarm_ros2._middleware._environment import environment
+from uoarm_ros2._middleware._errors import rclpy_errors
 from uoarm_ros2._middleware._goal_server import GoalRequest, GoalServer
 from uoarm_ros2._middleware._participant import Participant
 from uoarm_ros2._middleware._peer import Peer
@@ -18,5 +19,6 @@ __all__ = [
     "Peer",
     "Station",
     "environment",
+    "rclpy_errors",
     "untyped_class",
 ]

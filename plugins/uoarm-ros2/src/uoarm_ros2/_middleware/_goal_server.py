@@ -14,6 +14,7 @@ from rclpy.type_support import check_for_type_support
 from rclpy.waitable import NumberOfEntities
 from typing_extensions import Self
 
+from uoarm_ros2._middleware._errors import rclpy_errors
 from uoarm_ros2._middleware._profile import server_profile
 from uoarm_ros2._middleware._wait_set import Entity
 
@@ -52,7 +53,8 @@ class GoalServer:
 
     rclpy's own `ActionServer` runs goals as tasks of an executor, of which there is none here. The
     C library of actions has no locks: every use of the handle but the publishing of feedback holds
-    `_lock`, and nothing that is handed on is called with it.
+    `_lock`, and nothing that is handed on is called with it. Once it is destroyed nobody is told
+    anything: a function may end a goal while its offer closes.
 
     Args:
         node: rclpy's node.
@@ -109,6 +111,8 @@ class GoalServer:
         stamp = self._clock.now().to_msg()
         info = GoalInfo(goal_id=request._uuid, stamp=stamp)  # noqa: SLF001 - made here
         with self._lock:
+            if self._is_destroyed:
+                return
             self._goals[request.id] = goal = _rclpy.ActionGoalHandle(self._handle, info)
             self._waiting[request.id] = []
             self._answer_goal(request, stamp)
@@ -118,14 +122,21 @@ class GoalServer:
     def reject(self, request: GoalRequest) -> None:
         """Answer a goal's client that it is rejected."""
         with self._lock:
-            self._answer_goal(request, None)
+            if not self._is_destroyed:
+                self._answer_goal(request, None)
 
     def feed(self, goal_id: bytes, feedback: Any) -> None:
-        """Publish feedback of a goal that is executing."""
+        """Publish feedback of a goal that is executing.
+
+        Raises:
+            BridgeError: the middleware takes none.
+        """
         message = self._native.Impl.FeedbackMessage()
         message.goal_id.uuid = list(goal_id)
         message.feedback = feedback
-        self._handle.publish_feedback(message)
+        with rclpy_errors("publishing feedback"):
+            if not self._is_destroyed:
+                self._handle.publish_feedback(message)
 
     def end(self, goal_id: bytes, status: str, result: Any = None) -> None:
         """End an accepted goal and send its result to whoever asked for it, now or later.
@@ -140,6 +151,8 @@ class GoalServer:
         if result is not None:
             response.result = result
         with self._lock:
+            if self._is_destroyed:
+                return
             goal = self._goals[goal_id]
             if status == "canceled" and goal.get_status() != _CANCELING:
                 goal.update_goal_state(_rclpy.GoalEvent.CANCEL_GOAL)  # it was the provider's wish
@@ -151,7 +164,8 @@ class GoalServer:
             for header in headers:
                 self._answer_result(header, response)
             self._publish_status()
-            self._handle.notify_goal_done()
+            with suppress(_rclpy.RCLError):  # the context is gone, and results with it
+                self._handle.notify_goal_done()
 
     @property
     def has_unread(self) -> bool:

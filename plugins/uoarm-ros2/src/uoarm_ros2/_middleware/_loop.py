@@ -6,41 +6,51 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from uoarm_ros2._middleware._wait_set import Entity, EventEntity, WaitSet
+from uoarm_ros2._middleware._quiet_watch import QuietWatch
+from uoarm_ros2._middleware._wait_set import Entity, EventEntity, SubscriptionEntity, WaitSet
 
 __all__ = ["WaitLoop"]
 
 _MOST_AT_ONCE = 32
 _EVENT_SECONDS = 0.02
+_FEW = 8
+_QUIET_SECONDS = 2.0
+_SWEEP_SECONDS = 1.0
 _log = logging.getLogger("uoarm.ros2")
 
 
 class WaitLoop:
     """Waits for entities and takes all that is ready; one thread makes every turn.
 
-    Its wait sets are built anew only when entities came or went. Waiting for an entity costs about
-    a microsecond in each turn, and each subscription has some three events: while messages flow,
-    those are looked at fifty times a second only, and at once when nothing else happens.
+    Its wait sets are built anew only when entities came or went. Waiting for an entity costs a few
+    microseconds in each turn. So of many subscriptions those that had no message for a while are
+    quiet: a `QuietWatch` waits for them and their events, until there is news. And the some three
+    events of each of the others are looked at fifty times a second only while messages flow, and
+    at once when nothing else happens.
 
     Args:
         context: rclpy's context.
+        name: of what it belongs to, for threads.
         quiet: whether failures need not be told any more, as while everything ends.
     """
 
-    def __init__(self, context: Any, quiet: Callable[[], bool]) -> None:
+    def __init__(self, context: Any, name: str, quiet: Callable[[], bool]) -> None:
         self._context = context
         self._quiet = quiet
         with context.handle:
             self._guard = _rclpy.GuardCondition(context.handle)
         self._lock = threading.Lock()
         self._soon: deque[Callable[[], None]] = deque()
+        self._watch = QuietWatch(context, f"ros2 {name} quiet", self._told)
+        self._news: deque[list[Entity]] = deque()
+        self._sweep_due = 0.0
         self._entities: tuple[Entity, ...] = ()
         self._changed = True
         self._everything: WaitSet | None = None
@@ -78,29 +88,73 @@ class WaitLoop:
         """Wait no longer than that for anything, and hand on all that is there."""
         while self._soon:
             self._soon.popleft()()
+        now = time.monotonic()
+        news = self._take_news(now)
+        if now >= self._sweep_due:
+            self._sweep(now)
         if self._changed:
             self._build()
-        now = time.monotonic()
+        elif news:
+            self._watch.go_on()
         early = self._events_due - now
         chosen = self._everything if early <= 0 else self._without_events
         assert chosen is not None
         ready = chosen.wait(seconds if early <= 0 else min(seconds, early))
         if chosen is self._everything and ready:
             self._events_due = time.monotonic() + _EVENT_SECONDS
+        now = time.monotonic()
         for entity in ready:
+            if isinstance(entity, SubscriptionEntity):
+                entity.active_at = now
             self._take(entity)
 
     def close(self) -> None:
         """Let go of everything; in the thread that makes the turns."""
+        self._watch.close()
         for each in (self._everything, self._without_events):
             if each is not None:
                 each.close()
         self._everything = self._without_events = None
+        self._news.clear()
         self._guard.destroy_when_not_in_use()
+
+    def _told(self, ready: list[Entity]) -> None:
+        """Note that quiet entities have something; in the thread of their watch."""
+        self._news.append(ready)
+        self.wake()
+
+    def _take_news(self, now: float) -> bool:
+        """Take what quiet entities have; subscriptions are not quiet any more."""
+        ready = [entity for each in _drained(self._news) for entity in each]
+        for entity in ready:
+            if isinstance(entity, SubscriptionEntity) and entity.is_quiet:
+                entity.is_quiet, entity.active_at = False, now
+                self._changed = True
+        for entity in ready:
+            self._take(entity)
+        return bool(ready)
+
+    def _sweep(self, now: float) -> None:
+        """Have subscriptions without a message for a while waited for apart, where there are many.
+
+        One that comes to be so and has a message again costs two new wait sets.
+        """
+        self._sweep_due = now + _SWEEP_SECONDS
+        loud = [
+            entity
+            for entity in self._entities
+            if isinstance(entity, SubscriptionEntity) and not entity.is_quiet
+        ]
+        if len(loud) <= _FEW:
+            return
+        for entity in loud:
+            if now - entity.active_at > _QUIET_SECONDS:
+                entity.is_quiet = self._changed = True
 
     def _build(self) -> None:
         with self._lock:
-            entities, self._changed = self._entities, False
+            every, self._changed = self._entities, False
+        entities = [entity for entity in every if not entity.is_quiet]
         before = self._everything, self._without_events
         handle, guard = self._context.handle, self._guard
         self._everything = WaitSet(handle, guard, entities)
@@ -109,6 +163,7 @@ class WaitLoop:
         for each in before:
             if each is not None:
                 each.close()
+        self._watch.watch([entity for entity in every if entity.is_quiet])
 
     def _take(self, entity: Entity) -> None:
         """Take what an entity has; one of which much has come gives way to the others."""
@@ -121,3 +176,8 @@ class WaitLoop:
         except Exception as error:  # noqa: BLE001 - one failure is nobody else's
             if not self._quiet():
                 _log.error("a callback of ROS 2 failed", exc_info=error)
+
+
+def _drained(news: deque[list[Entity]]) -> Iterator[list[Entity]]:
+    while news:
+        yield news.popleft()

@@ -57,8 +57,13 @@ class Participant:
         return int(self._context.get_domain_id())
 
     def station(self, name: str) -> Station:
-        """Start a node with a thread of its own."""
+        """Start a node with a thread of its own.
+
+        Raises:
+            BridgeError: the participant was closed.
+        """
         with self._lock:
+            self._require_open()
             self._alive += 1
         try:
             with _transports(self._shared_memory):
@@ -66,10 +71,19 @@ class Participant:
         except BaseException:
             self._release()
             raise
-        with self._lock:
-            self._stations.append(station)
-            self._names.add(station.node.get_fully_qualified_name())
+        try:
+            with self._lock:
+                self._require_open()
+                self._stations.append(station)
+                self._names.add(station.node.get_fully_qualified_name())
+        except BaseException:
+            station.stop(0.0)
+            raise
         return station
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise BridgeError("the bridge was closed", FailureReason.CLOSED)
 
     def node_names(self) -> frozenset[str]:
         """Return the full names that the participant's nodes have, or had."""
@@ -83,11 +97,10 @@ class Participant:
         atexit.unregister(self.close)
         with self._lock:
             closed, self._closed = self._closed, True
+            stations, self._stations = self._stations, []
         if closed:
             return
         deadline = time.monotonic() + limit
-        with self._lock:
-            stations, self._stations = self._stations, []
         for station in stations:
             station.stop(max(0.0, deadline - time.monotonic()))
         self._release()

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
+from uoarm_ros2._middleware._errors import rclpy_errors
 from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
 from uoarm_ros2._middleware._last_words import publish_after_the_end
 from uoarm_ros2._middleware._loop import WaitLoop
@@ -49,6 +50,9 @@ _PUBLISHER_EVENTS = {
     "matched": "RCL_PUBLISHER_MATCHED",
 }
 Notify = Callable[[Any], None]
+_GRAPH = "looking at the graph of ROS 2"
+_OPENING = "opening an end of ROS 2"
+_NAMES = "resolving a name of ROS 2"
 _log = logging.getLogger("uoarm.ros2")
 
 
@@ -61,6 +65,8 @@ class Station:
     `stop` returns within its limit whatever a callback does; the thread itself puts everything
     away when it ends, and `done` is called last. `tick` is called a few times a second, `cut_off`
     once if the context is shut down from outside; both in the thread.
+
+    What is opened, resolved or asked once it has ended fails with BridgeError, as CLOSED.
     """
 
     def __init__(self, context: Any, name: str, namespace: str, done: Callable[[], None]) -> None:
@@ -77,8 +83,9 @@ class Station:
         self.tick: Callable[[], None] = _nothing
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
-        self._loop = WaitLoop(context, lambda: self._stopping or not context.ok())
+        self._loop = WaitLoop(context, name, lambda: self._stopping or not context.ok())
         self._entities: dict[Any, list[Entity]] = {}
+        self._destroying = threading.Lock()  # the lists of rclpy's node bear one thread at a time
         self._stopping = False
         self._stopped = threading.Event()
         self._done = done
@@ -129,10 +136,11 @@ class Station:
     def _put_away(self) -> None:
         try:
             self._loop.close()
-            for native in self._entities:
-                if isinstance(native, GoalServer):  # of which the node knows nothing
-                    native.destroy()
-            self.node.destroy_node()
+            with self._destroying:
+                for native in list(self._entities):
+                    if isinstance(native, (GoalServer, ActionClient)):  # left by the node
+                        native.destroy()
+                self.node.destroy_node()
         except Exception:  # noqa: BLE001 - the context must go all the same
             _log.exception("putting away a ROS 2 node failed")
         finally:
@@ -148,15 +156,17 @@ class Station:
     def discard(self, native: Any) -> None:
         """Destroy what was made here; waits for no thread that is held up."""
         self._loop.remove(*self._entities.pop(native, ()))
-        if isinstance(native, GoalServer):
-            native.destroy()
-        elif isinstance(native, Publisher):
-            self.node.destroy_publisher(native)
-        elif isinstance(native, Service):
-            self.node.destroy_service(native)
-        else:
-            self.node.destroy_subscription(native)
+        with self._destroying:
+            if isinstance(native, GoalServer):
+                native.destroy()
+            elif isinstance(native, Publisher):
+                self.node.destroy_publisher(native)
+            elif isinstance(native, Service):
+                self.node.destroy_service(native)
+            else:
+                self.node.destroy_subscription(native)
 
+    @rclpy_errors(_OPENING)
     def subscribe(
         self,
         native: type,
@@ -179,9 +189,11 @@ class Station:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
         known = _rclpy.rcl_subscription_event_type_t
-        heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events)
-        return self._wait_for(made, SubscriptionEntity(made.handle, native, take), *heard)
+        entity = SubscriptionEntity(made.handle, native, take)
+        heard = _events(made.handle, known, _SUBSCRIPTION_EVENTS, events, of=entity)
+        return self._wait_for(made, entity, *heard)
 
+    @rclpy_errors(_OPENING)
     def advertise(
         self,
         native: type,
@@ -208,16 +220,19 @@ class Station:
         """
         publish_after_the_end(publisher, message)
 
+    @rclpy_errors(_OPENING)
     def action_client(self, native: type, name: str) -> Any:
         """Create an action client; its callbacks run in this station's thread."""
         client = ActionClient(self.node, native, name)
         return self._wait_for(client, WaitableEntity(client))
 
+    @rclpy_errors(_OPENING)
     def client(self, native: type, name: str) -> Any:
         """Create a service client; its replies arrive in this station's thread."""
         client = self.node.create_client(native, name)
         return self._wait_for(client, ReplyEntity(client))
 
+    @rclpy_errors(_OPENING)
     def server(
         self, native: type, name: str, answer: Callable[[Any, Callable[[Any], None]], None]
     ) -> Any:
@@ -230,6 +245,7 @@ class Station:
         )
         return self._wait_for(service, RequestEntity(service, answer))
 
+    @rclpy_errors(_OPENING)
     def goal_server(
         self,
         native: type,
@@ -244,10 +260,26 @@ class Station:
         self._wait_for(server, GoalEntity(server))
         return server
 
+    @rclpy_errors(_NAMES)
+    def topic_name(self, name: str) -> str:
+        """Return the full name of a topic; the namespace is put before a relative one.
+
+        Raises:
+            BridgeError: the station has ended.
+        """
+        return str(self.node.resolve_topic_name(name))
+
+    @rclpy_errors(_NAMES)
+    def service_name(self, name: str) -> str:
+        """Return the full name of a service or action, as that of a topic."""
+        return str(self.node.resolve_service_name(name))
+
+    @rclpy_errors(_GRAPH)
     def publishers(self, topic: str) -> tuple[Peer, ...]:
         """Return the publishers of a topic that are on the graph now."""
         return tuple(map(read_peer, self.node.get_publishers_info_by_topic(topic)))
 
+    @rclpy_errors(_GRAPH)
     def subscriptions(self, topic: str) -> tuple[Peer, ...]:
         """Return the subscriptions of a topic that are on the graph now."""
         return tuple(map(read_peer, self.node.get_subscriptions_info_by_topic(topic)))
@@ -256,16 +288,23 @@ class Station:
         """Return the publishers and subscriptions of a topic that are on the graph now."""
         return (*self.publishers(topic), *self.subscriptions(topic))
 
+    @rclpy_errors(_GRAPH)
     def own_definition(self, topic: str, type_name: str) -> str:
         """Return the hash of our definition of a type, as our own end of a topic tells it."""
         node = self.node.get_fully_qualified_name()
         own = (end for end in self.ends(topic) if (end.node, end.type) == (node, type_name))
         return next((end.definition for end in own), "")
 
+    @rclpy_errors(_GRAPH)
     def has_server(self, service: str) -> bool:
-        """Whether a server of this full name is on the graph; clients do not count."""
+        """Whether a server of this full name is on the graph; clients do not count.
+
+        Raises:
+            BridgeError: the station has ended, as for all that the graph is asked here.
+        """
         return bool(self.node.count_services(service))
 
+    @rclpy_errors(_GRAPH)
     def servers(self, service: str) -> tuple[Peer, ...]:
         """Return the servers of a full name, as their reply topics show them.
 
@@ -275,17 +314,28 @@ class Station:
         found = self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)
         return tuple(map(read_peer, found))
 
+    @rclpy_errors(_GRAPH)
+    def topics(self) -> dict[str, list[str]]:
+        """Return the topics on the graph now, with their types."""
+        return dict(self.node.get_topic_names_and_types())
+
+    @rclpy_errors(_GRAPH)
     def services(self) -> dict[str, list[str]]:
         """Return the services on the graph now, with their types."""
         return dict(self.node.get_service_names_and_types())
 
+    @rclpy_errors(_GRAPH)
     def actions(self) -> dict[str, list[str]]:
         """Return the actions on the graph now, with their types."""
         return dict(get_action_names_and_types(self.node))
 
 
 def _events(
-    parent: Any, known: Any, names: dict[str, str], wanted: dict[str, Notify]
+    parent: Any,
+    known: Any,
+    names: dict[str, str],
+    wanted: dict[str, Notify],
+    of: SubscriptionEntity | None = None,
 ) -> list[EventEntity]:
     """Return an entity for each event that this rclpy and its middleware have."""
     made = []
@@ -294,7 +344,7 @@ def _events(
         if kind is None:
             continue
         with suppress(_rclpy.UnsupportedEventTypeError), parent:
-            made.append(EventEntity(_rclpy.EventHandle(parent, kind), notify))
+            made.append(EventEntity(_rclpy.EventHandle(parent, kind), notify, of))
     return made
 
 

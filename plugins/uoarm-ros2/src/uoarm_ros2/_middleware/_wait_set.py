@@ -6,6 +6,7 @@ each wait. That is all that is done for an entity of which there is no news.
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
@@ -34,9 +35,11 @@ class Entity(ABC):
         kind: how wait sets call it; empty for what joins and looks by itself.
         handle: rclpy's handle, which no other thread frees while a wait set holds it.
         removed: set by whoever takes it out; nothing is taken from it any more.
+        is_quiet: whether it is waited for apart, as something of which there is seldom news.
     """
 
     kind = ""
+    is_quiet = False
 
     def __init__(self, handle: Any) -> None:
         self.handle = handle
@@ -48,7 +51,11 @@ class Entity(ABC):
 
 
 class SubscriptionEntity(Entity):
-    """A subscription; messages go to `deliver`, serialised as they are."""
+    """A subscription; messages go to `deliver`, serialised as they are.
+
+    Attributes:
+        active_at: when it last had a message, or began to.
+    """
 
     kind = "subscription"
 
@@ -56,6 +63,7 @@ class SubscriptionEntity(Entity):
         super().__init__(handle)
         self._native = native
         self._deliver = deliver
+        self.active_at = time.monotonic()
 
     def take(self) -> bool:
         """Deliver one message, if there is one."""
@@ -108,13 +116,24 @@ class RequestEntity(Entity):
 
 
 class EventEntity(Entity):
-    """An event of a publisher or a subscription, such as a peer that was matched."""
+    """An event of a publisher or a subscription, such as a peer that was matched.
+
+    One of a subscription is as quiet as it is: Fast DDS ends a wait for its events with a message.
+    """
 
     kind = "event"
 
-    def __init__(self, handle: Any, notify: Callable[[Any], None]) -> None:
+    def __init__(
+        self, handle: Any, notify: Callable[[Any], None], of: SubscriptionEntity | None = None
+    ) -> None:
         super().__init__(handle)
         self._notify = notify
+        self._of = of
+
+    @property
+    def is_quiet(self) -> bool:  # type: ignore[override]  # a subscription is told, this follows
+        """Whether it is one of a publisher, or of a quiet subscription."""
+        return self._of is None or self._of.is_quiet
 
     def take(self) -> bool:
         """Hand on what happened since the last time, as one event."""

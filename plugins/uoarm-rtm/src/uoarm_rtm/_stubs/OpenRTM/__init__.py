@@ -6,6 +6,7 @@ import omniORB
 omniORB.updateModule("uoarm_rtm._stubs.OpenRTM")
 
 # ** 1. Stub files contributing to this module
+import uoarm_rtm._stubs.ComponentObserver_idl
 import uoarm_rtm._stubs.DataPort_OpenRTM_idl
 import uoarm_rtm._stubs.OpenRTM_idl
 

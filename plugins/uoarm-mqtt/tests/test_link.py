@@ -1,0 +1,108 @@
+"""The connection to the broker while it is closed in the middle of a call, by a real Mosquitto."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from brokers import Broker
+from uoarm_mqtt import _link
+from uoarm_mqtt._link import BrokerConnection, Outcome
+from uoarm_mqtt._options import settings_of
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.testing import Background, patience, wait
+
+
+class Gate:
+    """Lets whoever comes pass when it is opened, and tells that somebody has come."""
+
+    def __init__(self) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+
+    def before(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def late(*given: Any, **more: Any) -> Any:
+            self.reached.set()
+            assert self.opened.wait(patience())
+            return call(*given, **more)
+
+        return late
+
+
+def close_during(link: BrokerConnection, gate: Gate) -> None:
+    """Close while a call is at the gate: it is waited for."""
+    assert gate.reached.wait(patience())
+    under_way: list[int] = []
+    disconnect, waiting = link._client.disconnect, vars(link._changed)["_waiters"]
+
+    def noted(**more: Any) -> Any:
+        under_way.append(link._calls)
+        return disconnect(**more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_link, "_STEP_SECONDS", patience())
+        patch.setattr(link._client, "disconnect", noted)
+        closing = Background(link.close)
+        # Either it waits, and nobody else does, or it did not and has gone on to disconnect.
+        wait(lambda: waiting or under_way)
+        gate.opened.set()
+        closing.result()
+    assert under_way[0] == 0
+    thread = link._client._thread
+    assert thread is None or not thread.is_alive()
+    assert not link._up
+
+
+@pytest.fixture
+def link(broker: Broker) -> BrokerConnection:
+    return BrokerConnection("m", settings_of("m", {"url": broker.url}), lambda *_: None)
+
+
+@pytest.mark.parametrize("qos", [0, 1])
+def test_what_is_published_as_it_closes_is_answered_once(
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch, qos: int
+) -> None:
+    link.require_up()
+    gate, told = Gate(), list[Outcome]()
+    monkeypatch.setattr(BrokerConnection, "_note", gate.before(BrokerConnection._note))
+    publishing = Background(lambda: link.publish("a", b"x", told.append, qos=qos))
+    assert gate.reached.wait(patience())
+    monkeypatch.undo()
+    close_during(link, gate)
+    publishing.result()
+    assert len(told) == 1
+    assert not link._pending
+
+
+def test_what_wakes_the_client_stays_until_nobody_publishes(
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link.require_up()
+    gate = Gate()
+    monkeypatch.setattr(link._client, "_packet_queue", gate.before(link._client._packet_queue))
+    publishing = Background(lambda: link.publish("a", b"x", lambda _: None, qos=0))
+    assert gate.reached.wait(patience())
+    monkeypatch.undo()
+    close_during(link, gate)
+    publishing.result()
+
+
+def test_a_first_call_as_it_closes_leaves_no_connection(
+    link: BrokerConnection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate()
+    monkeypatch.setattr(BrokerConnection, "_start", gate.before(BrokerConnection._start))
+    requiring = Background(link.require_up)
+    close_during(link, gate)
+    with pytest.raises(BridgeError):
+        requiring.result()
+
+
+def test_a_closed_one_says_so(link: BrokerConnection) -> None:
+    link.require_up()
+    link.close()
+    with pytest.raises(BridgeError, match="the connection to the broker is closed") as caught:
+        link.publish("a", b"x", print)
+    assert caught.value.reason is FailureReason.CLOSED

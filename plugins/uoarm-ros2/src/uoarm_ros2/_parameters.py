@@ -1,0 +1,173 @@
+"""Parameters of nodes as plain values, checked by what the nodes say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from uoarm.model import Message, Options
+
+__all__ = ["flattened", "holds", "mistakes", "value_for"]
+
+_BOOL, _INTEGER, _DOUBLE, _STRING, _BYTES, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS = range(1, 10)
+# Names of rcl_interfaces/msg/ParameterValue; a list is read as the first of these that takes it.
+_FIELDS = {
+    _BOOL: "bool_value",
+    _INTEGER: "integer_value",
+    _DOUBLE: "double_value",
+    _STRING: "string_value",
+    _BYTES: "byte_array_value",
+    _BOOLS: "bool_array_value",
+    _INTEGERS: "integer_array_value",
+    _DOUBLES: "double_array_value",
+    _STRINGS: "string_array_value",
+}
+_EMPTY: Mapping[str, object] = {
+    "bool_value": False,
+    "integer_value": 0,
+    "double_value": 0.0,
+    "string_value": "",
+    **{_FIELDS[kind]: [] for kind in (_BYTES, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS)},
+}
+_WORDS = {
+    _BOOL: "a boolean",
+    _INTEGER: "an integer of 64 bits",
+    _DOUBLE: "a number",
+    _STRING: "a text",
+    _BYTES: "a list of integers from 0 to 255",
+    _BOOLS: "a list of booleans",
+    _INTEGERS: "a list of integers of 64 bits",
+    _DOUBLES: "a list of numbers",
+    _STRINGS: "a list of texts",
+}
+_OF_ONE = {_BOOLS: _BOOL, _INTEGERS: _INTEGER, _DOUBLES: _DOUBLE, _STRINGS: _STRING}
+_MOST = 1000
+_MOST_ELEMENTS = 100_000
+_DEEPEST = 16
+
+
+def flattened(parameters: Options) -> dict[str, object]:
+    """Return parameters by their full names: `{camera: {fps: 30}}` is `camera.fps`.
+
+    Raises:
+        ValueError: a value is none that a parameter can have, or there are too many.
+    """
+    found = dict(_leaves(parameters, "", 0))
+    if len(found) > _MOST:
+        raise ValueError(f"there are {len(found)} parameters, of which {_MOST} may be")
+    for name, value in found.items():
+        if _kind_of(value) is None and value != []:
+            expected = "a boolean, a number, a text or a list of one of these"
+            raise ValueError(f"parameter {name}: expected {expected}, got {value!r:.80}")
+    return found
+
+
+def mistakes(parameters: Options) -> dict[str, str]:
+    """Return what is wrong with parameters before any node is asked, by the name as written."""
+    found = {}
+    for name, value in parameters.items():
+        try:
+            flattened({name: value})
+        except ValueError as error:
+            found[name] = str(error)
+    return found
+
+
+def value_for(value: object, descriptor: Mapping[str, Any]) -> Message:
+    """Return a value as the message that sets a parameter.
+
+    Args:
+        value: of `flattened`.
+        descriptor: what the node says of the parameter, rcl_interfaces/msg/ParameterDescriptor.
+
+    Raises:
+        ValueError: it is of another type, or outside the range.
+    """
+    stated = 0 if descriptor["dynamic_typing"] else int(descriptor["type"])
+    kind = stated or _kind_of(value)
+    if kind is None:
+        raise ValueError("of an empty list the node does not say what it would hold")
+    value = _listed(value)
+    if not _TAKES[kind](value):
+        raise ValueError(f"expected {_WORDS[kind]}, got {value!r:.80}")
+    _in_range(value, descriptor)
+    return {"type": kind, **_EMPTY, _FIELDS[kind]: _as_sent(kind, value)}
+
+
+def holds(current: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+    """Whether a parameter has a value already; both rcl_interfaces/msg/ParameterValue."""
+    if current["type"] != wanted["type"]:
+        return False
+    field = _FIELDS[wanted["type"]]
+    given, asked = current[field], wanted[field]
+    return bool(list(given) == asked if isinstance(asked, list) else given == asked)
+
+
+def _leaves(value: Mapping[str, object], prefix: str, depth: int) -> Iterator[tuple[str, object]]:
+    if depth >= _DEEPEST:
+        raise ValueError(f"parameter {prefix.rstrip('.')}: names are nested too deeply")
+    for name, one in value.items():
+        if isinstance(one, Mapping):
+            yield from _leaves(one, f"{prefix}{name}.", depth + 1)
+        else:
+            yield f"{prefix}{name}", _listed(one)
+
+
+def _listed(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _kind_of(value: object) -> int | None:
+    """Return the type that a value has where the node does not say one."""
+    kinds = (_BOOL, _INTEGER, _DOUBLE, _STRING, _BOOLS, _INTEGERS, _DOUBLES, _STRINGS)
+    return next((kind for kind in kinds if value != [] and _TAKES[kind](value)), None)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and -(2**63) <= value < 2**63
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float) or _is_integer(value)
+
+
+def _is_octet(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**8
+
+
+def _each(check: Callable[[object], bool]) -> Callable[[object], bool]:
+    def is_list_of(value: object) -> bool:
+        return isinstance(value, list) and len(value) <= _MOST_ELEMENTS and all(map(check, value))
+
+    return is_list_of
+
+
+_SINGLE: dict[int, Callable[[object], bool]] = {
+    _BOOL: lambda value: isinstance(value, bool),
+    _INTEGER: _is_integer,
+    _DOUBLE: _is_number,
+    _STRING: lambda value: isinstance(value, str) and "\0" not in value,
+}
+_TAKES = {
+    **_SINGLE,
+    _BYTES: _each(_is_octet),
+    **{several: _each(_SINGLE[one]) for several, one in _OF_ONE.items()},
+}
+
+
+def _as_sent(kind: int, value: Any) -> object:
+    if kind == _DOUBLE:
+        return float(value)
+    return [float(each) for each in value] if kind == _DOUBLES else value
+
+
+def _in_range(value: Any, descriptor: Mapping[str, Any]) -> None:
+    """Raise ValueError for a number outside its range; steps of floats are left to the node."""
+    for stated in (*descriptor["integer_range"], *descriptor["floating_point_range"]):
+        low, high, step = stated["from_value"], stated["to_value"], stated["step"]
+        for each in value if isinstance(value, list) else [value]:
+            if not low <= each <= high:
+                raise ValueError(f"expected {low:g} to {high:g}, got {each:g}")
+            whole = isinstance(step, int) and step > 1 and each != high
+            if whole and (each - low) % step:
+                raise ValueError(f"expected {low} to {high} in steps of {step}, got {each}")

@@ -1,0 +1,212 @@
+"""What is still under way, or asked, when a bridge is closed or its context is ended for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from typing import Any
+
+import pytest
+from peers import DOMAIN
+from uoarm_ros2._actions import Action
+from uoarm_ros2._discovery import discovered
+from uoarm_ros2._graph import Graph
+from uoarm_ros2._middleware import GoalRequest, Participant, Station
+from uoarm_ros2._qos import Policies
+from uoarm_ros2._services import Caller
+from uoarm_ros2._types import import_type
+
+from uoarm.errors import BridgeError, FailureReason
+from uoarm.testing import patience, wait
+
+FIBONACCI = "test_msgs/action/Fibonacci"
+SET_BOOL = "std_srvs/srv/SetBool"
+ACTION: Any = import_type(FIBONACCI)
+TEXT: Any = import_type("std_msgs/msg/String")
+
+
+@pytest.fixture
+def participant() -> Iterator[Participant]:
+    made = Participant(DOMAIN, "")
+    yield made
+    made.close(patience())
+
+
+@pytest.fixture
+def station(participant: Participant) -> Station:
+    return participant.station("ending")
+
+
+def server(station: Station, ask: Callable[[GoalRequest], None]) -> Any:
+    return station.goal_server(
+        ACTION, "/slow", ask, may_cancel=lambda _: True, cancel=lambda _: None
+    )
+
+
+def failed(act: Callable[[], object]) -> Callable[[], BridgeError]:
+    """Begin something in a thread; what is returned waits for the error that ends it."""
+    found: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            act()
+        except BaseException as error:  # noqa: BLE001 - whatever it is, it is looked at
+            found.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+
+    def ended() -> BridgeError:
+        thread.join(patience())
+        assert isinstance(found[0], BridgeError), found
+        return found[0]
+
+    return ended
+
+
+@pytest.mark.parametrize("how", ["closed", "ended by others"])
+def test_the_graph_of_a_station_that_has_ended_is_no_exception_of_rclpy(
+    participant: Participant, station: Station, how: str
+) -> None:
+    if how == "closed":
+        participant.close(patience())
+    else:
+        participant._context.shutdown()  # as rclpy's signal handlers do
+    for ask in (station.publishers, station.subscriptions, station.servers, station.has_server):
+        with pytest.raises(BridgeError) as caught:
+            ask("/anything")
+        assert (caught.value.reason is FailureReason.CLOSED) is (how == "closed")
+    for listing in (station.services, station.actions):
+        with pytest.raises(BridgeError):
+            listing()
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda station: station.topic_name("relative"),
+        lambda station: station.service_name("relative"),
+        lambda station: station.topics(),
+        lambda station: station.own_definition("/anything", SET_BOOL),
+        lambda station: station.subscribe(TEXT, "/late", Policies(), print, events={}),
+        lambda station: station.advertise(TEXT, "/late", Policies(), events={}),
+        lambda station: station.client(import_type(SET_BOOL), "/late"),
+        lambda station: station.server(import_type(SET_BOOL), "/late", print),
+        lambda station: station.action_client(ACTION, "/late"),
+        lambda station: server(station, print),
+        lambda station: discovered("ros", station.node, frozenset(), no_structure),
+    ],
+)
+def test_what_is_asked_of_a_station_that_was_closed_says_so(
+    participant: Participant, station: Station, ask: Callable[[Station], object]
+) -> None:
+    assert station.topic_name("relative") == station.service_name("relative") == "/relative"
+    participant.close(patience())
+    assert station.stop(patience())  # its thread has put everything away
+    with pytest.raises(BridgeError, match="the bridge was closed") as caught:
+        ask(station)
+    assert caught.value.reason is FailureReason.CLOSED
+
+
+def no_structure(kind: str, topic: str) -> Any:
+    raise AssertionError((kind, topic))
+
+
+def test_a_participant_that_was_closed_starts_no_station(participant: Participant) -> None:
+    participant.close(patience())
+    with pytest.raises(BridgeError) as caught:
+        participant.station("late")
+    assert caught.value.reason is FailureReason.CLOSED
+
+
+def test_a_station_that_starts_while_the_participant_closes_is_ended(
+    participant: Participant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Station] = []
+
+    def meanwhile(*given: Any) -> Station:
+        made.append(Station(*given))
+        participant.close(patience())
+        return made[0]
+
+    monkeypatch.setattr("uoarm_ros2._middleware._participant.Station", meanwhile)
+    with pytest.raises(BridgeError, match="closed"):
+        participant.station("late")
+    assert made[0].stop(patience())
+
+
+def test_the_client_of_an_action_does_not_keep_the_node_on_the_graph(
+    participant: Participant,
+) -> None:
+    other = Participant(DOMAIN, "")
+    try:
+        station = other.station("leaving")
+        client = station.action_client(ACTION, "/slow")
+        names = participant.station("watching").node.get_fully_qualified_node_names
+        wait(lambda: "/leaving" in names())
+    finally:
+        other.close(patience())
+    wait(lambda: "/leaving" not in names())
+    assert client is not None  # it is held all the time
+
+
+def test_a_goal_whose_bridge_closes_in_mid_call_fails(
+    participant: Participant, station: Station
+) -> None:
+    asked, told = threading.Event(), []
+
+    def cancelling(cancel: Callable[[], object]) -> Any:
+        told.append(cancel)
+        return nullcontext()
+
+    taken = []
+
+    def accept(request: GoalRequest) -> None:
+        taken.append(goals.accept(request))
+        asked.set()
+
+    goals = server(station, accept)
+    action = Action(station, Graph(station, 0.0), "/slow", FIBONACCI)
+    call = failed(lambda: action.call({"order": 3}, patience(), patience(), cancelling))
+    wait(lambda: asked.is_set() and told != [])
+    participant.close(patience())
+    assert call().reason is FailureReason.CLOSED
+    assert told[0]() is False  # nobody can be told any more
+
+
+def test_a_call_whose_bridge_closes_in_mid_call_fails(
+    participant: Participant, station: Station
+) -> None:
+    asked = threading.Event()
+    station.server(import_type(SET_BOOL), "/slow", lambda *_: asked.set())
+    caller = Caller(station, Graph(station, 0.0), "/slow", SET_BOOL)
+    call = failed(lambda: caller.call({"data": True}, patience(), patience()))
+    assert asked.wait(patience())
+    participant.close(patience())
+    assert call().reason is FailureReason.CLOSED
+
+
+@pytest.mark.parametrize("how", ["closed", "ended by others"])
+def test_a_goal_that_ends_after_its_server_has_is_told_to_nobody(
+    participant: Participant, station: Station, how: str
+) -> None:
+    accepted: list[GoalRequest] = []
+
+    def accept(request: GoalRequest) -> None:
+        goals.accept(request)
+        accepted.append(request)
+
+    goals = server(station, accept)
+    client = station.action_client(ACTION, "/slow")
+    wait(client.server_is_ready)
+    client.send_goal_async(ACTION.Goal(order=3))
+    wait(lambda: accepted != [])
+    if how == "closed":
+        participant.close(patience())
+        goals.feed(accepted[0].id, ACTION.Feedback())
+        goals.reject(accepted[0])
+        goals.accept(accepted[0])
+    else:
+        participant._context.shutdown()
+    goals.end(accepted[0].id, "aborted")

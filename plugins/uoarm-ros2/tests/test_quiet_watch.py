@@ -1,0 +1,95 @@
+"""Of many subscriptions those without messages are waited for apart, and miss nothing by it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from endpoints import Inbox
+from peers import DOMAIN, Peer
+from uoarm_ros2._cdr_read import cdr_reader
+from uoarm_ros2._middleware import Participant, Station, _loop
+from uoarm_ros2._qos import Policies
+from uoarm_ros2._shape import shape_of
+from uoarm_ros2._types import import_type
+
+from uoarm.testing import wait
+
+INT64 = import_type("std_msgs/msg/Int64")
+TOPICS = [f"/quiet_{number}" for number in range(4)]
+
+
+@pytest.fixture
+def station() -> Iterator[Station]:
+    participant = Participant(DOMAIN, "")
+    yield participant.station("ears")
+    participant.close(2.0)
+
+
+class Ear:
+    """One subscription with what came, and how many publishers it has."""
+
+    def __init__(self, station: Station, topic: str) -> None:
+        self.inbox = Inbox()
+        self.matched = 0
+        read = cdr_reader(shape_of(INT64, "std_msgs/msg/Int64"))
+        self.native = station.subscribe(
+            INT64,
+            topic,
+            Policies(),
+            lambda octets: self.inbox(read(octets)),
+            events={"matched": self._match},
+        )
+        (self.entity, *self.events) = station._entities[self.native]
+
+    def _match(self, info: Any) -> None:
+        self.matched = info.current_count
+
+    @property
+    def is_quiet(self) -> bool:
+        return self.entity.is_quiet and all(each.is_quiet for each in self.events)
+
+
+def test_what_is_quiet_is_heard_and_is_quiet_again(
+    station: Station, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_loop, "_FEW", 2)
+    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(_loop, "_SWEEP_SECONDS", 0.0)
+    ears = {topic: Ear(station, topic) for topic in TOPICS}
+    wait(lambda: all(ear.is_quiet for ear in ears.values()))
+    talker = peer("talker")
+    for topic in TOPICS:
+        talker.do("advertise", topic=topic)
+    wait(lambda: all(ear.matched == 1 for ear in ears.values()))
+    for first in (1, 11, 21):
+        for topic in TOPICS:
+            talker.do("publish", topic=topic, first=first, count=10)
+    for ear in ears.values():
+        ear.inbox.wait_for(30)
+        assert ear.inbox.numbers() == list(range(1, 31))
+    wait(lambda: sum(ear.is_quiet for ear in ears.values()) >= 2)
+    gone, *kept = ears.values()
+    station.discard(gone.native)
+    for topic in TOPICS:
+        talker.do("unadvertise", topic=topic)
+    wait(lambda: all(ear.matched == 0 for ear in kept))
+
+
+def test_few_subscriptions_are_waited_for_together(
+    station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_loop, "_QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(_loop, "_SWEEP_SECONDS", 0.0)
+    ears = [Ear(station, topic) for topic in TOPICS]
+    swept: list[float] = []
+    sweep = station._loop._sweep
+
+    def noted(now: float) -> None:
+        sweep(now)
+        swept.append(now)
+
+    monkeypatch.setattr(station._loop, "_sweep", noted)
+    wait(lambda: len(swept) > 2)
+    assert not any(ear.is_quiet for ear in ears)

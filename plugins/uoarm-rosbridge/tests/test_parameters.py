@@ -1,0 +1,54 @@
+"""Parameters between clients: set, read by others, deleted, and bounded together."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from ros import Enter
+from uoarm_rosbridge._parameters import Parameters
+
+from uoarm.server.front_end import LimitError
+
+
+def test_what_one_client_sets_another_reads(enter: Enter) -> None:
+    setter, reader = enter(), enter()
+    value = json.dumps({"gains": [1, 2.5]})
+    assert setter.call("/rosapi/set_param", {"name": "drive", "value": value})["successful"]
+    assert reader.call("/rosapi/get_param", {"name": "/drive"})["value"] == value
+    assert reader.call("/rosapi/has_param", {"name": "drive"}) == {"exists": True}
+    assert reader.call("/rosapi/get_param_names") == {"names": ["/drive"]}
+    assert reader.call("/rosapi/delete_param", {"name": "drive"})["successful"]
+    assert not reader.call("/rosapi/delete_param", {"name": "drive"})["successful"]
+    assert setter.call("/rosapi/has_param", {"name": "drive"}) == {"exists": False}
+
+
+def test_what_nobody_set_is_null_or_has_the_default(enter: Enter) -> None:
+    client = enter()
+    absent = client.call("/rosapi/get_param", {"name": "x"})
+    assert (absent["value"], absent["successful"]) == ("null", False)
+    assert client.call("/rosapi/get_param", {"name": "x", "default": "7"})["value"] == "7"
+
+
+def test_there_may_be_so_many_and_no_more() -> None:
+    parameters = Parameters()
+    for number in range(1_000):
+        parameters.set(f"/{number}", "1")
+    with pytest.raises(LimitError, match="1,000 parameters"):
+        parameters.set("/more", "1")
+    parameters.set("/7", "2")
+    assert parameters.delete("/8")
+    parameters.set("/more", "1")
+
+
+def test_together_they_have_so_much_and_no_more() -> None:
+    parameters = Parameters()
+    half = json.dumps("x" * 500_000)
+    parameters.set("/a", half)
+    parameters.set("/b", half)
+    with pytest.raises(LimitError, match="1,048,576 octets"):
+        parameters.set("/c", half)
+    parameters.set("/a", half)
+    parameters.set("/a", "1")
+    parameters.set("/c", half)
+    assert parameters.names == ["/a", "/b", "/c"]

@@ -1,0 +1,93 @@
+"""Components that tell of their states are looked at as they do, and keep nothing of ours."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from endpoints import Inbox, of, source
+from peers import Peer
+from test_leftovers import holding
+
+from uoarm.bridge import Bridge
+from uoarm.model import Health, Role
+from uoarm.testing import wait
+
+Start = Callable[..., Peer]
+NEVER = 3600.0  # between two looks that nobody asks for
+
+
+def observed(peer: Start, name: str) -> Any:
+    component = peer(name)
+    component.take_observers()
+    component.activate()
+    return component
+
+
+def test_a_component_that_tells_of_its_failure_is_looked_at_then(
+    make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    component, events = observed(peer, "Worker"), Inbox()
+    bridge = make_bridge(watch=NEVER)
+    bridge.watch(events)
+    channel = source(bridge, of("Worker", Role.OUTPUT, "out"), Inbox())
+    wait(component.observers)
+    [seen] = component.observers()
+    assert seen["observed_status"] == "RTC_STATUS,EC_STATUS"
+    assert seen["uoarm.process"].split("/")[1] == str(os.getpid())
+    component.abort()
+    assert events.event(Health.LOST, "it is in state ERROR").channel is channel
+    bridge.close()
+    assert component.observers() == []
+
+
+def test_both_ends_of_a_native_link_tell(make_bridge: Callable[..., Bridge], peer: Start) -> None:
+    first, second, events = observed(peer, "From"), observed(peer, "Into"), Inbox()
+    bridge = make_bridge(watch=NEVER)
+    bridge.watch(events)
+    at = of("Into", Role.INPUT, "in")
+    assert bridge.link(of("From", Role.OUTPUT, "out"), at) is not None
+    wait(lambda: first.observers() and second.observers())
+    second.abort()
+    assert events.event(Health.LOST, "it is in state ERROR").component == at.component
+
+
+def test_an_observer_goes_with_the_last_channel(bridge: Bridge, peer: Start) -> None:
+    component = observed(peer, "Worker")
+    channels = [source(bridge, of("Worker", Role.OUTPUT, "out"), Inbox()) for _ in range(2)]
+    wait(lambda: len(component.observers()) == 1)
+    channels[0].close()
+    channels[1].close()
+    wait(lambda: not component.observers())
+    assert component.asked_to_observe() == 1
+
+
+@pytest.mark.parametrize("observe", [True, False])
+def test_a_component_without_observers_is_looked_at(
+    make_bridge: Callable[..., Bridge], peer: Start, observe: bool
+) -> None:
+    component, events = peer("Worker"), Inbox()
+    component.take_observers(not observe)
+    component.activate()
+    bridge = make_bridge(observe=observe)
+    bridge.watch(events)
+    source(bridge, of("Worker", Role.OUTPUT, "out"), Inbox())
+    if observe:
+        wait(component.asked_to_observe)
+    component.abort()
+    events.event(Health.LOST, "it is in state ERROR")
+    assert component.asked_to_observe() == int(observe)
+
+
+def test_an_observer_of_a_killed_process_is_removed_by_the_next(
+    nameserver: str, make_bridge: Callable[..., Bridge], peer: Start
+) -> None:
+    first, second = observed(peer, "From"), observed(peer, "Into")
+    with holding(nameserver) as killed:
+        wait(lambda: first.observers() and second.observers())
+        killed.kill()
+        killed.wait()
+    source(make_bridge(observe=False), of("From", Role.OUTPUT, "out"), Inbox())
+    assert first.observers() == second.observers() == []
