@@ -7,6 +7,9 @@ import re
 import signal
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Iterable, Mapping
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -29,7 +32,7 @@ class Pages(SimpleHTTPRequestHandler):
         """Say nothing of what works."""
 
 
-def main() -> None:
+def main() -> int:
     """Start all parts, and end them together."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot-port", type=int, default=9080)
@@ -41,22 +44,45 @@ def main() -> None:
     )
     page = f"http://127.0.0.1:{pages.server_port}"
     serve = [sys.executable, "-m", "uoarm", "serve", str(HERE / "robot.yaml"), "--origin", page]
-    parts = [
-        subprocess.Popen([sys.executable, str(HERE / "base.py")]),
-        subprocess.Popen([*serve, "--port", str(options.robot_port)]),
-    ]
+    parts = {
+        "base.py": subprocess.Popen([sys.executable, str(HERE / "base.py")]),
+        "uoarm serve": subprocess.Popen([*serve, "--port", str(options.robot_port)]),
+    }
     print(f"open {page}/?robot=ws://127.0.0.1:{options.robot_port}/", flush=True)
-    try:
-        with pages:
-            pages.serve_forever()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        for part in parts:
-            part.terminate()
-        for part in parts:
+    with pages:
+        threading.Thread(target=pages.serve_forever, daemon=True).start()
+        try:
+            return until_one_ends(parts)
+        except KeyboardInterrupt:
+            return 0
+        finally:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(number, signal.SIG_IGN)  # one of them is under way: see it through
+            end(parts.values())
+            pages.shutdown()
+
+
+def until_one_ends(parts: Mapping[str, subprocess.Popen[bytes]]) -> int:
+    """Wait until a part ends, which none should; return the exit code for that."""
+    while True:
+        for name, part in parts.items():
+            if part.poll() is not None:
+                print(f"{name} ended with {part.returncode}, so all ends", file=sys.stderr)
+                return 1
+        time.sleep(0.2)
+
+
+def end(parts: Iterable[subprocess.Popen[bytes]]) -> None:
+    """End parts together; what does not listen is killed after half a minute."""
+    for part in parts:
+        part.terminate()
+    for part in parts:
+        try:
             part.wait(30)
+        except subprocess.TimeoutExpired:
+            part.kill()
+            part.wait()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -14,19 +14,13 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from healthbot_scene.crew import Crew, Running
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(HERE.parent / "vision")]
 
 _PORTS = (2809, 9280, 9080, 9281)
-_LOOK_SECONDS = 0.2
 
 
 def main() -> int:
@@ -61,7 +55,12 @@ def _run(options: argparse.Namespace) -> int:
         print(need, file=sys.stderr)
     if any(need.vital for need in lacking) or (options.visit and node() is None):
         return 2
-    from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - now they are there
+    from healthbot_scene.crew import (  # noqa: PLC0415 - now they are there
+        Crew,
+        PartError,
+        print_running,
+        watch,
+    )
     from healthbot_scene.parts import parts_of  # noqa: PLC0415
     from healthbot_scene.places import make_places  # noqa: PLC0415
     from healthbot_scene.separate import HOSTS, prepare_environments  # noqa: PLC0415
@@ -81,11 +80,11 @@ def _run(options: argparse.Namespace) -> int:
             places = make_places(options.run or Path(temporary), cache, ports, _say)
             parts = parts_of(places, places.write_robot(options.robot, hosts), HERE / "browser")
             with Crew(places.run, places.environment()) as crew:
-                crew.start_all(parts, _tell)
+                crew.start_all(parts, print_running)
                 _say(f"For a visit open {places.page_url}")
                 _say(f"To see into the robot open {places.robot_url.replace('ws', 'http', 1)}")
                 _say("Everything is ready; Ctrl-C ends it.")
-                return _visit(places.robot_url) if options.visit else _watch(crew)
+                return _visit(places.robot_url) if options.visit else watch(crew)
     except (FootageError, PartError, UoarmError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -95,28 +94,10 @@ def _say(line: str) -> None:
     print(line, flush=True)
 
 
-def _tell(running: Running) -> None:
-    part = running.part
-    where = f"{part.name:<11} {part.framework:<14} pid {running.process.pid:<8}"
-    print(where, part.what, flush=True)
-
-
 def _visit(url: str) -> int:
     """Run the terminal application once."""
     command = ["node", "--experimental-websocket", str(HERE / "terminal" / "main.mjs"), url]
     return subprocess.run(command, check=False).returncode
-
-
-def _watch(crew: Crew) -> int:
-    """Tell of parts that die; return once the robot itself is gone."""
-    while True:
-        for running in crew.dead():
-            part = running.part
-            code = running.process.returncode
-            print(f"{part.name} ended with {code}: {running.last_words()}", flush=True)
-            if part.vital:
-                return 1
-        time.sleep(_LOOK_SECONDS)
 
 
 if __name__ == "__main__":

@@ -13,17 +13,10 @@ import asyncio
 import signal
 import sys
 import tempfile
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from healthbot_scene.crew import Crew, Running
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "healthbot"), str(HERE.parent / "vision")]
-
-_LOOK_SECONDS = 0.2
 
 
 def main() -> int:
@@ -56,14 +49,19 @@ def _run(options: argparse.Namespace) -> int:
     if lacking:
         print(*lacking, sep="\n", file=sys.stderr)
         return 2
-    from healthbot_scene.crew import Crew, PartError  # noqa: PLC0415 - now it is there
+    from healthbot_scene.crew import (  # noqa: PLC0415 - now it is there
+        Crew,
+        PartError,
+        print_running,
+        watch,
+    )
 
     try:
         with tempfile.TemporaryDirectory(prefix="warehouse-") as temporary:
             places = make_places(options.run or Path(temporary))
             parts = parts_of(places, places.write_robot(options.robot))
             with Crew(places.run, places.environment()) as crew:
-                crew.start_all(parts, _tell)
+                crew.start_all(parts, print_running)
                 print(f"To see the floor open {places.page_url}")
                 print(f"To see into the robot open {places.robot_url.replace('ws', 'http', 1)}")
                 print("Everything is ready; Ctrl-C ends it.", flush=True)
@@ -73,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
                     limit = options.duration or float("inf")
                     work = place_and_wait(places.robot_url, options.orders, limit, _say)
                     return 0 if asyncio.run(work) else 1
-                return _watch(crew, options.duration)
+                return watch(crew, options.duration)
     except (PartError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -81,26 +79,6 @@ def _run(options: argparse.Namespace) -> int:
 
 def _say(line: str) -> None:
     print(line, flush=True)
-
-
-def _tell(running: Running) -> None:
-    part = running.part
-    print(
-        f"{part.name:<8} {part.framework:<9} pid {running.process.pid:<8} {part.what}", flush=True
-    )
-
-
-def _watch(crew: Crew, seconds: float | None) -> int:
-    """Tell of parts that die; return once the robot itself is gone, or the time is over."""
-    until = time.monotonic() + seconds if seconds else float("inf")
-    while time.monotonic() < until:
-        for running in crew.dead():
-            code = running.process.returncode
-            print(f"{running.part.name} ended with {code}: {running.last_words()}", flush=True)
-            if running.part.vital:
-                return 1
-        time.sleep(_LOOK_SECONDS)
-    return 0
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any
 
 from attrs import asdict, frozen
 from observing import NOTHING, Observed, until, use, using, watch
-from stage import Stage, load, machine, record, stage, table
+from stage import Stage, host_of, load, machine, record, stage, table
 
 from uoarm.client import connect
 from uoarm.errors import UoarmError
@@ -64,20 +64,6 @@ class Death:
         return self.killed, self.function, noticed, self.told, self.lost, self.went_on, back
 
 
-def host_of(scene: Stage, library: str) -> int:
-    """Return the process of `uoarm serve` in which a bridge with this library runs.
-
-    Raises:
-        LookupError: there is none.
-    """
-    robot = scene.crew["robot"].process.pid
-    children = Path(f"/proc/{robot}/task").glob("*/children")
-    for pid in {int(word) for each in children for word in each.read_text().split()}:
-        if library in Path(f"/proc/{pid}/maps").read_text():
-            return pid
-    raise LookupError(f"no process of the robot has loaded {library}")
-
-
 async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> Death:
     """Kill a part behind a stream, or the host of a bridge; return what became of it."""
     url, seen = scene.places.robot_url, Observed()
@@ -94,7 +80,7 @@ async def stream_row(scene: Stage, part: str, name: str, library: str = "") -> D
         rate = len(seen.arrivals) / (time.monotonic() - seen.arrivals[0])
         killed = time.monotonic()
         if library:
-            os.kill(host_of(scene, library), signal.SIGKILL)
+            os.kill(host_of(scene.crew["robot"].process.pid, library), signal.SIGKILL)
         else:
             scene.crew.kill(part)
         await asyncio.sleep(_WINDOW)

@@ -19,7 +19,7 @@ EXAMPLE = Path(__file__).resolve().parents[1]
 ROOT = EXAMPLE.parents[1]
 sys.path[:0] = [str(EXAMPLE), str(EXAMPLE.parent / "vision")]
 
-from healthbot_scene.crew import Crew, Part  # noqa: E402 - found once the path is set
+from healthbot_scene.crew import Crew, Part, host_of  # noqa: E402 - found once the path is set
 from healthbot_scene.parts import parts_of  # noqa: E402
 from healthbot_scene.places import Places, make_places  # noqa: E402
 from vision_demo.ports import free_domain  # noqa: E402
@@ -30,6 +30,7 @@ __all__ = [
     "Stage",
     "free_domain",
     "head",
+    "host_of",
     "load",
     "machine",
     "record",

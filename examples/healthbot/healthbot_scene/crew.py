@@ -15,7 +15,17 @@ from types import TracebackType
 from attrs import frozen
 from typing_extensions import Self
 
-__all__ = ["Crew", "Part", "PartError", "Running", "environment_of", "fill_in_robot"]
+__all__ = [
+    "Crew",
+    "Part",
+    "PartError",
+    "Running",
+    "environment_of",
+    "fill_in_robot",
+    "host_of",
+    "print_running",
+    "watch",
+]
 
 _LOOK_SECONDS = 0.1
 _STOP_SECONDS = 8.0
@@ -171,6 +181,45 @@ class Crew:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def print_running(running: Running) -> None:
+    """Print what runs, and as which process."""
+    part = running.part
+    where = f"{part.name:<11} {part.framework:<14} pid {running.process.pid:<8}"
+    print(where, part.what, flush=True)
+
+
+def watch(crew: Crew, seconds: float | None = None) -> int:
+    """Print which parts die; return 1 once a vital one has, 0 when the time is over.
+
+    Args:
+        crew: that runs.
+        seconds: None: without a limit.
+    """
+    until = time.monotonic() + seconds if seconds else float("inf")
+    while time.monotonic() < until:
+        for running in crew.dead():
+            part = running.part
+            code = running.process.returncode
+            print(f"{part.name} ended with {code}: {running.last_words()}", flush=True)
+            if part.vital:
+                return 1
+        time.sleep(_LOOK_SECONDS)
+    return 0
+
+
+def host_of(robot: int, library: str) -> int:
+    """Return the process of `uoarm serve` in which a bridge with this library runs.
+
+    Raises:
+        LookupError: there is none.
+    """
+    children = Path(f"/proc/{robot}/task").glob("*/children")
+    for pid in {int(word) for each in children for word in each.read_text().split()}:
+        if library in Path(f"/proc/{pid}/maps").read_text():
+            return pid
+    raise LookupError(f"no process of the robot has loaded {library}")
 
 
 def environment_of(run: Path, domain: int, paths: Sequence[Path], profiles: Path) -> dict[str, str]:

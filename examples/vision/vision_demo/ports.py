@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 import socket
-from contextlib import ExitStack
+
+from uoarm.testing import free_port
 
 __all__ = ["free_domain", "free_ports", "listens"]
 
@@ -21,11 +22,10 @@ def listens(port: int) -> bool:
 
 def free_ports(count: int) -> list[int]:
     """Return ports of the loopback address on which nobody listens."""
-    with ExitStack() as kept:
-        sockets = [kept.enter_context(socket.socket()) for _ in range(count)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [each.getsockname()[1] for each in sockets]
+    ports: set[int] = set()
+    while len(ports) < count:
+        ports.add(free_port())
+    return list(ports)
 
 
 def free_domain() -> int:

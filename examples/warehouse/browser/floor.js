@@ -32,7 +32,7 @@ export function drawFloor(svg) {
   for (const [name] of EDGE) {
     const [x, y] = position(name);
     svg.append(shape("rect", { class: "place", x: x - 0.6, y: -y - 0.6, width: 1.2, height: 1.2 }));
-    svg.append(shape("text", { class: "name", x, y: -y + 0.9 }, name));
+    svg.append(shape("text", { class: "place-name", x, y: -y + 0.52 }, name));
   }
   const vehicles = shape("g", {});
   svg.append(vehicles);

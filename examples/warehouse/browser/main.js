@@ -22,10 +22,14 @@ function show(picture) {
   $("vehicles").replaceChildren(...seen.map((one) =>
     row(one.name, one.condition, `${Math.round(one.battery)} %`, one.load, one.order)));
   $("orders").replaceChildren(...picture.orders.map((one) => {
-    const line = row(one.order, one.source, `${one.load} kg`, one.status, one.vehicle.replace(NAMES, ""));
-    line.title = one.why;
+    const mass = one.mass ? `${one.mass.toFixed(2)} kg` : "";
+    const why = one.why.replaceAll(/transport(?=\S)/g, "");
+    const line = row(one.order, one.source, `${one.load} kg`, mass, one.status, why || one.vehicle.replace(NAMES, ""));
+    line.lastElementChild.className = why ? "why" : "";
     return line;
   }));
+  $("lamp").className = `lamp ${picture.lamp}`;
+  $("lamp").setAttribute("aria-label", `lamp: ${picture.lamp}`);
   $("progress").textContent = `${picture.done} orders are done`;
 }
 
@@ -34,7 +38,7 @@ $("place").elements.target.append(...DOCKS.map(([name]) => new Option(name)));
 $("place").addEventListener("submit", async (event) => {
   event.preventDefault();
   const { source, target, load } = event.target.elements;
-  const order = `page-${Date.now()}`;
+  const order = `page-${Date.now().toString(36)}`;
   try {
     await robot.call("transport", { order, source: source.value, target: target.value, load: Number(load.value) });
     $("progress").textContent = `${order} is placed`;

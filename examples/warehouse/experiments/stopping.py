@@ -10,17 +10,15 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Final
 
-from faults import EXAMPLE, VEHICLES, Faults, done_orders, keep_placing
-from healthbot_scene.crew import Crew
-from warehouse_floor.link import FloorLink
-from warehouse_scene.parts import make_places, parts_of
+from experiment import VEHICLES, Tables, options, progress, stage
+from faults import Faults, done_orders, keep_placing
+from healthbot_scene.crew import host_of
+from warehouse_scene.parts import newcomer
 
 _LOOK: Final = 0.02
 _WATCH: Final = 6.0
@@ -28,6 +26,7 @@ _SETTLE: Final = 8.0
 _DRIVES: Final = 0.4
 _STANDS: Final = 0.02
 _LIMIT: Final = 180.0
+_HEAD: Final = ("killed", "vehicle", "stands after", "next order done, after the part is back")
 _LIBRARIES: Final = {
     "host of the ROS 2 bridge": "librcl.so",
     "host of the OpenRTM bridge": "_omnipy",
@@ -39,22 +38,10 @@ _AFFECTED: Final = {
     "amr": ("amr",),
     "cart": ("cart",),
     "agv": ("agv",),
+    "visitor": ("visitor",),
     "host of the ROS 2 bridge": ("amr",),
     "host of the OpenRTM bridge": ("cart",),
 }
-
-
-def host_of(robot: int, library: str) -> int:
-    """Return the process of `uoarm serve` in which a bridge with this library runs.
-
-    Raises:
-        LookupError: there is none.
-    """
-    children = Path(f"/proc/{robot}/task").glob("*/children")
-    for pid in {int(word) for each in children for word in each.read_text().split()}:
-        if library in Path(f"/proc/{pid}/maps").read_text():
-            return pid
-    raise LookupError(f"no process of the robot has loaded {library}")
 
 
 def until(true: Callable[[], bool], seconds: float) -> bool:
@@ -69,23 +56,23 @@ def until(true: Callable[[], bool], seconds: float) -> bool:
 
 def is_more_done(faults: Faults, than: int) -> bool:
     """Return whether more orders are done than were."""
-    return len(done_orders(faults.places)) > than
+    return len(done_orders(faults.stage.places)) > than
 
 
 def kill(faults: Faults, what: str) -> None:
     """End a part as a crash would."""
     if what in _LIBRARIES:
-        robot = faults.crew["robot"].process.pid
+        robot = faults.stage.crew["robot"].process.pid
         os.kill(host_of(robot, _LIBRARIES[what]), signal.SIGKILL)
     else:
-        faults.crew.kill(what)
+        faults.stage.crew.kill(what)
 
 
 def stops(faults: Faults, what: str) -> list[tuple[str, str]]:
     """Kill a part while the vehicles that it concerns drive; return what each of them did."""
 
     def speeds() -> dict[str, float]:
-        bodies = faults.link.ask()["bodies"]
+        bodies = faults.stage.link.ask()["bodies"]
         return {name: one["speed"] for name, one in bodies.items()}
 
     driving: list[str] = []
@@ -110,32 +97,31 @@ def stops(faults: Faults, what: str) -> list[tuple[str, str]]:
 
 def main() -> int:
     """Kill everything once and print the table."""
-    before = os.getloadavg()[0]
-    rows = []
-    with tempfile.TemporaryDirectory(prefix="warehouse-") as folder:
-        places = make_places(Path(folder))
-        parts = parts_of(places, places.write_robot(EXAMPLE / "robot.yaml"))
-        with Crew(places.run, places.environment()) as crew, FloorLink(places.floor) as link:
-            crew.start_all(parts, lambda _: None)
-            faults = Faults(crew, places, {part.name: part for part in parts}, link)
-            with keep_placing(faults):
-                for what in _AFFECTED:
-                    before_done = len(done_orders(places))
-                    found = stops(faults, what)
-                    if what in faults.parts:
-                        crew.start(faults.parts[what])
-                    begun = time.monotonic()
-                    goes_on = until(partial(is_more_done, faults, before_done), _LIMIT)
-                    after = f"{time.monotonic() - begun:.0f} s" if goes_on else "none"
-                    rows += [(what, name, stood, after) for name, stood in found]
-                    print("| " + " | ".join(rows[-1]) + " |", flush=True)
-                    time.sleep(_SETTLE)
-            truth = link.ask()
-    print(f"\nload {before:.1f} to {os.getloadavg()[0]:.1f}; collisions {truth['collisions']}\n")
-    print("| killed | vehicle | stands after | next order done, after the part is back |")
-    print("| --- | --- | --- | --- |")
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
+    chosen = options(__doc__)
+    tables = Tables(chosen.json)
+    rows: list[dict[str, object]] = []
+    with stage() as scene:
+        scene.parts["visitor"] = newcomer(scene.places)
+        scene.crew.start(scene.parts["visitor"])
+        faults = Faults(scene)
+        with keep_placing(faults):
+            for what in _AFFECTED:
+                before_done = len(done_orders(scene.places))
+                found = stops(faults, what)
+                if what in scene.parts:
+                    scene.crew.start(scene.parts[what])
+                begun = time.monotonic()
+                goes_on = until(partial(is_more_done, faults, before_done), _LIMIT)
+                after = f"{time.monotonic() - begun:.0f} s" if goes_on else "none"
+                for name, stood in found:
+                    cells = (what, name, stood, after)
+                    rows.append(dict(zip(_HEAD, cells, strict=True)))
+                    progress(cells)
+                time.sleep(_SETTLE)
+        truth = scene.link.ask()
+    counted = f"collisions {truth['collisions']}, unauthorised moves {truth['unauthorised']}"
+    tables.add(f"Each part killed while vehicles drive; {counted}", rows)
+    tables.print()
     return 1 if truth["collisions"] or truth["unauthorised"] else 0
 
 

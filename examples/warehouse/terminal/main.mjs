@@ -16,7 +16,7 @@ async function place(robot) {
   const open = new Map();
   for (const [number, one] of wanted.entries()) {
     const [source, load = "5"] = one.split(":");
-    const order = `terminal-${begun}-${number + 1}`;
+    const order = `terminal-${begun.toString(36)}-${number + 1}`;
     await robot.call("transport", { order, source, target: "", load: Number(load) });
     open.set(order, "placed");
     say(`${order}: placed, ${load} kg from ${source}`);
@@ -34,8 +34,9 @@ async function follow(robot, open) {
   const every = open.size ? 0 : 2;
   for await (const { orders, vehicles } of await robot.request("floor", { every })) {
     if (!open.size) vehicles.forEach(tell);
-    for (const { order, status, vehicle, why } of orders) {
-      const now = [status, vehicle, why].filter(Boolean).join(" ");
+    for (const { order, status, vehicle, mass, why } of orders) {
+      const weighed = mass ? `weighs ${mass.toFixed(2)} kg` : "";
+      const now = [status, vehicle, weighed, why].filter(Boolean).join(" ");
       if (open.has(order) && open.get(order) !== now) say(`${order}: ${now}`);
       if (open.has(order)) open.set(order, now);
       if (status === "done") open.delete(order);

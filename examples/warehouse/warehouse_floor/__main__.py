@@ -80,8 +80,10 @@ class Server:
             floor.command(name, (forward, left, turn), asked["until"], now)
             floor.carry(name, asked["carry"])
             return asdict(floor.sense(name))
-        if "obstacles" in asked:
-            floor.obstacles = set(asked["obstacles"])
+        if "block" in asked:
+            return {"is_blocked": floor.block(asked["block"], asked["clear"])}
+        if "unblock" in asked:
+            floor.obstacles.discard(asked["unblock"])
         if "localised" in asked:
             floor.bodies[asked["localised"]].is_localised = asked["is"]
         return {
@@ -90,6 +92,7 @@ class Server:
             "deliveries": floor.deliveries,
             "obstacles": sorted(floor.obstacles),
             "collisions": floor.collisions,
+            "contacts": floor.contacts,
             "unauthorised": floor.unauthorised,
             "repeats": floor.repeats,
             "metres": floor.metres,

@@ -93,6 +93,7 @@ class Floor:
         deliveries: how often each box was put down at a dock.
         obstacles: nodes on which something stands.
         collisions: how often two vehicles, or a vehicle and a rack or obstacle, began to touch.
+        contacts: what was so each time, with where the bodies were and how fast.
         repeats: how often a vehicle reached for a box that had been delivered.
         unauthorised: how often a vehicle began to move without a live command of its framework.
         metres: driven by all.
@@ -103,6 +104,7 @@ class Floor:
         self.deliveries: dict[str, int] = {}
         self.obstacles: set[str] = set()
         self.collisions = 0
+        self.contacts: list[str] = []
         self.repeats = 0
         self.unauthorised = 0
         self.metres = 0.0
@@ -164,6 +166,14 @@ class Floor:
             return True
         return False
 
+    def block(self, node: str, clear: float) -> bool:
+        """Put an obstacle on a node, unless a vehicle is nearer than `clear` metres to it."""
+        near = (math.dist(one.pose[:2], NODES[node]) < clear for one in self._bodies.values())
+        if any(near):
+            return False
+        self.obstacles.add(node)
+        return True
+
     def sense(self, name: str) -> Sense:
         """Return what a vehicle's sensors say."""
         body = self._bodies[name]
@@ -181,7 +191,11 @@ class Floor:
             self._authorise(body, now)
             self.metres += metres
         touching = set(self._touches())
-        self.collisions += len(touching - self._touching)
+        for pair in sorted(touching - self._touching):
+            self.collisions += 1
+            bodies = [self._bodies[name] for name in pair if name in self._bodies]
+            where = "; ".join(f"{one.name} {_told(one, now)}" for one in bodies)
+            self.contacts = [*self.contacts[-9:], f"{now:.2f}: {' and '.join(pair)}: {where}"]
         self._touching = touching
 
     def _wanted(self, body: Body, now: float) -> Triple:
@@ -226,6 +240,12 @@ class Floor:
                 ahead, aside = (abs(a - b) for a, b in zip(body.pose[:2], centre, strict=True))
                 if math.hypot(max(ahead - _SOLID, 0), max(aside - _SOLID, 0)) < RADIUS:
                     yield body.name, f"what stands at {centre}"
+
+
+def _told(body: Body, now: float) -> str:
+    x, y, heading = body.pose
+    live = body.allowed_until - now
+    return f"at {x:.2f}, {y:.2f}, {heading:.2f} with {body.speed:.2f} m/s, live for {live:.2f} s"
 
 
 def _towards(velocity: Triple, wanted: Triple, seconds: float) -> Triple:

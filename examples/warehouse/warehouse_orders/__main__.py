@@ -2,7 +2,8 @@
 
 `python -m warehouse_orders URL FOLDER` until interrupted. FOLDER has the journals. It knows a robot
 behind an address, and vehicles as functions whose name begins with `transport` and which have an
-output `state` and an input `command`.
+output `state` and an input `command`. Boxes that arrived are weighed by the function `weigh`, and
+`lamp` shows whether all is well; without them the vehicles go on.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from warehouse_floor.layout import NODES
 from uoarm.client import Client, connect
 from uoarm.errors import UoarmError
 from warehouse_orders.coordinator import Command, Coordinator, Report
-from warehouse_orders.orders import Journal, Order, Status, read_lines, replay
+from warehouse_orders.orders import Journal, Order, Reservation, Status, read_lines, replay
+from warehouse_orders.weighing import Weighing
 
 _PREFIX: Final = "transport"
 _TICK_SECONDS: Final = 0.2
@@ -28,6 +30,8 @@ _LOOK_SECONDS: Final = 3.0
 _WAIT_SECONDS: Final = 20.0
 _AGAIN_SECONDS: Final = 1.0
 _LATEST_DONE: Final = 5
+_WEIGH_SECONDS: Final = 5.0
+_LAMP_SECONDS: Final = 1.0
 
 
 class Application:
@@ -43,7 +47,13 @@ class Application:
         noted = folder / "noted.jsonl"
         orders = replay(self._read(), [entry for entry, _ in read_lines(noted)])
         self._journal = Journal(noted)
-        self._coordinator = Coordinator(orders, first_leg=int(time.time()))
+        reserved = folder / "reserved.jsonl"
+        held = Reservation.latest([entry for entry, _ in read_lines(reserved)])
+        self._reservations = Journal(reserved)
+        self._coordinator = Coordinator(orders, first_leg=int(time.time()), held=held)
+        weighed = folder / "weighed.jsonl"
+        self._weighing = Weighing([entry for entry, _ in read_lines(weighed)])
+        self._weighed = Journal(weighed)
         self._streams: dict[str, Any] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._said: dict[str, str] = {}
@@ -76,6 +86,8 @@ class Application:
                 if now - looked > _LOOK_SECONDS:
                     looked = now
                     await self._look(robot)
+                    self._keep("weigh", self._weigh(robot))
+                    self._keep("lamp", self._light(robot))
                 for entry in self._read():
                     self._coordinator.place(Order.placed(entry))
                 commands = self._coordinator.tick(now)
@@ -134,6 +146,32 @@ class Application:
         except UoarmError as error:
             self._tell(name, error)
 
+    async def _weigh(self, robot: Client) -> None:
+        """Have every box weighed that arrived; one that cannot be is tried again later."""
+        while box := self._weighing.due(self._coordinator.orders.values()):
+            try:
+                found = await robot.call("weigh", {"box": box}, timeout=_WEIGH_SECONDS)
+            except UoarmError as error:
+                self._tell("weigh", error)
+                return
+            line = {"order": box, "mass": found["mass"]}
+            await asyncio.to_thread(self._weighed.write, [line])
+            self._weighing.take(box, found["mass"])
+
+    async def _light(self, robot: Client) -> None:
+        """Say again and again what the lamp shows."""
+        try:
+            async with await robot.request("lamp", receive=False, wait=_WAIT_SECONDS) as stream:
+                while True:
+                    await stream.send({"colour": self._colour})
+                    await asyncio.sleep(_LAMP_SECONDS)
+        except UoarmError as error:
+            self._tell("lamp", error)
+
+    @property
+    def _colour(self) -> str:
+        return self._weighing.colour(self._coordinator.orders)
+
     def _tell(self, name: str, error: UoarmError) -> None:
         """Say why a function cannot be had, once for each reason."""
         if self._said.get(name) != str(error):
@@ -141,10 +179,12 @@ class Application:
             print(f"{name}: {error}", flush=True)
 
     async def _write(self) -> None:
-        """Have the journal on the disk before anybody is told."""
-        notes = self._coordinator.notes()
-        if notes:
-            await asyncio.to_thread(self._journal.write, [note.line() for note in notes])
+        """Have the journals on the disk before anybody is told."""
+        notes = [note.line() for note in self._coordinator.notes()]
+        held = [one.line() for one in self._coordinator.reservations()]
+        if notes or held:
+            await asyncio.to_thread(self._journal.write, notes)
+            await asyncio.to_thread(self._reservations.write, held)
 
     async def _send(self, command: Command) -> None:
         stream = self._streams.get(command.vehicle)
@@ -163,6 +203,7 @@ class Application:
             "vehicles": list(self._seen()),
             "orders": [self._listed(order) for order in (*shown, *done[-_LATEST_DONE:])],
             "done": len(done),
+            "lamp": self._colour,
         }
 
     def _seen(self) -> Iterator[dict[str, Any]]:
@@ -200,6 +241,7 @@ class Application:
             "source": order.source,
             "target": order.target,
             "load": order.load,
+            "mass": self._weighing.masses.get(order.name, 0.0),
             "status": order.status.value,
             "vehicle": order.vehicle,
             "why": why,

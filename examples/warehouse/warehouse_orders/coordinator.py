@@ -2,20 +2,22 @@
 
 A plain state machine: reports, deaths, orders and time come in, commands and notes for the journal
 go out. A vehicle that drives holds every node of its way before it starts, and gives each back as
-it has left it, so that no two ever wait for one another on the way. One that fell silent keeps
-what it held, since it may still be driving there.
+it has left it, so that no two ever wait for one another on the way. It is told a few nodes at a
+time. What it was told once is nobody else's until it has said that it came to the end, or that it
+has taken the command to stand: not while it is silent, and not when the coordinator begins again,
+which is why reservations are in the journal before anybody is told to drive.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from attrs import define, frozen
 from warehouse_floor.layout import DOCKS, HOMES, NODES, PITCH, node_at, route
 
-from warehouse_orders.orders import Note, Order, Status
+from warehouse_orders.orders import Note, Order, Reservation, Status
 
 __all__ = ["Command", "Coordinator", "Report", "Vehicle"]
 
@@ -29,7 +31,7 @@ _LATE_SECONDS: Final = 1.0
 _STUCK_SECONDS: Final = 20.0
 _STEP_METRES: Final = 0.1
 _NODES_AT_ONCE: Final = 3
-"""As far as a vehicle can come unheard of: two seconds, or the way of one command."""
+"""The way of one command, which is as far as a vehicle can come unheard of."""
 
 
 @frozen
@@ -45,6 +47,7 @@ class Report:
         payload: kg that it can carry.
         load: the box that it carries, or nothing.
         leg: the last command that it carried out to the end.
+        stopped: the command to stand that it has taken; 0: it may follow one given before.
         is_localised: whether it knows where it is.
         is_blocked: whether something stands in its way.
         drives_on: whether it drives to the end of its way when nobody renews the command.
@@ -58,6 +61,7 @@ class Report:
     payload: float
     load: str
     leg: int
+    stopped: int
     is_localised: bool
     is_blocked: bool
     drives_on: bool
@@ -126,9 +130,17 @@ class Vehicle:
 
     @property
     def is_standing(self) -> bool:
-        """Whether it has surely stopped since it was told to: reports may be older than that."""
-        waited = self.heard - self.stopped > _ROLLS_SECONDS
-        return not self.target and waited and self.report.speed < _ROLLING
+        """Whether it has surely stopped, and will not drive before it is told to.
+
+        Speed alone does not say so: who turns, waits at an obstacle or has not been reached by the
+        command to stand yet has none either.
+        """
+        if self.target or self.report.speed >= _ROLLING:
+            return False
+        has_taken = self.report.stopped == self.leg
+        return self.report.leg == self.leg or (
+            has_taken and self.heard - self.stopped > _ROLLS_SECONDS
+        )
 
 
 class Coordinator:
@@ -137,23 +149,41 @@ class Coordinator:
     Args:
         orders: those that a journal tells of.
         first_leg: above every number of a command that was given before.
+        held: what a journal tells of the vehicles; they are dead until heard of.
 
     Attributes:
         orders: by name, in the order in which they were placed.
         vehicles: by name.
     """
 
-    def __init__(self, orders: Iterable[Order] = (), first_leg: int = 1) -> None:
+    def __init__(
+        self,
+        orders: Iterable[Order] = (),
+        first_leg: int = 1,
+        held: Collection[Reservation] = (),
+    ) -> None:
         self.orders: dict[str, Order] = {order.name: order for order in orders}
-        self.vehicles: dict[str, Vehicle] = {}
-        self._leg = first_leg
+        self.vehicles: dict[str, Vehicle] = {one.vehicle: _unheard(one) for one in held}
+        self._reserved = {one.vehicle: one for one in held}
+        self._leg = max([first_leg, *(one.leg for one in held)])
         self._closed: dict[str, float] = {}
         self._notes: list[Note] = []
+        for order in self.orders.values():
+            if order.status is Status.ASSIGNED:  # whoever had it may never be heard of again
+                self._note(order, Status.WAITING, "")
 
     def notes(self) -> list[Note]:
         """Return what is new for the journal, which must have it before a command is sent."""
         notes, self._notes = self._notes, []
         return notes
+
+    def reservations(self) -> list[Reservation]:
+        """Return what has changed of the vehicles' reservations, for the journal as well."""
+        vehicles = self.vehicles.values()
+        held = [Reservation(one.name, one.leg, _granted(one)) for one in vehicles]
+        changed = [one for one in held if self._reserved.get(one.vehicle) != one]
+        self._reserved = {one.vehicle: one for one in held}
+        return changed
 
     def place(self, order: Order) -> None:
         """Take an order; one that is known already is not taken twice."""
@@ -182,9 +212,7 @@ class Coordinator:
         if vehicle is None or not vehicle.is_alive:
             return
         vehicle.is_alive = False
-        if vehicle.target:
-            vehicle.held = vehicle.held[: self._reach(vehicle) + 1]
-            vehicle.target = ""
+        vehicle.held, vehicle.target = _granted(vehicle), ""
         order = self.orders.get(vehicle.order)
         if order is not None and order.status is Status.ASSIGNED:
             self._note(order, Status.WAITING, "")
@@ -205,7 +233,9 @@ class Coordinator:
         ]
 
     def unfit(self, vehicle: Vehicle, order: Order) -> str:
-        """Return why a vehicle cannot have an order now; empty: it can."""
+        """Return why a vehicle cannot have an order now, what lasts first; empty: it can."""
+        if vehicle.report.payload < order.load:
+            return f"carries {vehicle.report.payload:g} kg, not {order.load:g}"
         if not vehicle.is_alive:
             return "is not heard of"
         if not vehicle.report.is_localised:
@@ -214,8 +244,6 @@ class Coordinator:
             return "is off the floor"
         if vehicle.order or vehicle.report.load:
             return f"has {vehicle.order or vehicle.report.load}"
-        if vehicle.report.payload < order.load:
-            return f"carries {vehicle.report.payload:g} kg, not {order.load:g}"
         if vehicle.is_charging or vehicle.report.battery < _EMPTY:
             return f"charges, {vehicle.report.battery:.0f} %"
         return ""
@@ -229,7 +257,7 @@ class Coordinator:
         self.vehicles[name] = vehicle
         self._stand(vehicle)
         for order in self.orders.values():
-            if order.vehicle == name and order.status in {Status.ASSIGNED, Status.LOADED}:
+            if order.vehicle == name and order.status is Status.LOADED:
                 vehicle.order = order.name
         return vehicle
 
@@ -335,16 +363,9 @@ class Coordinator:
     def _go_on(self, vehicle: Vehicle) -> None:
         """Give it the next part of its way, in which alone it can be should it fall silent."""
         last = vehicle.held.index(vehicle.target)
-        if vehicle.report.drives_on:
-            last = min(last, _NODES_AT_ONCE)
-        vehicle.leg_end = vehicle.held[last]
+        vehicle.leg_end = vehicle.held[min(last, _NODES_AT_ONCE)]
         self._leg += 1
         vehicle.leg = self._leg
-
-    def _reach(self, vehicle: Vehicle) -> int:
-        """Return how far along what it holds it may come without being heard of."""
-        end = vehicle.held.index(vehicle.leg_end)
-        return end if vehicle.report.drives_on else min(end, _NODES_AT_ONCE)
 
     def _is_taken(self, node: str, but: Vehicle | None = None) -> bool:
         """Whether somebody is, or shall be, where another would have to wait."""
@@ -357,9 +378,9 @@ class Coordinator:
         return [one for one in self.vehicles.values() if one is not vehicle]
 
     def _stand(self, vehicle: Vehicle) -> None:
-        """Let it stop where it is; it holds its way until it has."""
+        """Let it stop where it is; it holds what it was told until it has."""
         around = tuple(_around(vehicle.report.x, vehicle.report.y))
-        vehicle.held = (*around, *(node for node in vehicle.held if node not in around))
+        vehicle.held = (*around, *(node for node in _granted(vehicle) if node not in around))
         vehicle.target, vehicle.carry = "", vehicle.report.load
         vehicle.stopped = vehicle.heard
         self._leg += 1
@@ -384,6 +405,29 @@ class Coordinator:
         is_last = bool(way) and vehicle.leg_end == vehicle.target
         carry = vehicle.carry if is_last else vehicle.report.load
         return Command(vehicle.name, vehicle.leg, way, carry)
+
+
+def _unheard(known: Reservation) -> Vehicle:
+    """Return a vehicle of which nothing is known but what it holds."""
+    name, held = known.vehicle, known.nodes
+    x, y = NODES[held[0]] if held else (0.0, 0.0)
+    nothing = Report(
+        x, y, heading=0.0, speed=0.0, battery=0.0, payload=0.0, load="", leg=0, stopped=0,
+        is_localised=False, is_blocked=False, drives_on=False,
+    )  # fmt: skip
+    return Vehicle(name, nothing, float("-inf"), is_alive=False, held=held, leg=known.leg)
+
+
+def _granted(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return what it holds but for its way from the end of its last command on.
+
+    It was never told to drive there, so that is free once it is not led any more.
+    """
+    if not vehicle.target:
+        return vehicle.held
+    end, target = map(vehicle.held.index, (vehicle.leg_end, vehicle.target))
+    # Behind its way are the nodes between which it stood when it was told.
+    return (*vehicle.held[: end + 1], *vehicle.held[target + 1 :])
 
 
 def _around(x: float, y: float) -> Iterator[str]:

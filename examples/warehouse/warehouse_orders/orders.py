@@ -1,4 +1,4 @@
-"""Transport orders, and the journal from which all of them are known again after a death."""
+"""Transport orders and reservations, and the journal from which they are known after a death."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from attrs import define, frozen
 from warehouse_floor.layout import DOCKS, SHELVES
 
-__all__ = ["Journal", "Note", "Order", "Status", "read_lines", "replay"]
+__all__ = ["Journal", "Note", "Order", "Reservation", "Status", "read_lines", "replay"]
 
 
 class Status(Enum):
@@ -72,6 +72,25 @@ class Note:
     def line(self) -> dict[str, str]:
         """Return it as plain values."""
         return {"order": self.order, "status": self.status.value, "vehicle": self.vehicle}
+
+
+@frozen
+class Reservation:
+    """A vehicle holds these nodes, and this is the number of its last command."""
+
+    vehicle: str
+    leg: int
+    nodes: tuple[str, ...]
+
+    def line(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {"vehicle": self.vehicle, "leg": self.leg, "nodes": list(self.nodes)}
+
+    @classmethod
+    def latest(cls, lines: Iterable[Mapping[str, Any]]) -> list[Reservation]:
+        """Return the last one of each vehicle."""
+        held = {one["vehicle"]: one for one in lines}
+        return [cls(name, one["leg"], tuple(one["nodes"])) for name, one in held.items()]
 
 
 def replay(placed: Iterable[Mapping[str, Any]], notes: Iterable[Mapping[str, Any]]) -> list[Order]:

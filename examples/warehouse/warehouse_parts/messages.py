@@ -38,6 +38,7 @@ class State(TypedDict):
     payload: Annotated[float, {"x-unit": "kg"}]
     load: str
     leg: int
+    stopped: int
     is_localised: bool
     is_blocked: bool
     drives_on: bool

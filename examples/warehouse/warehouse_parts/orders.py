@@ -70,12 +70,13 @@ class Seen(TypedDict):
 
 
 class Listed(TypedDict):
-    """An order; `why` says why nobody has it yet."""
+    """An order; `mass` is what the scale says, 0 before; `why` says why nobody has it yet."""
 
     order: str
     source: str
     target: str
     load: float
+    mass: float
     status: str
     vehicle: str
     why: str
@@ -87,6 +88,7 @@ class Picture(TypedDict):
     vehicles: list[Seen]
     orders: list[Listed]
     done: int
+    lamp: str
 
 
 def board(picture: Picture) -> Picture:

@@ -39,6 +39,12 @@ class Flag(TypedDict):
     data: bool
 
 
+class Number(TypedDict):
+    """std_msgs/Int32."""
+
+    data: Annotated[int, Range(-(2**31), 2**31 - 1)]
+
+
 class Battery(TypedDict):
     """What a map takes from sensor_msgs/BatteryState: per cent."""
 
@@ -122,9 +128,13 @@ class Amr:
         """Take whether something stands in its way."""
         self._known["is_blocked"] = message["data"]
 
+    def stopped(self, message: Number) -> None:
+        """Take which command to stand it has taken."""
+        self._known["stopped"] = message["data"]
+
     def odometry(self, message: Odometry) -> Emit | None:
         """Take where it is, and say how it is."""
-        if len(self._known) < 4:  # noqa: PLR2004 - the four above
+        if len(self._known) < 5:  # noqa: PLR2004 - the five above
             return None
         heading = 2 * math.atan2(message["qz"], message["qw"])
         state = {

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Annotated, Final
 
 from typing_extensions import TypedDict
 from warehouse_floor.navigator import STAND, Driver, Point
 
-from uoarm.local import Emit
+from uoarm.local import Emit, Range
 from warehouse_parts.messages import NOTHING, Command, Metres
 
 __all__ = ["Cart", "Pose", "Status"]
@@ -32,6 +32,7 @@ class Status(TypedDict):
     load: str
     localised: bool
     blocked: bool
+    leg: Annotated[int, Range(-(2**31), 2**31 - 1)]
 
 
 class Cart:
@@ -69,8 +70,11 @@ class Cart:
         pose = (*where, message["heading"])
         step = self._driver.step(pose, status["load"], self._command["carry"])
         velocity = step.velocity if status["localised"] else STAND
-        if self._command["points"]:
-            yield Emit("velocity", dict(zip(("vx", "vy", "va"), velocity, strict=True)))
+        leg, points = self._command["leg"], self._command["points"]
+        has_taken = status["leg"] == leg and not points
+        if not has_taken:  # until then one that came before may be under way still
+            vx, vy, va = velocity
+            yield Emit("velocity", {"leg": leg, "vx": vx, "vy": vy, "va": va})
         yield Emit("carry", {"box": self._driver.carry})
         state = {
             **message,
@@ -79,6 +83,7 @@ class Cart:
             "payload": self._payload,
             "load": status["load"],
             "leg": self._driver.done,
+            "stopped": leg if has_taken else 0,
             "is_localised": status["localised"],
             "is_blocked": status["blocked"],
             "drives_on": False,

@@ -105,6 +105,9 @@ class Agv:
             "payload": self._payload,
             "load": self._load,
             "leg": self._done,
+            "stopped": 0
+            if self._order or self._command["points"] or _is_busy(message)
+            else self._command["leg"],
             "is_localised": position.get("positionInitialized", position.get("localized", False)),
             "is_blocked": "blockedPath" in {one["errorType"] for one in message["errors"]},
             "drives_on": True,
@@ -126,6 +129,13 @@ class Agv:
 def _node(point: Point) -> dict[str, Any]:
     position = {"x": point["x"], "y": point["y"], "mapId": _MAP}
     return {"nodeId": point["node"], "nodePosition": position}
+
+
+def _is_busy(message: Mapping[str, Any]) -> bool:
+    """Whether it has an order, whoever gave it and whenever."""
+    states = message.get("actionStates") or ()
+    acts = any(one["actionStatus"] not in {"FINISHED", "FAILED"} for one in states)
+    return bool(message.get("nodeStates") or message.get("edgeStates") or acts)
 
 
 def _battery(message: Mapping[str, Any]) -> float:

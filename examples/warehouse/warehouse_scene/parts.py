@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import shutil
 import sys
 from collections.abc import Callable
@@ -13,13 +14,16 @@ from attrs import frozen
 from healthbot_scene.crew import Part, environment_of, fill_in_robot
 from vision_demo.ports import free_domain, free_ports, listens
 
-__all__ = ["EXAMPLE", "Places", "make_places", "missing", "parts_of"]
+__all__ = ["EXAMPLE", "NEWCOMER_HOME", "Places", "make_places", "missing", "newcomer", "parts_of"]
+
+NEWCOMER_HOME: Final = "home4"
 
 EXAMPLE: Final = Path(__file__).resolve().parents[1]
 _PYTHON: Final = sys.executable
 _NEEDS: Final = {
     "rclpy": "ROS 2", "test_msgs": "ROS 2", "omniORB": "OpenRTM", "uoarm_ros2": "ROS 2",
-    "uoarm_rtm": "OpenRTM", "uoarm_vda5050": "VDA 5050", "websockets": "the server",
+    "uoarm_rtm": "OpenRTM", "uoarm_rocos": "the station", "uoarm_vda5050": "VDA 5050",
+    "websockets": "the server",
     "zenoh": "hosts",
 }  # fmt: skip
 
@@ -109,11 +113,14 @@ def _mosquitto() -> str | None:
 
 
 def _broker(places: Places) -> tuple[str, ...]:
-    """Return the broker on loopback, which keeps nothing."""
+    """Return the broker on loopback, which keeps nothing.
+
+    It stays the user who starts it: one that becomes another is not ended with its parent.
+    """
     file = places.run / "mosquitto.conf"
     file.write_text(
         f"listener {places.broker} 127.0.0.1\nallow_anonymous true\npersistence false\n"
-        "set_tcp_nodelay true\n"
+        f"set_tcp_nodelay true\nuser {getpass.getuser()}\n"
     )
     return (_mosquitto() or "mosquitto", "-c", str(file))
 
@@ -159,6 +166,15 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
             ready,
         ),
         Part(
+            "station",
+            "a scale and a lamp on a serial line",
+            "XML device",
+            _module(
+                "warehouse_station", str(places.run / "station"), str(places.run / "placed.jsonl")
+            ),
+            ready,
+        ),
+        Part(
             "robot",
             f"uoarm serve at {places.robot_url}",
             "uoarm",
@@ -172,6 +188,7 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
             "",
             _module("warehouse_orders", places.robot_url, str(places.run)),
             ready,
+            seconds=180.0,  # its first request waits until every host has started
         ),
         Part(
             "page",
@@ -181,6 +198,17 @@ def parts_of(places: Places, robot: Path) -> list[Part]:
             _listens(places.page),
         ),
     ]
+
+
+def newcomer(places: Places) -> Part:
+    """Return a fourth vehicle, of release 3.0, which no configuration names and no scene starts."""
+    return Part(
+        "visitor",
+        "an automated vehicle, release 3.0",
+        "VDA 5050",
+        _module("warehouse_vehicles.vda_agv", "visitor", NEWCOMER_HOME, places.broker_url, "3.0"),
+        _says("ready"),
+    )
 
 
 def _module(name: str, *arguments: str) -> tuple[str, ...]:

@@ -1,9 +1,10 @@
 """A mobile robot as a ROS 2 node with an action server; it finds its own way along a path.
 
 Subscribes `amr/path` (nav_msgs/Path, the time of whose stamp names the leg; an empty one lets it
-stand), `amr/carry` and `amr/cmd_vel`; serves the action `amr/drive`, whose goal is a leg. It drives
-while there is a goal and a path of the same leg. The wheels of ROS 2 bring no action types for
-navigation, so that of test_msgs stands in: `order` is the leg, `sequence` what is left of it.
+stand), `amr/carry` and `amr/cmd_vel` (geometry_msgs/Twist, which steers it by hand, each for half a
+second, while it has no path to drive); serves the action `amr/drive`, whose goal is a leg. It
+drives while there is a goal and a path of the same leg. The wheels of ROS 2 bring no action types
+for navigation, so that of test_msgs stands in: `order` is the leg, `sequence` what is left of it.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool, Int32, String
 from test_msgs.action import Fibonacci
-from warehouse_floor.bodies import Sense
+from warehouse_floor.bodies import Sense, Triple
 from warehouse_floor.link import Base
 from warehouse_floor.navigator import STAND, Driver
 
@@ -32,6 +33,7 @@ _SECONDS: Final = 0.05
 _EVERY: Final = 2
 _FEEDBACK: Final = 0.2
 _LIVE: Final = 1.2  # as long as the configuration has a path live, and the way to here
+_LIVE_BY_HAND: Final = 0.6
 
 
 class Amr:
@@ -50,7 +52,7 @@ class Amr:
         self._path: tuple[int, tuple[tuple[float, float], ...]] = (0, ())
         self._until = float("-inf")
         self._carry = ""
-        self._manual: tuple[float, float] = (0.0, 0.0)
+        self._by_hand: tuple[Triple, float] = (STAND, float("-inf"))
         self._goal = 0
         self._left: tuple[int, int] = (0, 0)
         self._ticks = 0
@@ -68,7 +70,7 @@ class Amr:
             part: node.create_publisher(kind, f"{name}/{part}", 5)
             for part, kind in (
                 ("odom", Odometry), ("battery", BatteryState), ("load", String),
-                ("localised", Bool), ("blocked", Bool),
+                ("localised", Bool), ("blocked", Bool), ("stopped", Int32),
             )
         }  # fmt: skip
         node.create_timer(_SECONDS, self._drive)
@@ -85,29 +87,33 @@ class Amr:
 
     def _take_twist(self, twist: Any) -> None:
         with self._lock:
-            self._manual = (twist.linear.x, twist.angular.z)
-            self._until = time.monotonic() + _LIVE
+            velocity = (twist.linear.x, 0.0, twist.angular.z)
+            self._by_hand = (velocity, time.monotonic() + _LIVE_BY_HAND)
 
     def _drive(self) -> None:
         """One step of the control loop."""
         with self._lock:
             (leg, points), until, carry = self._path, self._until, self._carry
             is_wanted = leg == self._goal
-            manual = (self._manual[0], 0.0, self._manual[1])
+            velocity, live = self._by_hand
         self._driver.go(leg, points if is_wanted else ())
-        self._sense = self._base.drive(*self._command(manual, carry, until))
+        now = time.monotonic()
+        if live > now and not (points and until > now):
+            self._sense = self._base.drive(velocity, live, self._driver.carry)
+        else:
+            self._sense = self._base.drive(*self._along(carry, until))
         if self._sense is not None and self._ticks % _EVERY == 0:
             self._publish(self._sense)
         self._ticks += 1
 
-    def _command(self, manual: Any, carry: str, until: float) -> tuple[Any, float, str]:
+    def _along(self, carry: str, until: float) -> tuple[Triple, float, str]:
         sense = self._sense
         # The controller's own timeout, should the stop message have got lost.
         if sense is None or not sense.is_localised or time.monotonic() > until:
             return STAND, until, self._driver.carry
         step = self._driver.step((sense.x, sense.y, sense.heading), sense.load, carry)
         self._left = (len(self._path[1]) - step.passed, self._path[0])
-        return (manual if any(manual) else step.velocity), until, self._driver.carry
+        return step.velocity, until, self._driver.carry
 
     def _publish(self, sense: Sense) -> None:
         odometry = Odometry()
@@ -120,6 +126,8 @@ class Amr:
         self._out["load"].publish(String(data=sense.load))
         self._out["localised"].publish(Bool(data=sense.is_localised))
         self._out["blocked"].publish(Bool(data=sense.is_blocked))
+        leg, points = self._path
+        self._out["stopped"].publish(Int32(data=0 if points else leg))
         self._out["battery"].publish(BatteryState(percentage=sense.battery / 100, present=True))
         self._out["odom"].publish(odometry)
 

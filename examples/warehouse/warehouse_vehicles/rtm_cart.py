@@ -1,8 +1,8 @@
 """A cart that moves in every direction, as an RT-Component; it is steered from outside.
 
-InPorts `velocity` (RTC::TimedVelocity2D) and `carry` (RTC::TimedString), OutPorts `pose`
-(RTC::TimedPose2D) and `status` (Warehouse::Status). It stands when nobody has told it anything for
-a while, as the controller of a base does.
+InPorts `velocity` (RTC::TimedVelocity2D, the seconds of whose time name the leg) and `carry`
+(RTC::TimedString), OutPorts `pose` (RTC::TimedPose2D) and `status` (Warehouse::Status). It stands
+when nobody has told it anything for a while, as the controller of a base does.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Cart:
     def __init__(self, name: str, home: str, nameserver: str) -> None:
         types = Types([str(_IDL)])
         self._base = Base(name, home, is_holonomic=True)
-        self._velocity, self._until = STAND, float("-inf")
+        self._velocity, self._until, self._leg = STAND, float("-inf"), 0
         self._wanted: str | None = None
         self._orb = Orb("127.0.0.1", _CALL_SECONDS)
         sheet = Sheet(f"{name}0", "Cart", "carries boxes", category="Vehicle")
@@ -73,7 +73,7 @@ class Cart:
     def _steer(self, message: Any) -> None:
         velocity = message["data"]
         self._velocity = (velocity["vx"], velocity["vy"], velocity["va"])
-        self._until = time.monotonic() + _LIVE
+        self._until, self._leg = time.monotonic() + _LIVE, message["tm"]["sec"]
 
     def _carry(self, message: Any) -> None:
         self._wanted = message["data"]
@@ -87,6 +87,7 @@ class Cart:
             "load": sense.load,
             "localised": sense.is_localised,
             "blocked": sense.is_blocked,
+            "leg": self._leg,
         }
         pose = {"position": {"x": sense.x, "y": sense.y}, "heading": sense.heading}
         self._status.write(status)

@@ -1,0 +1,1 @@
+"""The station at the docks: a scale and a lamp on a serial line."""
