@@ -69,6 +69,15 @@ def texts(hertz: float, size: int) -> Iterator[Stamped]:
         yield {"number": number, "time": time.monotonic_ns(), "data": data}
 
 
+def ticks(hertz: float, size: int) -> Iterator[Stamped]:
+    """Yield as `texts`, seldom, so that a thousand of them cost next to nothing."""
+    data, number = "x" * size, 0
+    while True:
+        yield {"number": number, "time": time.monotonic_ns(), "data": data}
+        number += 1
+        time.sleep(1 / hertz)
+
+
 def images(hertz: float, size: int) -> Iterator[Image]:
     """Yield numbered pictures at a steady rate."""
     data = bytes(range(256)) * (size // 256)

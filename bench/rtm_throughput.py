@@ -1,26 +1,34 @@
-"""Messages a second from an OutPort to an InPort: connected directly, by uoarm, to an application.
+"""From an OutPort to an InPort: connected directly, relayed by uoarm or by hand, to an application.
 
-Two components in processes of their own: one writes as fast as its OutPort takes (`flush`), the
-other counts and prints nothing. Each way is measured in turn, several times over, so that what else
-the machine does falls on all of them.
+Two components in processes of their own: one writes, as fast as its OutPort takes (`flush`) or 200
+times a second, the other counts and prints nothing. Each way is measured in turn, several times
+over, so that what else the machine does falls on all of them.
 """
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from bench.tables import print_table
+from bench.tables import at, print_table
 
 SECONDS, TURNS = 1.5, 5
 SMALL, LARGE = "IDL:RTC/TimedLong:1.0", "IDL:RTC/TimedOctetSeq:1.0"
-OCTETS = 131_072
+OCTETS, MOST_OCTETS = 131_072, 4_194_304
+HERTZ = 200
+PORTS = {"small": SMALL, "large": LARGE, "newest": LARGE}
+WHAT = {"small": "TimedLong", "large": "128 kB", "newest": f"4 MB, {HERTZ} times a second"}
 WAYS = {
     "connected directly": "direct",
+    "relayed by hand, in one thread": "by hand 0",
+    "relayed by hand, a thread between": "by hand 1",
     "relayed, with a map": "relayed",
     "to an application": "out",
 }
@@ -36,12 +44,17 @@ functions:
     components:
       - name: mapped
         bridge: rtm
-        input: {{from: out, endpoint: [Counter.rtc, {port}], map: {{tm: tm, data: data}}}}
+        input:
+          from: out
+          endpoint: [Counter.rtc, {port}]
+          map: {{tm: tm, data: data}}
+          queue: {queue}
 """
+QUEUES = {"small": "{}", "large": "{}", "newest": "{policy: latest}"}
 
 
 def main() -> int:
-    """Print the table; 0 also when there is no omniORB to measure."""
+    """Print the tables; 0 also when there is no omniORB to measure."""
     try:
         from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415
     except ImportError as error:
@@ -49,42 +62,88 @@ def main() -> int:
         return 0
     with NameServer() as names:
         talker, counter = (_start(names.address, role) for role in ("Talker", "Counter"))
-        rows: list[tuple[str, ...]] = []
-        for port, what in (("small", "TimedLong"), ("large", f"{OCTETS // 1024} kB")):
-            rates = _rates(names.address, port, talker, counter)
-            direct = statistics.median(rates["direct"])
-            for name, way in WAYS.items():
-                rate = statistics.median(rates[way])
-                spread = f"{min(rates[way]):,.0f} to {max(rates[way]):,.0f}"
-                rows.append((f"{what}, {name}", f"{rate:,.0f}", spread, f"{rate / direct:.2f}"))
+        ports = sys.argv[1:] or list(PORTS)
+        found = {port: _found(names.address, port, talker, counter) for port in ports}
         for process in (talker, counter):
             process.communicate(timeout=20)
-    head = ("way", "messages a second, median", "least to most", "of direct")
-    print_table("From an OutPort to an InPort", head, rows)
+    _print_rates({port: found[port] for port in ports if port != "newest"})
+    if "newest" in found:
+        _print_delays(found["newest"])
+    print(f"\nload {os.getloadavg()[0]:.0f}")
     return 0
 
 
-def _rates(address: str, port: str, talker: Any, counter: Any) -> dict[str, list[float]]:
+def _print_rates(found: dict[str, dict[str, list[tuple[float, list[float]]]]]) -> None:
+    rows: list[tuple[str, ...]] = []
+    for port, ways in found.items():
+        rates = {way: [rate for rate, _ in turns] for way, turns in ways.items()}
+        direct = statistics.median(rates["direct"])
+        for name, way in WAYS.items():
+            rate = statistics.median(rates[way])
+            spread = f"{min(rates[way]):,.0f} to {max(rates[way]):,.0f}"
+            rows.append((f"{WHAT[port]}, {name}", f"{rate:,.0f}", spread, f"{rate / direct:.2f}"))
+    head = ("way", "messages a second, median", "least to most", "of direct")
+    print_table("From an OutPort to an InPort", head, rows)
+
+
+def _print_delays(ways: dict[str, list[tuple[float, list[float]]]]) -> None:
+    rows, direct = [], 0.0
+    for name, way in WAYS.items():
+        delays = sorted(delay for _, turn in ways[way] for delay in turn)
+        rate = statistics.median(rate for rate, _ in ways[way])
+        median = at(delays, 0.5)
+        direct = direct or median
+        times = f"{median * 1000:.1f}", f"{at(delays, 0.99) * 1000:.1f}", f"{median / direct:.1f}"
+        rows.append((name, f"{rate:.0f}", *times))
+    head = ("way", "a second", "latency, median (ms)", "p99", "of direct")
+    print_table(WHAT["newest"], head, rows)
+
+
+def _found(
+    address: str, port: str, talker: Any, counter: Any
+) -> dict[str, list[tuple[float, list[float]]]]:
+    """Return of each way and turn the messages a second, and how old each was (seconds)."""
     from uoarm import RobotManager  # noqa: PLC0415
     from uoarm.config import loads  # noqa: PLC0415
 
-    rates: dict[str, list[float]] = {way: [] for way in WAYS.values()}
-    with RobotManager(loads(CONFIGURATION.format(address=address, port=port))) as robot:
+    found: dict[str, list[tuple[float, list[float]]]] = {way: [] for way in WAYS.values()}
+    text = CONFIGURATION.format(address=address, port=port, queue=QUEUES[port])
+    with RobotManager(loads(text)) as robot:
         for _ in range(TURNS):
-            for way, found in rates.items():
-                taken = [0]
+            for way, turns in found.items():
+                mine: list[float] = []
 
-                def take(_: Any, taken: list[int] = taken) -> None:
-                    taken[0] += 1
+                def take(message: Any, mine: list[float] = mine) -> None:
+                    mine.append(_age(message))
 
-                with robot.request(way, timeout=20.0) as connection:
-                    if way == "out":
-                        connection.subscribe(take)
-                    before = _ask(counter, "count")
+                with _opened(way, robot, address, port, take):
+                    _ask(counter, "taken")
                     seconds = float(_ask(talker, port))
-                    came = int(_ask(counter, "count")) - int(before)
-                found.append((taken[0] if way == "out" else came) / seconds)
-    return rates
+                    theirs = [float(each) for each in _ask(counter, "taken").split()]
+                ages = mine if way == "out" else theirs
+                turns.append((len(ages) / seconds, ages))
+    return found
+
+
+@contextmanager
+def _opened(
+    way: str, robot: Any, address: str, port: str, take: Callable[[Any], None]
+) -> Iterator[None]:
+    """Have the two components connected."""
+    from bench._rtm_bare_relay import BareRelay  # noqa: PLC0415
+
+    if way.startswith("by hand"):
+        waiting = 0 if way.endswith("0") else 1 if port == "newest" else 16
+        relay = BareRelay(address, port, PORTS[port], waiting)
+        try:
+            yield
+        finally:
+            relay.close()
+        return
+    with robot.request(way, timeout=20.0) as connection:
+        if way == "out":
+            connection.subscribe(take)
+        yield
 
 
 def _start(address: str, role: str) -> Any:
@@ -101,6 +160,17 @@ def _ask(process: Any, word: str) -> str:
     return str(process.stdout.readline())
 
 
+def _now() -> dict[str, int]:
+    sec, nsec = divmod(time.monotonic_ns(), 1_000_000_000)
+    return {"sec": sec, "nsec": nsec}
+
+
+def _age(message: Any) -> float:
+    """Return how many seconds ago a message was written, on this machine."""
+    now, then = _now(), message["tm"]
+    return float(now["sec"] - then["sec"] + (now["nsec"] - then["nsec"]) * 1e-9)
+
+
 def serve(role: str, address: str) -> None:
     """Be one of the components, until standard input ends."""
     from uoarm_rtm._naming import NamingService  # noqa: PLC0415
@@ -108,18 +178,17 @@ def serve(role: str, address: str) -> None:
     from uoarm_rtm._types import Types  # noqa: PLC0415
     from uoarm_rtm.component import RtComponent, Sheet  # noqa: PLC0415
 
-    orb, types, came, lock = Orb("127.0.0.1", 20.0), Types(), [0], threading.Lock()
+    orb, types, lock = Orb("127.0.0.1", 20.0), Types(), threading.Lock()
+    ages: list[float] = []
 
-    def take(_: Any) -> None:
+    def take(message: Any) -> None:
         with lock:
-            came[0] += 1
+            ages.append(_age(message))
 
     component = RtComponent(orb, Sheet(role))
-    tm = {"sec": 1, "nsec": 2}
-    messages: dict[str, Any] = {"small": {"tm": tm, "data": 7},
-                                "large": {"tm": tm, "data": bytes(OCTETS)}}  # fmt: skip
+    data: dict[str, Any] = {"small": 7, "large": bytes(OCTETS), "newest": bytes(MOST_OCTETS)}
     ports: dict[str, Any] = {}
-    for port, kind in (("small", SMALL), ("large", LARGE)):
+    for port, kind in PORTS.items():
         if role == "Counter":
             component.add_in_port(port, kind, types, take)
         else:
@@ -129,19 +198,25 @@ def serve(role: str, address: str) -> None:
     print("ready", flush=True)
     for line in sys.stdin:
         word = line.strip()
-        if word == "count":
-            print(came[0], flush=True)
+        if word == "taken":
+            with lock:
+                print(*ages, flush=True)
+                ages.clear()
             continue
-        begun = time.perf_counter()
+        period = 1 / HERTZ if word == "newest" else 0.0
+        begun = due = time.perf_counter()
         while time.perf_counter() - begun < SECONDS:
-            ports[word].write(messages[word])
+            ports[word].write({"tm": _now(), "data": data[word]})
+            if period:
+                due = max(due + period, time.perf_counter())
+                time.sleep(max(0.0, due - time.perf_counter()))
         print(time.perf_counter() - begun, flush=True)
     component.close()
     orb.close()
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        serve(*sys.argv[1:3])
+    if len(sys.argv) == 3 and sys.argv[1] in {"Talker", "Counter"}:
+        serve(*sys.argv[1:])
     else:
         sys.exit(main())

@@ -14,7 +14,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -66,11 +66,13 @@ async def native(url: str, *, binary: bool = False) -> AsyncIterator[Speaker]:
 
 
 @asynccontextmanager
-async def own_server() -> AsyncIterator[tuple[str, int]]:
-    """Run `uoarm serve`; yields its address and process id."""
+async def own_server(
+    sources: Mapping[str, tuple[str, int, int]] = SOURCES,
+) -> AsyncIterator[tuple[str, int]]:
+    """Run `uoarm serve` with sources (kind, hertz, octets); yields its address and process id."""
     text = CONFIGURATION + "".join(
         SOURCE.format(name=name, kind=kind, hertz=hertz, size=size)
-        for name, (kind, hertz, size) in SOURCES.items()
+        for name, (kind, hertz, size) in sources.items()
     )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "robot.yaml"

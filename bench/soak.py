@@ -2,8 +2,9 @@
 
 A chain of two hosted functions, each with two candidates in hosts of their own, delivers to this
 process while random hosts are killed, stopped, made to hang, slow or refusing, each at least
-once. It must go on behind its handle; at the end every message must be received or counted, and
-threads, descriptors and memory be where they were after the first part. Exit code 0 when all of
+once. It must go on behind its handle; at the end every message must be received or counted, as
+must each copy that two finders got while one of them took over from the other, and threads,
+descriptors and memory be where they were after the first part. Exit code 0 when all of
 that held.
 
 A host that dies between two writes leaves one message in doubt, and no other: a source between its
@@ -33,7 +34,7 @@ from bench.tables import print_table
 from uoarm import Connection, RobotManager
 from uoarm.config import loads
 from uoarm.model import FailoverPolicy
-from uoarm.testing import Census, losses, slowness
+from uoarm.testing import Census, copies, losses, slowness
 
 HERE = Path(__file__).parent
 PATIENCE_SECONDS = 90.0 * slowness()
@@ -179,8 +180,10 @@ def _settle(robot: RobotManager, soak: Soak, folder: Path) -> int:
     before, since = None, time.monotonic()
     while True:
         now = time.monotonic()
-        counted = soak.arrived + _journal(folder, "refused") + losses(robot.status()).total()
-        unaccounted = _journal(folder, "begun") - _journal(folder, "unheard") - counted
+        status = robot.status()
+        counted = soak.arrived + _journal(folder, "refused") + losses(status).total()
+        sent = _journal(folder, "begun") - _journal(folder, "unheard")
+        unaccounted = sent + copies(status) - counted
         if (soak.arrived, unaccounted) != before:
             before, since = (soak.arrived, unaccounted), now
         if now > deadline or now - since > (0.0 if unaccounted == 0 else STILL_SECONDS):
@@ -196,7 +199,8 @@ def _report(
     doubt: tuple[int, int],
 ) -> bool:
     (unaccounted, hosts), gaps = doubt, connection.gaps
-    counted = losses(robot.status())
+    status = robot.status()
+    counted = losses(status)
     by_reason = ", ".join(f"{reason} {count}" for reason, count in sorted(counted.items()))
     spans = sorted(gap.seconds for gap in gaps) or [0.0]
     steady = soak.samples[len(soak.samples) // 3 :]
@@ -206,6 +210,7 @@ def _report(
         ("changes of plan", f"{len(gaps)}, median gap {1000 * spans[len(spans) // 2]:.0f} ms"),
         ("messages received", f"{soak.arrived:,}"),
         ("messages counted as lost", f"{counted.total():,} ({by_reason})"),
+        ("given to two candidates at once", f"{copies(status):,}"),
         ("neither, or counted twice if below 0", f"{unaccounted}, in {hosts} hosts"),
         ("memory, MB", _drawn([one.memory_megabytes for one in soak.samples])),
         ("threads", _drawn([one.threads for one in soak.samples])),
