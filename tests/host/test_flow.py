@@ -287,6 +287,32 @@ def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(
     assert got.got == [1]
 
 
+class _Buffered(Sink):
+    """Hands what it is sent to a framework that says when it has arrived."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        super().__init__(endpoint, lambda _: None, lambda: None)
+        self.arrived = False
+
+    def drain(self, timeout: float) -> bool:
+        return self.arrived
+
+
+def test_drained_is_what_has_left_the_buffers_of_the_framework_too(ends: Ends) -> None:
+    near, far = ends
+    sink = _Buffered(Endpoint("memory", "drive", Role.INPUT, ("drive",)))
+    flows = OpenFlows(near, None)
+    flows.inbound(1, None, sink)
+    outgoing = FlowSender(far, flow(1), patience=patience())
+    outgoing.send(1)
+    assert flows.handled(1, 1, patience())
+    assert not flows.drain(1, 1, patience())
+    sink.arrived = True
+    assert flows.drain(1, 1, patience())
+    flows.close(1, 1, patience())
+    outgoing.close()
+
+
 def test_a_counter_that_is_given_out_anew_leaves_what_it_was(tmp_path: Path) -> None:
     counters = SharedCounters(tmp_path / "counters", make=True)
     first = counters.counter()

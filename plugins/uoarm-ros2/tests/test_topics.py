@@ -18,7 +18,7 @@ from uoarm_ros2._middleware import Station
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
-from uoarm.testing import patience, slowness, wait
+from uoarm.testing import Background, patience, slowness, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -84,6 +84,20 @@ def test_the_stop_message_waits_for_no_command_that_hangs(bridge: Bridge, peer: 
     sending.join(patience())
     holding.join(patience())
     assert out.facts()["messages"] == 3
+
+
+def test_drained_is_what_the_reader_has_acknowledged(bridge: Bridge, peer: Start) -> None:
+    listener = peer("listener")
+    listener.do("subscribe", topic="/acked")
+    out = sink(bridge, endpoint(Role.INPUT, "/acked", INT64))
+    listener.freeze()
+    out.send({"data": 1})
+    assert not out.drain(0)
+    draining = Background(partial(out.drain, patience()))
+    listener.thaw()  # which it could not, if draining kept the interpreter's lock
+    assert draining.result(2 * patience())
+    out.close()
+    assert listener.do("report", topic="/acked", expected=1)["seen"] == [1]
 
 
 def test_images_of_six_megabytes_flow(bridge: Bridge, peer: Start) -> None:

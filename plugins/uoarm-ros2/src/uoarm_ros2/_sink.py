@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rclpy.duration import Duration
-
 from uoarm.bridge import Sink
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Message, OverflowPolicy, QueuePolicy
@@ -20,7 +18,6 @@ from uoarm_ros2._qos import Policies, clashes, for_writing
 __all__ = ["TopicSink"]
 
 _BLOCK_SECONDS = 10.0
-_ACKED_SECONDS = 0.5
 _FULL = "cannot publish data"
 _LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=_BLOCK_SECONDS)
 
@@ -122,6 +119,16 @@ class TopicSink(Sink):
         """Look after the channel a few times a second, in the station's thread."""
         self._end.tick()
 
+    def drain(self, timeout: float) -> bool:
+        """Wait until every reliable subscription has acknowledged what was published.
+
+        One that is matched may not have matched this publisher yet, since discovery goes both ways
+        on its own, and then gets what was sent only as long as the publisher is there. Fast DDS
+        asks for acknowledgements every three seconds.
+        """
+        place, end = self._place, self._end
+        return place.graph.until(lambda: place.station.is_acknowledged(end.native), timeout)
+
     def facts(self) -> Mapping[str, object]:
         """Return counters, the matched subscriptions and the policies in force."""
         return self._end.facts()
@@ -162,7 +169,4 @@ class TopicSink(Sink):
         return BridgeError(text, FailureReason.CLOSED)
 
     def _close(self) -> None:
-        if self.endpoint.command is not None:
-            # The stop was published, which is not to say that it left: the process may end now.
-            self._end.native.wait_for_all_acked(Duration(seconds=_ACKED_SECONDS))
         self._end.close()

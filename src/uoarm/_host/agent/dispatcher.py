@@ -188,7 +188,7 @@ class RequestDispatcher:
             return None
         deadline = time.monotonic() + timeout
         sink.halt(timeout)
-        self._flows.drain(flow, request["sent"], max(0.0, deadline - time.monotonic()))
+        self._flows.handled(flow, request["sent"], max(0.0, deadline - time.monotonic()))
         return to_json(sink.halt(max(0.0, deadline - time.monotonic())))
 
     def _release(self, request: Request) -> None:

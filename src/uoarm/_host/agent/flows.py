@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
@@ -152,10 +153,17 @@ class OpenFlows:
         found = self._open.get(number)
         return 0 if found is None or found.outbound is None else found.outbound.sent
 
-    def drain(self, number: int, sent: int, timeout: float) -> bool:
-        """Wait until a sink has handled the messages up to the number `sent`."""
+    def handled(self, number: int, sent: int, timeout: float) -> bool:
+        """Wait until a sink was handed the messages up to the number `sent`."""
         found = self._open.get(number)
         return found is None or found.inbound is None or found.inbound.drain(sent, timeout)
+
+    def drain(self, number: int, sent: int, timeout: float) -> bool:
+        """Wait until what a sink was sent, up to the number `sent`, has arrived."""
+        deadline, found = time.monotonic() + timeout, self._open.get(number)
+        if not self.handled(number, sent, timeout):
+            return False
+        return found is None or found.channel.drain(max(0.0, deadline - time.monotonic()))
 
     def sink(self, number: int) -> Sink | None:
         """Return an open input, None where this number has none."""

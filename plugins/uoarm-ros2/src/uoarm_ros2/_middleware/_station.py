@@ -11,7 +11,9 @@ from typing import Any
 
 from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_names_and_types
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -37,6 +39,7 @@ from uoarm_ros2._qos import Policies
 __all__ = ["Station"]
 
 _TICK_SECONDS = 0.2
+_AT_ONCE = Duration(seconds=0)
 _SUBSCRIPTION_EVENTS = {
     "deadline": "RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED",
     "incompatible_qos": "RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS",
@@ -219,6 +222,14 @@ class Station:
             OSError: the middleware takes nothing.
         """
         publish_after_the_end(publisher, message)
+
+    def is_acknowledged(self, publisher: Publisher) -> bool:
+        """Whether every reliable subscription that is matched has what was published; at once."""
+        try:
+            # Any longer wait would keep the interpreter's lock for as long as it takes.
+            return bool(publisher.wait_for_all_acked(_AT_ONCE))
+        except (InvalidHandle, _rclpy.RCLError):
+            return False  # it was put away, or the context has ended
 
     @rclpy_errors(_OPENING)
     def action_client(self, native: type, name: str) -> Any:
