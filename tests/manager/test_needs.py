@@ -310,6 +310,27 @@ def test_what_takes_long_to_tell_its_structure_takes_proofs_no_time(lab: Lab) ->
     assert [step.component.function for step in plan.steps] == ["camera", "face"]
 
 
+def test_what_is_not_there_does_not_hold_up_every_round(lab: Lab) -> None:
+    """Each time its bridge would wait for it, and every round would take that long."""
+    lab.lab.emitter("head", SMALL)
+    now = [0.0]
+
+    def describe(component: str) -> None:
+        lab.lab.described.append(component)
+        if component == "eye":
+            now[0] += 0.01
+
+    lab.lab.on_describe = describe
+    eye = "  eye: {components: [{name: eye, bridge: lab, output: {endpoint: [eye]}}]}\n"
+    with lab.manager(f"{CAMERA}{eye}", lambda: now[0]) as manager:
+        manager.resolve("camera")
+        before = lab.lab.rounds
+        wait(lambda: lab.lab.rounds > before + 3)
+        assert lab.lab.described.count("eye") == 1
+        now[0] += 1.0
+        wait(lambda: lab.lab.described.count("eye") == 2)
+
+
 @pytest.mark.parametrize("unfed", ["", ", unfed: default"])
 def test_a_component_whose_input_nothing_feeds_is_passed_over_unless_it_may_be(
     lab: Lab, unfed: str

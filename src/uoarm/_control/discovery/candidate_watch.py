@@ -67,16 +67,41 @@ class Rounds:
         return max(_EVERY_SECONDS, _REST * (now - begun))
 
 
+class Untold:
+    """Components that could not tell their structures lately: each is asked again after a rest.
+
+    For one that is not there a bridge waits as long as it may, and no round ends meanwhile. As
+    rounds do, asking for one component takes a fifth of the time at most.
+    """
+
+    def __init__(self) -> None:
+        self._base: Robot | None = None
+        self._found: dict[str, tuple[Unavailable, float]] = {}
+
+    def known(self, base: Robot, name: str, now: float) -> Unavailable | None:
+        """Return why a component could not tell, until it is to be asked again."""
+        if base is not self._base:
+            self._base, self._found = base, {}
+        found, due = self._found.get(name, (None, now))
+        return found if now < due else None
+
+    def note(self, name: str, found: Unavailable, begun: float, now: float) -> None:
+        """Note why a component could not tell; it was asked at `begun`."""
+        self._found = {one: kept for one, kept in self._found.items() if now < kept[1]}
+        self._found[name] = found, now + _REST * (now - begun)
+
+
 class CandidateWatch:
     """Has discovered components for candidates, while a configuration has functions with needs.
 
     One thread asks all bridges in rounds, two seconds apart, or four times as long as a round
-    takes. However often components come and go meanwhile, a round changes the candidates once at
-    most. The thread begins with the first who needs candidates. A bridge that answers later than
-    others is in a later round, and one that fails shows what it showed before, for three answers.
-    In a new configuration's first three seconds the rounds follow each other closely, however long
-    they take, until every function with needs has a candidate: so long those wait who ask for one,
-    and until each bridge has answered once.
+    takes; a component that cannot tell its structures is asked again as seldom. However often
+    components come and go meanwhile, a round changes the candidates once at most. The thread begins
+    with the first who needs candidates. A bridge that answers later than others is in a later
+    round, and one that fails shows what it showed before, for three answers. In a new
+    configuration's first three seconds the rounds follow each other closely, however long they
+    take, until every function with needs has a candidate: so long those wait who ask for one, and
+    until each bridge has answered once.
 
     Args:
         revisions: of the configuration.
@@ -100,6 +125,7 @@ class CandidateWatch:
         self._clock = clock
         self._proofs = Proofs(clock)
         self._rounds = Rounds()
+        self._untold = Untold()
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._is_closed = False
@@ -194,10 +220,17 @@ class CandidateWatch:
 
         def structures(component: Component) -> Structures | Unavailable:
             name = component.name
-            if name not in asked:  # what cannot be told takes its time each time
+            if name in asked:
+                return asked[name]
+            begun = self._clock()
+            found: Structures | Unavailable | None = self._untold.known(base, name, begun)
+            if found is None:
                 self._step = f"bridge {component.bridge!r} is asked for the structures of {name!r}"
-                asked[name] = revision.structures.structures(component)
-            return asked[name]
+                found = revision.structures.structures(component)
+                if isinstance(found, Unavailable):
+                    self._untold.note(name, found, begun, self._clock())
+            asked[name] = found
+            return found
 
         for one in base.components():
             if one.outputs:
