@@ -18,7 +18,7 @@ from uoarm_ros2._middleware import Station
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import CommandPolicy, Health, Role, StopMessage
-from uoarm.testing import Background, patience, slowness, wait
+from uoarm.testing import Background, Census, patience, slowness, wait
 
 Make = Callable[..., Bridge]
 Start = Callable[..., Peer]
@@ -567,6 +567,33 @@ def test_close_ends_deliveries_also_from_within_one(bridge: Bridge, peer: Start)
     assert talker.do("subscriptions", topic="/busy", expected=0)["count"] == 0
     assert len(inbox.messages) == 3
     assert bridge.open_channels == 0
+
+
+@pytest.mark.long
+def test_a_thousand_openings_while_messages_flow_leave_nothing(
+    make_bridge: Make, peer: Start
+) -> None:
+    bridge, talker, listener = make_bridge(settle=0), peer("talker"), peer("listener")
+    talker.do("advertise", topic="/coming")
+    listener.do("subscribe", topic="/going")
+    came = Inbox()
+
+    def turns(count: int) -> None:
+        for _ in range(count):
+            into = source(bridge, endpoint(Role.OUTPUT, "/coming", INT64), came)
+            out = sink(bridge, endpoint(Role.INPUT, "/going", INT64))
+            out.send({"data": 1})
+            into.close()
+            out.close()
+
+    turns(1)
+    census = Census()
+    talker.start("publish", topic="/coming", count=10_000_000, period=0.001, unmatched=True)
+    for working in [Background(partial(turns, 125)) for _ in range(4)]:
+        working.result(20 * patience())
+    assert came.messages
+    assert bridge.open_channels == 0
+    census.check()
 
 
 def test_a_native_link_passes_bytes_between_topics(bridge: Bridge, peer: Start) -> None:
