@@ -93,6 +93,8 @@ class Doer:
         self.ends: list[str] = []
         self.over = threading.Event()
         self.begun = threading.Event()
+        self.asked = threading.Event()
+        self.gate = threading.Event()
         self.clients: dict[str, Any] = {}
         self.goals: list[Any] = []
         self.steps: list[list[list[int]]] = []
@@ -275,7 +277,16 @@ class Doer:
             "writes": self.managed.writes,
         }
 
-    def act(self, name: str, period: float = 0.05) -> dict[str, Any]:
+    def act(self, name: str, period: float = 0.05, gated: bool = False) -> dict[str, Any]:
+        """Offer an action; gated, it answers no goal before `accept_goals`."""
+        if not gated:
+            self.gate.set()
+
+        def judge(goal: Any) -> Any:
+            self.asked.set()
+            assert self.gate.wait(PATIENCE)
+            return GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+
         def execute(goal: Any) -> Any:
             self.begun.set()
             sequence = [0, 1]
@@ -301,9 +312,7 @@ class Doer:
             name,
             execute,
             callback_group=self.group,
-            goal_callback=lambda goal: (
-                GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
-            ),
+            goal_callback=judge,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         return {}
@@ -381,6 +390,13 @@ class Doer:
         """Wait for the result of a goal."""
         reply = done(self.within(self.goals[goal].get_result_async))
         return {"status": reply.status, "sequence": list(reply.result.sequence)}
+
+    def goal_asked(self) -> dict[str, Any]:
+        return {"asked": self.asked.wait(PATIENCE)}
+
+    def accept_goals(self) -> dict[str, Any]:
+        self.gate.set()
+        return {}
 
     def goal_begun(self) -> dict[str, Any]:
         return {"begun": self.begun.wait(PATIENCE)}

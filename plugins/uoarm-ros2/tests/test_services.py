@@ -239,22 +239,26 @@ def test_a_goal_that_is_accepted_after_its_call_was_given_up_is_cancelled() -> N
         participant.close(patience())
 
 
+def reaching(*, is_hosted: bool) -> str:
+    """Return a robot whose arm moves by an action."""
+    settings = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
+    host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
+    return f"""
+version: 1
+bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}}}
+functions:
+  reach: {{components: [{{name: arm, bridge: ros, service: {{{settings}}}}}]}}
+"""
+
+
 @pytest.mark.parametrize("is_hosted", [False, True])
 def test_an_action_that_an_emergency_stop_ends_is_cancelled(
     peer: Start, *, is_hosted: bool
 ) -> None:
     server = peer("server", "threads")
     server.do("act", name="/fibonacci", period=0.05)
-    settings = f"endpoint: [/fibonacci, {FIBONACCI}], lifetime: 3600"
-    host = f", host: {{silence: {patience()}, start: {patience()}}}" if is_hosted else ""
-    text = f"""
-version: 1
-bridges: {{ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}}}
-functions:
-  reach: {{components: [{{name: arm, bridge: ros, service: {{{settings}}}}}]}}
-"""
     came: list[BaseException] = []
-    with RobotManager(loads(text)) as robot:
+    with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
 
         def call() -> None:
             try:
@@ -270,6 +274,61 @@ functions:
         assert (outcome.component, outcome.stopped) == ("arm", True)
         assert "the emergency stop cancelled the call" in str(came[0])
     assert server.do("goal_ends")["ends"] == ["canceled"]
+
+
+@pytest.mark.parametrize("is_hosted", [False, True])
+def test_an_emergency_stop_cancels_a_goal_as_soon_as_it_is_accepted(
+    peer: Start, *, is_hosted: bool
+) -> None:
+    server = peer("server", "threads")
+    server.do("act", name="/fibonacci", period=0.05, gated=True)
+    came: list[BaseException] = []
+    with RobotManager(loads(reaching(is_hosted=is_hosted))) as robot:
+
+        def call() -> None:
+            try:
+                robot.call("reach", {"order": 2000}, timeout=4 * patience())
+            except CommandRefusedError as error:
+                came.append(error)
+
+        calling = threading.Thread(target=call)
+        calling.start()
+        assert server.do("goal_asked") == {"asked": True}
+        (outcome,) = robot.stop_all(timeout=0.5).inputs  # no goal ends before it is accepted
+        assert (outcome.component, outcome.stopped) == ("arm", False)
+        assert "was cancelled, and has not ended yet" in outcome.cause
+        server.do("accept_goals")
+        assert server.do("goal_ends")["ends"] == ["canceled"]
+        calling.join(patience())
+        assert "the emergency stop cancelled the call" in str(came[0])
+
+
+def test_a_goal_that_is_cancelled_before_it_is_sent_is_never_sent() -> None:
+    participant = Participant(DOMAIN, "")
+    try:
+        station = participant.station("early")
+        asked: list[GoalRequest] = []
+        station.goal_server(
+            import_type(FIBONACCI),
+            "/early",
+            asked.append,
+            may_cancel=lambda _: True,
+            cancel=lambda _: None,
+        )
+        action = Action(station, Graph(station, 0.0), "/early", FIBONACCI)
+
+        def cancelling(cancel: Callable[[], object]) -> Any:
+            assert cancel() is True  # as for a call that was cancelled before
+            return nullcontext()
+
+        with pytest.raises(BridgeError, match="cancelled before it was sent") as caught:
+            action.call({"order": 3}, patience(), patience(), cancelling)
+        assert caught.value.reason is FailureReason.REFUSED
+        action.send({"order": 4})  # the first that comes
+        wait(lambda: asked != [])
+        assert [each.goal.order for each in asked] == [4]
+    finally:
+        participant.close(patience())
 
 
 def test_an_action_is_four_streams(make_bridge: Make, peer: Start) -> None:

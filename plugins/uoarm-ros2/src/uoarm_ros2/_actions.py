@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, suppress
 from typing import Any
 
 from uoarm.bridge import Channel, Description, Sink, Source
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
 from uoarm_ros2._graph import Graph
 from uoarm_ros2._middleware import Station, rclpy_errors
@@ -125,20 +125,18 @@ class Action:
         goal = self._write_goal(message)
         with rclpy_errors(what):
             self.wait(min(wait, timeout))
-            sent = self._client.send_goal_async(goal)
-            try:
-                handle = answered(sent, deadline, self.ready, what)
-            except BridgeError:
-                sent.add_done_callback(_cancel_unwanted)
-                raise
+            pursuit = _Pursuit(self._client, what)
+            with cancelling(pursuit.cancel):
+                sent = pursuit.begin(goal)
+                try:
+                    handle = answered(sent, deadline, self.ready, what)
+                    if handle.accepted:
+                        reply = answered(handle.get_result_async(), deadline, self.ready, what)
+                except BridgeError:
+                    pursuit.cancel()
+                    raise
             if not handle.accepted:
                 raise BridgeError(f"{what} rejected the goal", FailureReason.REFUSED)
-            try:
-                with cancelling(lambda: _cancel(handle)):
-                    reply = answered(handle.get_result_async(), deadline, self.ready, what)
-            except BridgeTimeoutError:
-                _cancel(handle)
-                raise
         status = _STATUS.get(reply.status, "unknown")
         if status != "succeeded":
             result = self._read_result(reply.result)
@@ -223,19 +221,60 @@ class Action:
         self._emit("status", ended)
 
 
+class _Pursuit:
+    """The goal of one call, which any thread may cancel from before it is sent until it ends.
+
+    A goal that waits for its acceptance has no handle to cancel it by: it is cancelled by the
+    thread in which the acceptance comes, whatever has become of the call by then.
+    """
+
+    def __init__(self, client: Any, what: str) -> None:
+        self._client = client
+        self._what = what
+        self._lock = threading.Lock()
+        self._is_cancelled = False
+        self._sent: Any = None
+
+    def begin(self, goal: Any) -> Any:
+        """Send the goal; return the future of its handle.
+
+        Raises:
+            BridgeError: it was cancelled before, and is not sent.
+        """
+        with self._lock:
+            if self._is_cancelled:
+                text = f"{self._what}: the goal was cancelled before it was sent"
+                raise BridgeError(text, FailureReason.REFUSED)
+            self._sent = self._client.send_goal_async(goal)
+            return self._sent
+
+    def cancel(self) -> bool:
+        """Cancel the goal now or once it is accepted; False: the server cannot be told."""
+        with self._lock:
+            self._is_cancelled = True
+            sent = self._sent
+        if sent is None:
+            return True
+        if sent.done():
+            return _cancel_accepted(sent)
+        sent.add_done_callback(_cancel_accepted)
+        with suppress(BridgeError), rclpy_errors(self._what):
+            return bool(self._client.server_is_ready())
+        return False
+
+
+def _cancel_accepted(sent: Any) -> bool:
+    """Cancel a goal whose answer has come, unless that was a rejection."""
+    handle = sent.result()
+    return handle is None or not handle.accepted or _cancel(handle)
+
+
 def _cancel(goal: Any) -> bool:
     """Ask the server to cancel a goal; False: it cannot be told, since the bridge was closed."""
     with suppress(BridgeError), rclpy_errors("cancelling a goal"):
         goal.cancel_goal_async()
         return True
     return False
-
-
-def _cancel_unwanted(sent: Any) -> None:
-    """Cancel a goal that was accepted when its call had been given up."""
-    handle = sent.result()
-    if handle is not None and handle.accepted:
-        _cancel(handle)
 
 
 def _id(goal_id: Any) -> str:
