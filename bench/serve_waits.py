@@ -43,6 +43,29 @@ async def subscribed(url: str, topics: int) -> Row:
     return f"{topics} topics to one client", f"{took:.1f} s to the last", f"{refused} refused"
 
 
+async def requested(url: str, topics: int) -> Row:
+    """Return the same for the native protocol."""
+    async with native(url) as speaker:
+        start = time.perf_counter()
+        for number in range(topics):
+            asked = {"op": "Request", "type": f"t{number}", "id": str(number)}
+            await speaker.socket.send(speaker.dump(asked))
+        waiting, refused = set[str](), 0
+        answered = 0
+        while waiting or answered < topics:
+            told = speaker.load(await asyncio.wait_for(speaker.socket.recv(), 60))
+            if told["op"] == "Data":
+                waiting.discard(told["type"])
+            elif told["op"] == "Reply":
+                answered += 1
+                waiting.add(told["jsonMessage"]["connection"])
+            elif told["op"] == "Error":
+                answered += 1
+                refused += 1
+        took = time.perf_counter() - start
+    return f"{topics} functions to one client", f"{took:.1f} s to the last", f"{refused} refused"
+
+
 async def starved(url: str, seconds: float) -> Row:
     """Return how old messages are for a client that reads 1,000 of 4,000 a second."""
     ages = []
@@ -86,7 +109,8 @@ async def measure(topics: int, seconds: float) -> None:
         ages = [await beside_pictures(url, seconds, pictures=one) for one in (False, True) * 2]
         ages.append(await starved(url, 2 * seconds))
         print_table("Age of messages on arrival (us)", ("what", "median", "p99", ""), ages)
-        print_table("Topics", ("what", "", ""), [await subscribed(url, topics)])
+        several = [await subscribed(url, topics), await requested(url, topics)]
+        print_table("Topics", ("what", "", ""), several)
     print(f"load {os.getloadavg()[0]:.0f}")
 
 

@@ -22,7 +22,7 @@ class Limits:
         dimensions: of one array in it that says how many it has.
         connections: clients connected at one time.
         connections_per_address: of these, from one address.
-        streams: functions, topics and services that one client holds open.
+        streams: functions, topics and services that one client holds open, of each kind.
         calls: requests of one client that are being worked on at one time, apart from functions
             that are being opened: those are streams.
         workers: threads for calls of all clients together; one that finds none free is refused.
@@ -57,7 +57,7 @@ class Limits:
     dimensions: int = field(default=8, validator=ge(1))
     connections: int = field(default=4096, validator=ge(1))
     connections_per_address: int = field(default=4096, validator=ge(1))
-    streams: int = field(default=256, validator=ge(1))
+    streams: int = field(default=1024, validator=ge(1))
     calls: int = field(default=32, validator=ge(1))
     workers: int = field(default=64, validator=ge(1))
     openings: int = field(default=64, validator=ge(1))

@@ -23,6 +23,8 @@ __all__ = ["Topics"]
 Fields = Mapping[str, Any]
 _FAILED = "failed"
 _AGAIN_SECONDS = 1.0
+_WISHES = 256  # of one topic; all are looked at when one changes
+_WISHES_PER_STREAM = 64
 
 
 @define
@@ -106,9 +108,12 @@ class Topics:
         if listening is None:
             if len(self._listening) >= self._client.limits.streams:
                 raise LimitError(f"{self._client.limits.streams} topics are subscribed already")
+            self._admit_wish()
             listening = self._listen(place, wish, fields)
-        if len(listening.subscription.wishes) >= self._client.limits.streams:
-            raise LimitError(f"{place.name!r} has {self._client.limits.streams} subscriptions")
+        elif identity not in listening.subscription.wishes:
+            if len(listening.subscription.wishes) >= _WISHES:
+                raise LimitError(f"{place.name!r} has {_WISHES} subscriptions of this client")
+            self._admit_wish()
         listening.subscription.wish(identity, wish)
 
     def unsubscribe(self, fields: Fields) -> None:
@@ -130,6 +135,12 @@ class Topics:
         self._publications.clear()
         for name in list(self._listening):
             self._stop(find_place(name))
+
+    def _admit_wish(self) -> None:
+        """Refuse one more subscription where the client has as many as it may, on all topics."""
+        most = _WISHES_PER_STREAM * self._client.limits.streams
+        if sum(len(one.subscription.wishes) for one in self._listening.values()) >= most:
+            raise LimitError(f"{most} subscriptions are held already; end one first")
 
     def _open(self, place: Place, fields: Fields) -> None:
         self._client.require(Operation.SEND, place.right)

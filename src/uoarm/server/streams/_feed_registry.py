@@ -360,8 +360,7 @@ class FeedRegistry:
     def _function_of(self, connection: str) -> str:
         """Return the function of a connection, also of one that the application itself opened."""
         if connection not in self._names:
-            statuses = self.robot.status().connections
-            self._names |= {one.id: one.function for one in statuses}
+            self._names |= {one.id: one.plan.function for one in self.robot.connections()}
         return self._names.get(connection, "")
 
     def _ended(self, feed: Feed) -> None:

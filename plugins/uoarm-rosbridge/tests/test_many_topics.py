@@ -1,0 +1,63 @@
+"""One client that subscribes a thousand topics: none is refused, and all of them come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from ros import Ros, Serve, url
+
+from uoarm import RobotManager
+from uoarm.bridge import Registry
+from uoarm.config import loads
+from uoarm.server import Limits
+from uoarm.testing import MemoryBridge
+
+COUNT = 1000
+ONE = "  f{0}: {{components: [{{name: c{0}, bridge: memory, output: {{endpoint: [c{0}]}}}}]}}\n"
+ROBOT = "version: 1\nbridges: {memory: {plugin: python}}\nfunctions:\n"
+VALUE = {"type": "object", "properties": {"v": {"type": "integer"}}, "required": ["v"]}
+
+
+@pytest.fixture
+def robot() -> Iterator[RobotManager]:
+    """Each function has one message, its number, for whoever opens it."""
+    memory = MemoryBridge()
+    for number in range(COUNT):
+        memory.emitter(f"c{number}", VALUE, latched=True).emit({"v": number})
+    config = loads(ROBOT + "".join(map(ONE.format, range(COUNT))))
+    with RobotManager(config, registry=Registry(()), bridges={"memory": memory}) as robot:
+        yield robot
+
+
+def test_a_thousand_topics_are_subscribed_at_once(serve: Serve) -> None:
+    with Ros(url(serve())) as client:
+        for number in range(COUNT):
+            client.send(op="subscribe", topic=f"/uoarm/f{number}")
+        told = [client.receive() for _ in range(COUNT)]
+    assert {(one["op"], one["topic"], one["msg"]["v"]) for one in told} == {
+        ("publish", f"/uoarm/f{number}", number) for number in range(COUNT)
+    }
+
+
+def test_subscriptions_of_one_client_are_limited_over_all_its_topics(serve: Serve) -> None:
+    with Ros(url(serve(Limits(streams=2)))) as client:
+        for number in range(127):
+            client.send(op="subscribe", topic="/a", id=f"s{number}")
+        client.send(op="subscribe", topic="/b", id="first")
+        refused = client.refused(op="subscribe", topic="/b", id="second")
+        assert refused == "limit: 128 subscriptions are held already; end one first"
+        client.send(op="subscribe", topic="/a", id="s0", throttle_rate=5)  # replaces its own
+        client.send(op="unsubscribe", topic="/a", id="s1")
+        client.send(op="subscribe", topic="/b", id="second")
+        assert client.call("/rosapi/get_time")
+
+
+def test_subscriptions_of_one_topic_are_limited(serve: Serve) -> None:
+    with Ros(url(serve())) as client:
+        for number in range(256):
+            client.send(op="subscribe", topic="/a", id=f"s{number}")
+        refused = client.refused(op="subscribe", topic="/a", id="last")
+        assert refused == "limit: '/a' has 256 subscriptions of this client"
+        client.send(op="subscribe", topic="/b", id="last")
+        assert client.call("/rosapi/get_time")
