@@ -35,6 +35,13 @@ _CONSTANTS = {
     "uoarm._host.transport.zenoh_transport": ("_FULL_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
     "uoarm.server._running": ("_START_SECONDS",),
+    "uoarm_mqtt._link": ("_STEP_SECONDS", "_CONNECT_SECONDS", "_GOODBYE_SECONDS"),
+    "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
+    "uoarm_rocos._line": ("_OPEN_SECONDS",),
+    "uoarm_rocos._talk": ("_CATALOGUE_SECONDS",),
+    "uoarm_rtm._compiler": ("_LIMIT_SECONDS",),
+    "uoarm_rtm._nameserver": ("_START_SECONDS", "_STOP_SECONDS"),
+    "uoarm_rtm._orb": ("_DRAIN_SECONDS", "_DESTROY_SECONDS", "_WORKERS_SECONDS"),
 }
 
 

@@ -9,13 +9,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from endpoints import ANSWERS
 from peers import Peer
 from uoarm_rtm._shape import Choice, Listing, Record, Scalar, Shape
 from uoarm_rtm._types import Types
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec, Endpoint, Message, Role
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience
 from uoarm.testing.conformance import Pair, Served, Victim, World
 
 __all__ = ["IDL", "KINDS", "TYPES_IDL", "RtmWorld"]
@@ -58,7 +59,7 @@ class RtmWorld(World):
         self._make = make
 
     def bridge(self) -> Bridge:
-        limits = {"watch": 0.1, "call_timeout": 2 * slowness()}
+        limits = {"watch": 0.1, "call_timeout": ANSWERS}
         options = {"nameserver": self._nameserver, "idl": [IDL, TYPES_IDL], **limits}
         return self._make(BridgeSpec("rtm", "rtm", options, {}))
 

@@ -12,12 +12,13 @@ from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))  # for the modules that the tests share
 
+from endpoints import ANSWERS
 from peers import Peer
 from uoarm_rtm._nameserver import NameServer
 
 from uoarm.bridge import Bridge, Registry
 from uoarm.model import BridgeSpec
-from uoarm.testing import patience, slowness
+from uoarm.testing import patience
 
 settings.register_profile("rtm-short", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("rtm-long", max_examples=2000, deadline=None)
@@ -46,7 +47,7 @@ def make_bridge(nameserver: str) -> Iterator[Callable[..., Bridge]]:
     registry = Registry()
 
     def make(name: str = "rtm", **options: object) -> Bridge:
-        given = {"nameserver": nameserver, "watch": 0.1, "call_timeout": 5 * slowness(), **options}
+        given = {"nameserver": nameserver, "watch": 0.1, "call_timeout": ANSWERS, **options}
         bridge = registry.create(BridgeSpec(name, "rtm", given))
         made.append(bridge)
         return bridge

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, looked
+from endpoints import ANSWERS, Inbox, endpoint, looked
 from peers import Peer
 from uoarm_rtm import _orb
 from uoarm_rtm._nameserver import NameServer
@@ -91,9 +91,9 @@ def test_coming_leaving_and_dying_are_events(make_bridge: Make, peer: Start, nam
 
 
 def test_contexts_that_contain_each_other_end(names: str) -> None:
-    orb = Orb("127.0.0.1", 2.0)
+    orb = Orb("127.0.0.1", ANSWERS)
     try:
-        service = NamingService(orb, names, 2.0)
+        service = NamingService(orb, names, ANSWERS)
         service.bind("a.cxt/b.cxt/Deep.rtc", orb.reference(corbaloc(names)))
         root = service._root()
         inner = service.resolve("a.cxt/b.cxt")

@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from endpoints import HANGS_AFTER, Inbox, endpoint, looked, sink, source, stamped
+from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, looked, sink, source, stamped
 from peers import Peer
 from uoarm_rtm import _nameserver
 from uoarm_rtm._nameserver import NameServer
@@ -251,7 +251,8 @@ from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import BridgeSpec, Role
 from uoarm_rtm import _orb
-spec = BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}, "watch": 0.05}})
+options = {{"nameserver": {nameserver!r}, "watch": 0.05, "call_timeout": {ANSWERS}}}
+spec = BridgeSpec("rtm", "rtm", options)
 bridge = Registry().create(spec)
 out, into = endpoint(Role.OUTPUT, "Mortal.rtc", "out"), endpoint(Role.INPUT, "Mortal.rtc", "in")
 channels = [source(bridge, out, Inbox()), sink(bridge, into)]
@@ -272,7 +273,7 @@ def test_an_orb_that_somebody_shuts_down_is_an_error_and_no_hang(
     nameserver: str, peer: Start
 ) -> None:
     peer("Mortal")
-    script = SHUTDOWN.format(here=str(HERE), nameserver=nameserver)
+    script = SHUTDOWN.format(here=str(HERE), nameserver=nameserver, ANSWERS=ANSWERS)
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=False
     )
@@ -297,7 +298,7 @@ from endpoints import Inbox, endpoint, sink, source, stamped
 from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import BridgeSpec, Role
-options = {{"nameserver": {nameserver!r}, "watch": 0.05}}
+options = {{"nameserver": {nameserver!r}, "watch": 0.05, "call_timeout": {ANSWERS}}}
 bridge = Registry().create(BridgeSpec("rtm", "rtm", options))
 inbox = Inbox()
 source(bridge, endpoint(Role.OUTPUT, "Mortal.rtc", "out"), inbox)
@@ -339,7 +340,8 @@ from endpoints import endpoint, sink, stamped
 from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import BridgeSpec, Role
-bridge = Registry().create(BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}}}))
+options = {{"nameserver": {nameserver!r}, "call_timeout": {ANSWERS}}}
+bridge = Registry().create(BridgeSpec("rtm", "rtm", options))
 sent = threading.Semaphore(0)
 def flood(into):
     # a traceback written while the interpreter ends aborts it

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from endpoints import HANGS_AFTER, Inbox, endpoint, source
+from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, source
 from peers import Peer
 from uoarm_rtm._journal import Entry, Journal, journal
 
@@ -26,11 +26,12 @@ Start = Callable[..., Peer]
 OPENS = """
 import signal, sys
 sys.path.insert(0, {here!r})
-from endpoints import Inbox, endpoint, sink, source
+from endpoints import ANSWERS, Inbox, endpoint, sink, source
 from uoarm.bridge import Registry
 from uoarm.model import BridgeSpec, Role
 from uoarm.testing import patience
-bridge = Registry().create(BridgeSpec("rtm", "rtm", {{"nameserver": {nameserver!r}}}))
+options = {{"nameserver": {nameserver!r}, "call_timeout": ANSWERS}}
+bridge = Registry().create(BridgeSpec("rtm", "rtm", options))
 at = lambda role, name, port: endpoint(role, f"{{name}}.rtc", port)
 out, into = at(Role.OUTPUT, "From", "out"), at(Role.INPUT, "Into", "in")
 linked = bridge.link(out, into, timeout=patience())
@@ -138,7 +139,7 @@ def test_a_command_that_is_terminated_leaves_nothing(
     file.write_text(f"""
 version: 1
 bridges:
-  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}"}}}}
+  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", call_timeout: {ANSWERS}}}}}
 functions:
   numbers:
     components:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import HANGS_AFTER, Inbox, of, stamped
+from endpoints import ANSWERS, HANGS_AFTER, Inbox, of, stamped
 from peers import Peer
 
 from uoarm import RobotManager
@@ -55,9 +55,9 @@ def test_the_end_at_fault_is_blamed_and_the_other_let_go(
     make_bridge: Callable[..., Bridge], peer: Start, fault: str
 ) -> None:
     happen, blamed, words = FAULTS[fault]
-    # Who answers late on a busy machine is not at fault: the longest limit where nobody hangs.
-    limit = HANGS_AFTER if "hangs" in fault else 60.0
-    bridge, events = make_bridge(call_timeout=limit), Inbox()
+    # Who answers late on a busy machine is not at fault: a long limit where nobody hangs.
+    limit = {"call_timeout": HANGS_AFTER} if "hangs" in fault else {}
+    bridge, events = make_bridge(**limit), Inbox()
     bridge.watch(events)
     ends = {"From": peer("From"), "Into": peer("Into")}
     for each in ends.values():
@@ -86,7 +86,7 @@ def test_a_second_sink_takes_over(nameserver: str, peer: Start, tmp_path: Path) 
     file.write_text(f"""
 version: 1
 bridges:
-  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1}}}}
+  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1, call_timeout: {ANSWERS}}}}}
 functions:
   numbers:
     components:

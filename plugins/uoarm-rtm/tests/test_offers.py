@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Inbox, endpoint, sink, source, stamped
+from endpoints import ANSWERS, Inbox, endpoint, sink, source, stamped
 from peers import Peer
 from plain import plain
 
@@ -244,7 +244,7 @@ def test_offers_of_a_bridge_in_a_host_are_as_those_of_any(
     pose, goal = one.emitter("pose", POSE), one.taker("goal", GOAL)
     one.emitter("loose", POSE)
     one.service("loud", ASKED, ANSWERED, lambda asked: {"return": asked["words"].upper()})
-    options = {"nameserver": nameserver, "component": "Far", "idl": IDL, "call_timeout": 60}
+    options = {"nameserver": nameserver, "component": "Far", "idl": IDL, "call_timeout": ANSWERS}
     hosted = {"options": options, "host": {"silence": 600, "start": 600}}
     text = UNTYPED.replace("rtm: {}", f"rtm: {json.dumps(hosted)}")
     text = text.replace("loose: {output: {endpoint: [self, loose]}}", LOUD_OFFER)

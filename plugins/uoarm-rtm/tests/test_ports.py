@@ -118,7 +118,7 @@ def test_a_message_that_does_not_fit_never_leaves(bridge: Bridge, peer: Start, n
 
 
 def test_user_types_and_images_pass(make_bridge: Callable[..., Bridge], peer: Start) -> None:
-    bridge = make_bridge(idl=IDL, call_timeout=60)
+    bridge = make_bridge(idl=IDL)
     odd = peer("Odd", "IDL:Odd/Deep:1.0", IDL)
     camera = peer("Camera", "IDL:RTC/CameraImage:1.0")
     seen = Inbox()

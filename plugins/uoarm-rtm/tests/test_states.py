@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from endpoints import Inbox, of, sink, source, stamped
+from endpoints import ANSWERS, Inbox, of, sink, source, stamped
 from peers import Peer
 
 from uoarm import RobotManager
@@ -97,7 +97,7 @@ def test_the_next_candidate_takes_over_from_one_that_fails(
     file.write_text(f"""
 version: 1
 bridges:
-  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1}}}}
+  rtm: {{plugin: rtm, options: {{nameserver: "{nameserver}", watch: 0.1, call_timeout: {ANSWERS}}}}}
 functions:
   numbers:
     components:
