@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner, Result
@@ -275,6 +276,16 @@ def test_a_message_nested_too_deeply_is_a_bad_parameter(robot: str) -> None:
     result = run("call", "greeting", "[" * 100_000, "-f", robot)
     assert result.exit_code == 2
     assert "not JSON" in result.output
+
+
+def test_watching_ends_with_an_interrupt_and_no_error(
+    robot: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("uoarm.cli._status.time", SimpleNamespace(sleep=interrupt))
+    assert run("status", "-f", robot, "--watch").exit_code == 0
 
 
 def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:

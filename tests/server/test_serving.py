@@ -16,6 +16,7 @@ import urllib.request
 from asyncio.selector_events import BaseSelectorEventLoop
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import create_autospec
 
 import pytest
 from tests.server.conftest import Connect, Serve
@@ -27,9 +28,10 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from uoarm import RobotManager
+from uoarm.cli import _serve
 from uoarm.errors import ConfigurationError
-from uoarm.server import Server, Settings, fingerprint_of, run, serve_in_thread
-from uoarm.testing import Census, patience
+from uoarm.server import Limits, Server, Settings, fingerprint_of, run, serve_in_thread
+from uoarm.testing import Census, patience, wait
 
 ROOT = Path(__file__).parents[2]
 PATIENT = Path(__file__).parent / "patient"
@@ -206,6 +208,35 @@ def test_a_server_whose_start_hangs_is_an_error_and_leaves_no_thread(
     with pytest.raises(TimeoutError, match="does not listen"):
         serve_in_thread(robot, Settings(port=0)).__enter__()
     census.check()
+
+
+def test_a_server_that_does_not_end_is_told(
+    robot: RobotManager, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    go_on, stop = threading.Event(), Server.stop
+
+    async def keep_the_loop(server: Server) -> None:
+        go_on.wait(patience())
+        await stop(server)
+
+    monkeypatch.setattr(Server, "stop", keep_the_loop)
+    monkeypatch.setattr("uoarm.server._running._END_SECONDS", 0.01)
+    with serve_in_thread(robot, Settings(port=0, limits=Limits(stop_seconds=0.01))):
+        pass
+    assert "the server has not ended" in caplog.text
+    go_on.set()
+    wait(lambda: all(one.name != "uoarm-serve" for one in threading.enumerate()))
+
+
+def test_what_goes_wrong_while_reloading_ends_no_later_reload(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robot = create_autospec(RobotManager)
+    robot.reload.side_effect = [RuntimeError("a fault"), "no change"]
+    _serve._reload(robot)
+    assert "a fault" in caplog.text
+    _serve._reload(robot)
+    assert robot.reload.call_count == 2
 
 
 def test_the_switch_interval_is_short_while_it_serves(robot: RobotManager) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import logging
 import signal
 import sys
 import threading
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["cannot_listen", "say", "serve", "stop_file_of", "stopping", "token"]
 
+_log = logging.getLogger("uoarm")
 _USED = 5
 _LOOK_SECONDS = 0.5
 _END_SECONDS = 5.0
@@ -252,8 +254,10 @@ def _reload(manager: RobotManager) -> None:
         change = manager.reload()
     except UoarmError as error:
         click.echo(f"the configuration stays as it is: {error}", err=True)
-        return
-    click.echo(str(change), err=True)
+    except Exception:  # noqa: BLE001 - the next reload may do better
+        _log.exception("reloading the configuration failed")
+    else:
+        click.echo(str(change), err=True)
 
 
 def _name_and_port(given: str) -> tuple[str, int]:

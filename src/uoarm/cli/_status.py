@@ -54,11 +54,14 @@ def status(
         return
     with open_robot(file) as robot:
         functions = _show(robot, as_json=as_json)
-        while watch:
-            time.sleep(every)
-            if sys.stdout.isatty() and not as_json:
-                click.clear()
-            functions = _show(robot, as_json=as_json)
+        try:
+            while watch:
+                time.sleep(every)
+                if sys.stdout.isatty() and not as_json:
+                    click.clear()
+                functions = _show(robot, as_json=as_json)
+        except KeyboardInterrupt:
+            sys.exit(0)  # it is how watching ends
     sys.exit(REFUSED if any(one.provider is None for one in functions) else 0)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import logging
 import signal
 import threading
 from collections.abc import Callable, Coroutine, Iterable, Iterator
@@ -24,6 +25,7 @@ __all__ = ["run", "serve_in_thread"]
 _START_SECONDS = 10.0
 _END_SECONDS = 10.0
 _LATE = "the server does not listen: its start takes too long"
+_log = logging.getLogger("uoarm.server")
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -61,6 +63,9 @@ def serve_in_thread(
     robot: RobotManager, settings: Settings, *, front_ends: Iterable[FrontEnd] | None = None
 ) -> Iterator[Server]:
     """Serve in a thread of its own while the block runs; the robot stays open after it.
+
+    The thread is given the time of `limits.stop_seconds`, and ten seconds more, to end. One that
+    does not, since a front end keeps its loop, is left, and the log says so.
 
     Args:
         robot: the manager.
@@ -106,6 +111,8 @@ def serve_in_thread(
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(stop.set)
         thread.join(settings.limits.stop_seconds + _END_SECONDS)
+        if thread.is_alive():
+            _log.error("the server has not ended: something keeps its loop, and its thread is left")
 
 
 async def _until_signal(server: Server, ready: Callable[[Server], None] | None) -> None:
