@@ -121,6 +121,9 @@ class Process:
         self._free = threading.Event()
         self._free.set()
         self._held = threading.Event()
+        self._may_connect = threading.Event()
+        self._may_connect.set()
+        self._made_in_all = 0
         self._configured: dict[str, str] = {}
         self._observers: dict[str, Any] = {}
         self._asked_to_observe = 0
@@ -137,6 +140,7 @@ class Process:
         )
         self._in = self._component.add_in_port("in", type_id, self._types, self._take)
         self._out = self._component.add_out_port("out", type_id, self._types)
+        self._count_connections()
         path = name if name.endswith(".rtc") else f"{name}.rtc"
         self._component.bind([NamingService(self._orb, nameserver, LIMIT)], path)
 
@@ -173,6 +177,28 @@ class Process:
 
     def let_go(self) -> None:
         self._free.set()
+
+    def hold_connections(self) -> None:
+        """Let whoever connects to the OutPort wait, before the connection is made."""
+        self._may_connect.clear()
+
+    def let_connect(self) -> None:
+        self._may_connect.set()
+
+    def made_in_all(self) -> int:
+        """Return how many connections of the OutPort were made, of which some may have ended."""
+        return self._made_in_all
+
+    def _count_connections(self) -> None:
+        connect = self._out.notify_connect
+
+        def count(profile: Any) -> Any:
+            self._may_connect.wait(patience())
+            answer = connect(profile)
+            self._made_in_all += answer[0] == RTC.RTC_OK
+            return answer
+
+        setattr(self._out, "notify_connect", count)  # noqa: B010 - of this instance alone
 
     def calls(self) -> list[str]:
         return self._calls

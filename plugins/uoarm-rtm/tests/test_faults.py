@@ -6,16 +6,18 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 from endpoints import ANSWERS, HANGS_AFTER, Inbox, endpoint, looked, sink, source, stamped
 from peers import Peer
-from uoarm_rtm import _nameserver
+from uoarm_rtm import _connector, _nameserver
+from uoarm_rtm._leftovers import end_connector
 from uoarm_rtm._nameserver import NameServer
+from uoarm_rtm._source import OutPortSource
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -102,16 +104,43 @@ def test_a_connection_that_a_hung_component_makes_later_is_undone(
     structure = bridge.describe(OUT).message
     assert structure is not None
     place = bridge._place(OUT)  # type: ignore[attr-defined]  # everything before the connection
+    # Before the first call through a reference it is asked whether its object is there: the call
+    # that the component finds when it wakes up is to be that which connects.
+    place.port.reference.get_port_profile()
     component.freeze()
-    from uoarm_rtm._source import OutPortSource
-
     with pytest.raises(BridgeTimeoutError):
         OutPortSource(place, Inbox())
     component.thaw()
     wait(lambda: all(each.name != "uoarm-rtm-undo" for each in threading.enumerate()))
-    wait(lambda: component.connectors() == [0, 0])
-    time.sleep(0.2)  # without an undoing the connection may come about only now
+    wait(lambda: component.made_in_all() == 1)
     assert component.connectors() == [0, 0]
+
+
+def test_a_connection_that_is_made_after_its_undoing_is_undone_too(
+    make_bridge: Make, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where the request that undoes it overtakes that which makes it."""
+    bridge = make_bridge(call_timeout=HANGS_AFTER, watch=0)
+    component = peer("Mortal")
+    pulled = endpoint(Role.OUTPUT, "Mortal.rtc", "out", flow="pull")
+    structure = bridge.describe(pulled).message
+    assert structure is not None
+    overtook = threading.Event()
+
+    def ended(identifier: str, ports: Sequence[Any]) -> bool:
+        was_there = end_connector(identifier, ports)
+        overtook.set()
+        return was_there
+
+    monkeypatch.setattr(_connector, "end_connector", ended)
+    component.hold_connections()
+    with pytest.raises(BridgeTimeoutError):
+        bridge.open_source(pulled, structure, Inbox())
+    assert overtook.wait(patience())
+    assert component.made_in_all() == 0
+    component.let_connect()
+    wait(lambda: component.made_in_all() == 1)
+    wait(lambda: component.connectors() == [0, 0], "the connection stays")
 
 
 def test_the_other_side_ends_the_connection(bridge: Bridge, peer: Start) -> None:

@@ -15,13 +15,14 @@ from peers import Peer
 from uoarm_rtm import _bridge
 from uoarm_rtm._own import Own
 from uoarm_rtm._peer import pairs
+from uoarm_rtm._service_call import Caller
 from uoarm_rtm._stubs import RTC
 from uoarm_rtm.errors import IdlError
 
 from uoarm.bridge import Bridge, ServiceStructures
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
 from uoarm.model import Health, MessageStructure, Role
-from uoarm.testing import patience, wait
+from uoarm.testing import Background, patience, wait
 
 IDL = str(Path(__file__).parent / "service.idl")
 Start = Callable[..., Peer]
@@ -117,6 +118,36 @@ def test_a_service_that_came_back_is_reached_again(make_bridge: Make, peer: Star
     second = peer("Robot")
     second.provide(IDL, "Mover")
     assert bridge.call(echo, {"words": "c"}) == {"return": "c"}
+
+
+def test_a_call_whose_connection_another_has_ended_makes_one_that_is_ended_too(
+    make_bridge: Make, robot: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bridge, other = make_bridge(idl=IDL), make_bridge("other", idl=IDL)
+    served = vars(other)["_directory"].peer("Robot.rtc").port("served").reference
+    at = endpoint(Role.SERVICE, "Robot.rtc", "served", "Mover")
+    echo = {"operation": "echo", "arguments": {"words": "b"}}
+    found, go = threading.Event(), threading.Event()
+    call = Caller.call
+
+    def late(caller: Caller, *given: Any) -> Any:
+        if not found.is_set():
+            found.set()
+            assert go.wait(patience())
+        return call(caller, *given)
+
+    assert bridge.call(at, echo) == {"return": "b"}
+    monkeypatch.setattr(Caller, "call", late)
+    calling = Background(lambda: bridge.call(at, echo))
+    assert found.wait(patience())
+    with pytest.raises(BridgeError, match="UNKNOWN"):
+        bridge.call(at, {"operation": "fail", "arguments": {}})
+    assert served.get_connector_profiles() == []
+    go.set()
+    assert calling.result() == {"return": "b"}
+    assert len(served.get_connector_profiles()) == 1
+    bridge.close(timeout=patience())
+    assert served.get_connector_profiles() == []
 
 
 def test_a_function_of_ours_serves_a_port_that_requires_it(make_bridge: Make, peer: Start) -> None:

@@ -21,7 +21,7 @@ from uoarm.bridge import (
     Sink,
     Source,
 )
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
 from uoarm_rtm import _control
 from uoarm_rtm._activation import Activations
@@ -54,7 +54,6 @@ from uoarm_rtm._sink import InPortSink
 from uoarm_rtm._source import OutPortSource
 from uoarm_rtm._types import Types
 from uoarm_rtm._watch import Attendance, Watch
-from uoarm_rtm.errors import IdlError
 
 __all__ = ["RtmBridge"]
 
@@ -167,20 +166,25 @@ class RtmBridge(Bridge):
         if address.port == CONFIGURATION:
             return configure(self._directory.peer(address.component), message, seconds)
         key = (address.component, address.port, address.type)
-        caller = self._callers.get(key)
-        if caller is None:
-            made = self._caller(address)
-            with self._guard:
-                self._be_open()
-                caller = self._callers.setdefault(key, made)
-        try:
-            return caller.call(message, *limit)
-        except (IdlError, BridgeTimeoutError):
-            raise
-        except BridgeError:
-            # The next call looks for the component anew: it may have come back elsewhere.
-            self._callers.pop(key, None)
-            raise
+        while True:
+            caller = self._callers.get(key)
+            if caller is None:
+                made = self._caller(address)
+                with self._guard:
+                    self._be_open()
+                    caller = self._callers.setdefault(key, made)
+            try:
+                return caller.call(message, *limit)
+            except BridgeError as error:
+                if not caller.ended:
+                    raise
+                # The next call looks for the component anew: it may have come back elsewhere.
+                with self._guard:
+                    if self._callers.get(key) is caller:
+                        del self._callers[key]
+                if error.reason is not FailureReason.CLOSED or self.closed:
+                    raise
+                # Another call has ended it before this one began.
 
     def _caller(self, address: Address) -> Caller:
         peer = self._directory.peer(address.component)
@@ -238,6 +242,7 @@ class RtmBridge(Bridge):
                 self._ticking.clear()
             self._active.tick()
             self._observers.close()
+            self._connections.close()
             # Steps may be under way: none makes a caller any more, and one that makes our
             # component puts it away itself; the ORB waits for that, as long as a call may take.
             is_made = self._making.acquire(timeout=self._settings.call_seconds)

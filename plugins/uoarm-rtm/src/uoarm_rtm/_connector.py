@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 import uuid
 from collections.abc import Mapping
 from typing import Any
 
+from attrs import frozen
 from omniORB import CORBA
 
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -28,6 +30,9 @@ from uoarm_rtm._settings import Settings
 from uoarm_rtm._stubs import RTC
 
 __all__ = ["Connections", "Connector", "asked"]
+
+_UNDO_SECONDS = 60.0
+_UNDO_AGAIN_SECONDS = 0.05, 1.0
 
 _MEANINGS = {
     "RTC_ERROR": "it failed, or does not know what was asked",
@@ -68,6 +73,11 @@ class Connections:
         self._properties = {NAME: name, PROCESS: journal().process}
         self._clearing = threading.Lock()
         self._cleared = False
+        self._closed = threading.Event()
+
+    def close(self) -> None:
+        """Leave to the next process what could not be ended yet."""
+        self._closed.set()
 
     def connect(
         self, where: str, properties: Mapping[str, str], port: Port, *others: Port
@@ -83,7 +93,7 @@ class Connections:
         Raises:
             BridgeError: REFUSED with the port's answer; UNAVAILABLE when it is gone. Nothing
                 stays connected.
-            BridgeTimeoutError: no answer; a connection that comes about later is ended.
+            BridgeTimeoutError: no answer; a connection that comes about within a minute is ended.
         """
         with self._clearing:
             if not self._cleared:
@@ -91,7 +101,21 @@ class Connections:
                 Leftovers(self._orb, self._seconds).end()
         references = [limit(each.reference, self._seconds) for each in (port, *others)]
         iors = tuple(self._orb.text(each) for each in references)
-        return Connector(where, {**properties, **self._properties}, references, iors)
+        undoing = Undoing(self._seconds, self._closed)
+        return Connector(where, {**properties, **self._properties}, references, iors, undoing)
+
+
+@frozen
+class Undoing:
+    """For how long what nobody waits for any more is ended.
+
+    Attributes:
+        seconds: that a component may take to make a connection, from when on it answers.
+        closed: is set when nothing is ended any more.
+    """
+
+    seconds: float
+    closed: threading.Event
 
 
 class Connector:
@@ -102,10 +126,16 @@ class Connector:
         properties: what the profile asks.
         ports: of the connection, the one that is asked first; calls have their limits.
         iors: of the ports, for the journal.
+        undoing: how it is ended where it may be made later.
     """
 
     def __init__(
-        self, where: str, properties: Mapping[str, str], ports: list[Any], iors: tuple[str, ...]
+        self,
+        where: str,
+        properties: Mapping[str, str],
+        ports: list[Any],
+        iors: tuple[str, ...],
+        undoing: Undoing,
     ) -> None:
         self.id = f"uoarm-{uuid.uuid4()}"
         self._ports = ports
@@ -117,7 +147,10 @@ class Connector:
                 code, profile = ports[0].connect(profile)
         except BridgeTimeoutError:
             # Whether it will be connected is unknown: it is told to let go when it wakes up.
-            threading.Thread(target=self._let_go, name="uoarm-rtm-undo", daemon=True).start()
+            undo = threading.Thread(
+                target=self._undo, args=(undoing,), name="uoarm-rtm-undo", daemon=True
+            )
+            undo.start()
             raise
         except BridgeError:
             self._let_go()
@@ -166,6 +199,34 @@ class Connector:
             raise
         except BridgeError:
             return  # the ORB has ended before
+        journal().erase(self.id)
+
+    def _undo(self, undoing: Undoing) -> None:
+        """End a connection that may be made only later.
+
+        The request to end it may overtake the one that makes it, as they come through different
+        connections of TCP. So it is repeated, until there was one to end, or the component has
+        answered for as long as it may take to make one.
+        """
+        until = time.monotonic() + _UNDO_SECONDS
+        pause, longest = _UNDO_AGAIN_SECONDS
+        answers = False
+        while True:
+            try:
+                with calls:
+                    is_over = end_connector(self.id, self._ports)
+            except CORBA.TIMEOUT:
+                is_over = False
+            except CORBA.Exception:
+                return  # the ORB has ended; the journal has it for the next process
+            else:
+                if not answers:
+                    answers, until = True, min(until, time.monotonic() + undoing.seconds)
+            if is_over or (answers and time.monotonic() >= until):
+                break
+            if time.monotonic() >= until or undoing.closed.wait(pause):
+                return
+            pause = min(2 * pause, longest)
         journal().erase(self.id)
 
     def _let_go(self) -> None:

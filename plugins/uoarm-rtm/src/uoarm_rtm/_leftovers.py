@@ -27,28 +27,32 @@ _AT_ONCE = 8
 _log = logging.getLogger("uoarm.rtm")
 
 
-def end_connector(identifier: str, ports: Sequence[Any]) -> None:
+def end_connector(identifier: str, ports: Sequence[Any]) -> bool:
     """End a connector at each of its ports, of which any may be gone; those have no connectors.
 
     The first walks all of them. The others are told on their own, since a walk ends at a port
     whose component is gone, and leaves those behind it as they are (observed).
 
+    Returns:
+        Whether a port had it, or is gone: else it may be about to be made.
+
     Raises:
         CORBA.TIMEOUT: a port did not answer; the others were told.
     """
     silent: CORBA.TIMEOUT | None = None
+    is_over = False
     for index, port in enumerate(ports):
         try:
-            if index == 0:
-                port.disconnect(identifier)
-            else:
-                port.notify_disconnect(identifier)
+            tell = port.disconnect if index == 0 else port.notify_disconnect
+            is_over = tell(identifier) == RTC.RTC_OK or is_over
         except CORBA.TIMEOUT as error:
             silent = error
         except CORBA.Exception as error:
             _log.debug("connector %s: a port is gone: %r", identifier, error)
+            is_over = True
     if silent is not None:
         raise silent
+    return is_over
 
 
 def end_observer(identifier: str, configuration: Any) -> None:

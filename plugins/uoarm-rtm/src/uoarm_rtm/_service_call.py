@@ -86,9 +86,10 @@ def offered(peer: Peer, port: Port, wanted: str, *, provided: bool) -> PortInter
 
 
 class Caller:
-    """A connection to one provided interface, made with the first call and again after a loss.
+    """A connection to one provided interface, made with the first call and ended with a loss.
 
-    Used from any thread. A provider answers only while its component is ACTIVE.
+    Used from any thread. A provider answers only while its component is ACTIVE. Once it has ended
+    it connects no more, so that nothing is left behind where nobody knows of it any more.
 
     Args:
         orb: the ORB to call through.
@@ -132,13 +133,20 @@ class Caller:
         Raises:
             MessageError: the request does not fit.
             IdlError: the service raised an exception that its IDL declares.
-            BridgeError: the component is gone, inactive, or failed.
+            BridgeError: the component is gone, inactive, or failed, and this has ended; or, with
+                CLOSED, it had before, and nothing was called.
             BridgeTimeoutError: no reply in time.
         """
         chosen, arguments = split(self._interface, self._operation, message)
         natives = chosen.arguments(arguments)
-        target = limit(self._reach(), seconds)
         what = f"{self._where}: {self._interface.name}::{chosen.name}"
+        try:
+            target = limit(self._reach(), seconds)
+        except BridgeTimeoutError:
+            raise
+        except BridgeError:
+            self.end()
+            raise
         try:
             with corba_errors(what):
                 try:
@@ -153,27 +161,27 @@ class Caller:
         except BridgeTimeoutError as error:  # likewise
             raise BridgeTimeoutError(f"{what}: no answer within {seconds:g} s, {whose}") from error
         except BridgeError:
-            self.close()
+            self.end()
             raise
         return chosen.reply(result)
 
-    def close(self) -> None:
-        """Disconnect; the next call connects again."""
-        with self._lock:
-            connector, self._connector, self._object = self._connector, None, None
-        if connector is not None:
-            connector.disconnect()
+    @property
+    def ended(self) -> bool:
+        """Whether it connects no more."""
+        return self._ended
 
     def end(self) -> None:
         """Disconnect for good: a call that has not begun yet fails, and connects no more."""
         with self._lock:
             self._ended = True
-        self.close()
+            connector, self._connector, self._object = self._connector, None, None
+        if connector is not None:
+            connector.disconnect()
 
     def _reach(self) -> Any:
         with self._lock:
             if self._ended:
-                text = f"{self._where}: the bridge was closed"
+                text = f"{self._where}: the connection has ended, or the bridge was closed"
                 raise BridgeError(text, FailureReason.CLOSED)
             if self._object is None:
                 connector = self._connections.connect(self._where, {}, self._port)
