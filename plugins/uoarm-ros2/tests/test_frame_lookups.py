@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import queue
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +14,7 @@ from uoarm_ros2 import _frame_lookups
 from uoarm_ros2._frame_lookups import tf_message
 from uoarm_ros2._settings import TF_MESSAGE
 from uoarm_ros2._shape import shape_of
+from uoarm_ros2._transform_buffer import TransformBuffer, TransformError
 from uoarm_ros2._type_hash import type_hash
 
 from uoarm.bridge import Bridge
@@ -83,6 +87,43 @@ def test_a_frame_is_looked_up_in_another(world: tuple[Bridge, Any, Any]) -> None
     assert told.request is not None
     assert told.reply is not None
     assert told.reply.native_type == "geometry_msgs/msg/TransformStamped"
+
+
+def test_a_look_up_that_waits_goes_on_with_the_first_frame_that_answers_it(
+    world: tuple[Bridge, Any, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It may wait for longer than the test does: only what is told can wake it."""
+    bridge, _, moving = world
+    wait(lambda: not raises(bridge, "base", "camera"))  # now both topics are heard
+    wait(lambda: moving.facts()["matched"] == 1)
+    monkeypatch.setattr(_frame_lookups, "_MOST_SECONDS", math.inf)
+    looks, answers = list[str](), queue.SimpleQueue[Any]()
+    look = TransformBuffer.lookup
+
+    def noted(buffer: TransformBuffer, *asked: Any) -> Any:
+        try:
+            return look(buffer, *asked)
+        except TransformError as error:
+            looks.append(
+                str(error)
+            )  # under the lock that who waits gives back, and who tells takes
+            raise
+
+    monkeypatch.setattr(TransformBuffer, "lookup", noted)
+    longest = 8 * patience()
+    asked = {"target_frame": "map", "source_frame": "camera", "timeout": longest}
+    asking = threading.Thread(
+        target=lambda: answers.put(bridge.call(FRAMES, asked, timeout=longest)), daemon=True
+    )
+    asking.start()
+    wait(lambda: len(looks) == 1)
+    moving.send(transforms(("map", "door", 10, 1.0)))
+    wait(lambda: len(looks) == 2)  # it looked again, and waits again
+    assert answers.empty()
+    moving.send(transforms(("map", "base", 10, 1.0)))
+    assert answers.get(timeout=patience())["transform"]["translation"]["x"] == 1.5
+    assert len(looks) == 2
+    asking.join(patience())
 
 
 def raises(bridge: Bridge, target: str, source: str) -> bool:
