@@ -18,7 +18,9 @@ from tests.server.talk import SECONDS, Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
+from uoarm import RobotManager
 from uoarm.errors import ConfigurationError
+from uoarm.model import StatusEvent
 from uoarm.server import Server, hash_token, make_token
 from uoarm.server.access._access_file import BUDGET, read_access
 from uoarm.server.access._policy import AccessPolicy, Grant
@@ -123,6 +125,25 @@ def test_changes_of_what_one_may_not_see_are_not_told(guarded: Server) -> None:
         echo = driver.open("echo")
         driver.ask("Kill", echo)
         assert driver.next("change")["jsonMessage"]["subject"] == f"connection {echo}"
+
+
+def test_changes_heard_after_the_end_are_told_to_whoever_may_see_the_function(
+    robot: RobotManager, guarded: Server
+) -> None:
+    go_on = threading.Event()
+    with enter(guarded, "driver") as driver, enter(guarded, "viewer") as viewer:
+
+        def hold_up(event: StatusEvent) -> None:
+            assert go_on.wait(SECONDS), event
+
+        end = robot.listen(hold_up)
+        driver.ask("Status", "watch")
+        viewer.open("numbers")
+        echo = driver.open("echo")
+        driver.ask("Kill", echo)
+        go_on.set()
+        assert driver.next("change")["jsonMessage"]["subject"] == f"connection {echo}"
+        end()
 
 
 def test_an_operator_may_kill_what_others_hold(guarded: Server) -> None:

@@ -338,6 +338,8 @@ class FeedRegistry:
         self._by_id[connection.id] = feed
         if connection.ended:
             self._ended(feed)
+        else:  # by the time its first change is heard it may have gone from the robot
+            self._names[connection.id] = wanted.function
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
