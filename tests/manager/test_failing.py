@@ -204,7 +204,8 @@ def test_a_service_that_raises_is_shown_and_then_another_one_is_called(scene: Sc
         scene.clock.advance(0.06)
     assert scene.robot.call("answer", {"value": 1}, timeout=patience()) == {"value": 1}
     assert scene.component("best").health is Health.LOST
-    scene.events.wait_for(lambda one: one.change == "lost")
+    lost = "component best", "lost", "answer"
+    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == lost)
     throwing.raises.clear()
     scene.clock.advance(301)
     assert scene.robot.resolve("answer").provider.component.name == "best"
@@ -288,6 +289,10 @@ def test_deaths_and_takeovers_are_counted_for_as_long_as_the_manager_lives(scene
         scene.events.wait_for(lambda one: one.change == "replaced")
     status = scene.robot.status()
     assert (status.deaths, status.takeovers) == ((("first", 1),), (("filter", 1),))
+    lost = "component first", "lost", "filter"
+    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == lost)
+    replaced = "connection c1", "replaced", "filter"
+    scene.events.wait_for(lambda one: (one.subject, one.change, one.function) == replaced)
 
 
 def test_who_gives_what_its_structure_does_not_allow_is_degraded_and_then_lost(

@@ -75,6 +75,7 @@ def test_who_sends_first_commands_and_any_other_is_told_who_does(memory: MemoryB
         wait(lambda: [one.change for one in events].count("leased") == 3)
         cause = f"base.default: {SAFETY} holds its lease, who took it over from connection"
         assert events[-1].cause == f"{cause} {second.id}"
+        assert events[-1].function == "drive"
 
 
 def test_who_leaves_gives_it_back_and_what_it_moved_is_stopped(memory: MemoryBridge) -> None:

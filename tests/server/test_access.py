@@ -146,6 +146,28 @@ def test_changes_heard_after_the_end_are_told_to_whoever_may_see_the_function(
         end()
 
 
+def test_changes_of_what_the_application_itself_opens_and_kills_at_once_are_told(
+    robot: RobotManager, guarded: Server
+) -> None:
+    go_on = threading.Event()
+    with enter(guarded, "driver") as driver:
+
+        def hold_up(event: StatusEvent) -> None:
+            assert go_on.wait(SECONDS), event
+
+        end = robot.listen(hold_up)
+        driver.ask("Status", "watch")
+        robot.request("numbers").kill()
+        mine = robot.request("echo")
+        mine.kill()
+        go_on.set()
+        for change in ("opening", "running", "closed"):
+            told = driver.next("change")["jsonMessage"]
+            assert (told["subject"], told["change"]) == (f"connection {mine.id}", change)
+            assert told["function"] == "echo"
+        end()
+
+
 def test_an_operator_may_kill_what_others_hold(guarded: Server) -> None:
     with enter(guarded, "viewer") as viewer, enter(guarded, "operator") as operator:
         numbers = viewer.open("numbers")

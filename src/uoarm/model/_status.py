@@ -293,6 +293,7 @@ class StatusEvent:
         subject: what changed, `connection c3`, `component head_camera`, `bridge ros`.
         change: the new state, one word.
         cause: why, empty for what the application asked for itself.
+        function: which a connection is of or a component provides; empty for other subjects.
 
     As text (`str`, `print`) it is the line that `uoarm status --url --watch` shows.
     """
@@ -302,6 +303,7 @@ class StatusEvent:
     subject: str
     change: str
     cause: str = ""
+    function: str = ""
 
     def __str__(self) -> str:
         cause = f": {self.cause}" if self.cause else ""

@@ -85,7 +85,7 @@ class LiveParts:
         clock: seconds.
         judged: told, with a component's id, when the verdict on what it raises changes.
         emergency_stop: holds all inputs that move something.
-        announce: takes a subject, a change and its cause, for listeners.
+        announce: takes a subject, a change, its cause and the function, for listeners.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class LiveParts:
         clock: Clock,
         judged: Callable[[int, Health, str], None],
         emergency_stop: EmergencyStop,
-        announce: Callable[[str, str, str], None],
+        announce: Callable[[str, str, str, str], None],
     ) -> None:
         self._bridges = bridges
         self._judged = judged
@@ -262,12 +262,13 @@ class LiveParts:
         bridge = self._bridges.get(component.bridge)
         limits, tell = self._state().policy.failing, partial(self._judged, record.id)
         failures = FailureWatch(component.name, limits, self._clock, tell)
+        subject, function = f"component {component.name}", component.function
         self.components[record.id] = LiveComponent(
             record.step,
             bridge,
             failures,
             self.emergency_stop,
-            partial(self._announce, f"component {component.name}", "leased"),
+            lambda told: self._announce(subject, "leased", told, function),
             replaced,
         )
 

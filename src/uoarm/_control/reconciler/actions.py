@@ -176,11 +176,12 @@ class Publish:
 
 @frozen
 class Announce:
-    """Tell the listeners of a change."""
+    """Tell the listeners of a change, with the function concerned, where there is one."""
 
     subject: str
     change: str
     cause: str = ""
+    function: str = ""
 
 
 @frozen

@@ -7,7 +7,15 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm._control.reconciler.actions import Action, CancelBatch, Open, Resolve, SetCheck
+from uoarm._control.reconciler.actions import (
+    Action,
+    Announce,
+    CancelBatch,
+    Open,
+    Publish,
+    Resolve,
+    SetCheck,
+)
 from uoarm._control.reconciler.state import (
     OPEN,
     PORTS,
@@ -118,6 +126,16 @@ class Draft:
         changed = record._replace(**changes) if changes else record
         self.connections[record.id] = changed
         return changed
+
+    def tell(self, record: ConnectionRecord) -> None:
+        """Have the handle of a connection and the listeners told its new state."""
+        self.actions.append(Publish(record))
+        self.announce(record, record.state.value, record.cause)
+
+    def announce(self, record: ConnectionRecord, change: str, cause: str = "") -> None:
+        """Have the listeners told a change of a connection."""
+        function = record.wanted.function
+        self.actions.append(Announce(f"connection {record.id}", change, cause, function))
 
     def resolve(self, record: ConnectionRecord) -> None:
         """Have the first plan of a request sought, without what is avoided now."""

@@ -149,6 +149,7 @@ class HealthReported:
         spared: instances that were opened since then, at the bridge that followed.
         is_avoided: whether it emits too little or raises too often, which no bridge would notice:
             it is avoided for a while.
+        function: of a service, of which nothing is open that could tell.
     """
 
     bridge: str
@@ -158,6 +159,7 @@ class HealthReported:
     part: Hashable = "bridge"
     spared: frozenset[int] = frozenset()
     is_avoided: bool = False
+    function: str = ""
 
 
 @frozen

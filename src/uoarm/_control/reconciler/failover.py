@@ -87,7 +87,8 @@ def health_reported(draft: Draft, event: HealthReported) -> None:
 
 def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
     """Note that a service, of which nothing is open, raises or answers again."""
-    draft.actions.append(Announce(f"component {name}", event.health.value, event.cause))
+    subject = f"component {name}"
+    draft.actions.append(Announce(subject, event.health.value, event.cause, event.function))
     if event.health is Health.LOST:
         draft.avoided[name] = draft.now
     elif event.health is Health.OK:
@@ -97,8 +98,8 @@ def _judge_service(draft: Draft, name: str, event: HealthReported) -> None:
 def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> ComponentRecord:
     health = record.health.noted(event.part, event.health, event.cause)
     if health.is_news(record.health, event.health, event.cause):
-        subject = f"component {record.name}"
-        draft.actions.append(Announce(subject, health.health.value, health.cause))
+        subject, function = f"component {record.name}", record.step.component.function
+        draft.actions.append(Announce(subject, health.health.value, health.cause, function))
     record = draft.components[record.id] = evolve(record, health=health)
     return record
 
@@ -237,8 +238,7 @@ def found(draft: Draft, record: ConnectionRecord, event: ReplacementSought) -> N
     runs = record.state is ConnectionState.RUNNING
     record = draft.put(record, failure=failure, state=ConnectionState.WAITING, cause=failure.cause)
     if runs:
-        subject = f"connection {record.id}"
-        draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
+        draft.tell(record)
     draft.actions += [Forget(tuple(sorted(failure.dead))), WakeAt(retry_at)]
 
 
@@ -297,17 +297,16 @@ def hand_over(
         switchover=0,
         moves=(*(one for one in record.moves if draft.now - one < _MINUTE), draft.now),
     )
-    subject = f"connection {record.id}"
     lane, is_heard = f"{after.user}>", not is_planned or before.ports == after.ports
     draft.actions += [
         HandOver(lane, record.id, before, after, is_heard, record, since, draft.now, cause),
         Publish(record),
     ]
     if waited:
-        draft.actions.append(Announce(subject, record.state.value))
+        draft.announce(record, record.state.value)
     new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
     goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
-    draft.actions.append(Announce(subject, "replaced", f"{cause}; {goes_on}"))
+    draft.announce(record, "replaced", f"{cause}; {goes_on}")
     parts = draft.unplace(before, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
     if preferred is not None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from uoarm._control.reconciler import failback, failover, reconfiguration, switchover
-from uoarm._control.reconciler.actions import Action, Announce, Close, Forget, Publish, Reply
+from uoarm._control.reconciler.actions import Action, Close, Forget, Reply
 from uoarm._control.reconciler.draft import Draft, InputInUseError
 from uoarm._control.reconciler.endings import end, finish_if_asked
 from uoarm._control.reconciler.events import (
@@ -109,7 +109,7 @@ def _begin(draft: Draft, record: ConnectionRecord, plan: Plan) -> None:
             _refuse(draft, record, ResolutionError(str(error)))
         return
     record = draft.put(record, current=placement)
-    draft.actions += [Publish(record), Announce(f"connection {record.id}", record.state.value)]
+    draft.tell(record)
     _advance(draft, record)
 
 
@@ -148,11 +148,8 @@ def _advance(draft: Draft, record: ConnectionRecord) -> None:
 def _run(draft: Draft, record: ConnectionRecord) -> None:
     waiter = record.waiter
     record = draft.put(record, state=ConnectionState.RUNNING, waiter="")
-    draft.actions += [
-        Publish(record),
-        Announce(f"connection {record.id}", record.state.value),
-        Reply(waiter),
-    ]
+    draft.tell(record)
+    draft.actions.append(Reply(waiter))
     finish_if_asked(draft, record)
 
 
@@ -223,8 +220,7 @@ def _ended(draft: Draft, event: Ended) -> None:
         error = ConnectionClosedError(f"{text}: {record.cause or 'kill'}")
     record = draft.put(record, state=record.outcome)
     del draft.connections[record.id]
-    subject = f"connection {record.id}"
-    draft.actions += [Publish(record), Announce(subject, record.state.value, record.cause)]
+    draft.tell(record)
     draft.actions += [Reply(record.waiter, error)] if record.waiter else []
     draft.actions += [Reply(record.killer)] if record.killer else []
     _reply_when_closed(draft)

@@ -36,13 +36,15 @@ class EventDispatcher:
         self._thread: threading.Thread | None = None
         self._records: dict[tuple[str, str], LimitedLog] = {}
 
-    def post(self, subject: str, change: str, cause: str = "") -> None:
+    def post(self, subject: str, change: str, cause: str = "", function: str = "") -> None:
         """Number one change and have the listeners called. Waits for nothing."""
         with self._lock:
             self._number += 1
             if self._listeners or change in _RECORDED:
                 self._start()
-                self._events.put(StatusEvent(self._number, self._clock(), subject, change, cause))
+                now = self._clock()
+                event = StatusEvent(self._number, now, subject, change, cause, function)
+                self._events.put(event)
 
     def listen(self, listener: Callable[[StatusEvent], None]) -> Callable[[], None]:
         """Call a listener for every change from now on; returns what ends that."""

@@ -246,7 +246,13 @@ class Executor:
         is_lost = health is Health.LOST
         self.post(
             ev.HealthReported(
-                component.bridge, health, cause, component.name, "messages", is_avoided=is_lost
+                component.bridge,
+                health,
+                cause,
+                component.name,
+                "messages",
+                is_avoided=is_lost,
+                function=component.function,
             )
         )
 

@@ -152,7 +152,7 @@ class Performer:
         kind, _, name = action.subject.partition(" ")
         if kind == "component" and action.change == Health.LOST.value:
             self.deaths[name] += 1
-        self._announcements.post(action.subject, action.change, action.cause)
+        self._announcements.post(action.subject, action.change, action.cause, action.function)
 
     def _hand_over(self, action: act.HandOver) -> None:
         self.takeovers[action.after.plan.function] += 1

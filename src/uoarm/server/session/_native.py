@@ -282,8 +282,8 @@ class NativeSession:
         if asked.type == "watch":
             told["past"] = [
                 {**to_json(event), "age": age}
-                for age, event, function in self._registry.past()
-                if self._client.role.allows(Operation.SEE, function)
+                for age, event in self._registry.past()
+                if self._client.role.allows(Operation.SEE, event.function)
             ]
         self._reply(asked, told)
 
@@ -334,8 +334,8 @@ class NativeSession:
         await asyncio.shield(self._registry.kill(connection))
         self._reply(asked, None)
 
-    def _changed(self, event: StatusEvent, function: str) -> None:
-        if self._client.role.allows(Operation.SEE, function):
+    def _changed(self, event: StatusEvent) -> None:
+        if self._client.role.allows(Operation.SEE, event.function):
             self._tell({"op": "Status", "type": "change", "jsonMessage": to_json(event)})
 
     def _hello(self) -> Message:

@@ -75,6 +75,7 @@ export interface Change {
   subject: string;
   change: string;
   cause: string;
+  function: string;
 }
 
 export class Robot {

@@ -42,7 +42,7 @@ __all__ = ["FeedRegistry", "Read", "Watcher"]
 
 T = TypeVar("T")
 _log = logging.getLogger("uoarm.server")
-Watcher: TypeAlias = Callable[[StatusEvent, str], None]
+Watcher: TypeAlias = Callable[[StatusEvent], None]
 """Callback: a change, and the function concerned, empty where it is not known."""
 
 _READ_TEXT = functools.partial(read_message, TEXT_FORM)
@@ -84,9 +84,7 @@ class FeedRegistry:
         self._stopping: asyncio.Future[StopReport] | None = None
         self._releasing: asyncio.Future[None] | None = None
         self._watchers: dict[Watcher, None] = {}
-        self._names: dict[str, str] = {}
-        self._past: deque[tuple[float, StatusEvent, str]] = deque(maxlen=_REMEMBERED)
-        self._functions = _functions_of_components(robot)
+        self._past: deque[tuple[float, StatusEvent]] = deque(maxlen=_REMEMBERED)
         self._stop_listening = robot.listen(
             lambda event: self.mailbox.put(functools.partial(self._heard, event))
         )
@@ -96,10 +94,10 @@ class FeedRegistry:
         """The feeds that are open or opening."""
         return tuple(self._feeds.values())
 
-    def past(self) -> list[tuple[float, StatusEvent, str]]:
-        """Return the last changes: seconds ago, the change, the function concerned."""
+    def past(self) -> list[tuple[float, StatusEvent]]:
+        """Return the last changes: seconds ago, and the change."""
         now = time.monotonic()
-        return [(now - heard, event, function) for heard, event, function in self._past]
+        return [(now - heard, event) for heard, event in self._past]
 
     async def join(self, wanted: FeedKey, on_absent: OnAbsent | None = None) -> Feed:
         """Return the open feed, opening it for the first. Give it back with `leave`.
@@ -338,32 +336,17 @@ class FeedRegistry:
         self._by_id[connection.id] = feed
         if connection.ended:
             self._ended(feed)
-        else:  # by the time its first change is heard it may have gone from the robot
-            self._names[connection.id] = wanted.function
 
     def _heard(self, event: StatusEvent) -> None:
         kind, _, name = event.subject.partition(" ")
-        if kind == "configuration":
-            self._functions = _functions_of_components(self.robot)
-        function = self._functions.get(name, "") if kind == "component" else ""
         if kind != "connection":
             self._known.forget()
             self._pending.poke()
-        if kind == "connection":
-            function = self._function_of(name)
-            if event.change in _ENDS:
-                self._names.pop(name, None)
-                if name in self._by_id:
-                    self._ended(self._by_id[name])
-        self._past.append((time.monotonic(), event, function))
+        elif event.change in _ENDS and name in self._by_id:
+            self._ended(self._by_id[name])
+        self._past.append((time.monotonic(), event))
         for watcher in tuple(self._watchers):
-            watcher(event, function)
-
-    def _function_of(self, connection: str) -> str:
-        """Return the function of a connection, also of one that the application itself opened."""
-        if connection not in self._names:
-            self._names |= {one.id: one.plan.function for one in self.robot.connections()}
-        return self._names.get(connection, "")
+            watcher(event)
 
     def _ended(self, feed: Feed) -> None:
         assert feed.connection is not None, "only an opened feed can end"
@@ -396,7 +379,3 @@ def _request(
 def _ignore(message: Message) -> None:
     """Take the messages of a connection that is open for sending only."""
     del message
-
-
-def _functions_of_components(robot: RobotManager) -> dict[str, str]:
-    return {one.name: one.function for one in robot.config.components()}
