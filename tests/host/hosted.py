@@ -120,7 +120,7 @@ def hasten(bridge: RemoteBridge, silence: float) -> None:
     yet, before the test has done anything to it.
     """
     heartbeat: Any = vars(bridge._host)["_heartbeat"]
-    heartbeat._silence = silence
+    heartbeat._silence.limit = silence
 
 
 def doubt_soon(patched: pytest.MonkeyPatch) -> None:

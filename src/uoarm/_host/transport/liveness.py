@@ -9,19 +9,20 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from uoarm._host.transport import keys
 from uoarm._host.transport.zenoh_transport import ANSWER_SECONDS, Transport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = ["Heartbeat", "LivenessMonitor"]
+__all__ = ["Heartbeat", "LivenessMonitor", "Silence"]
 
 _MARGIN_SECONDS = 0.5
 _NEWS_SECONDS = 0.3
 _LEAST_SECONDS = 0.1
 _INTERVAL_SECONDS = 0.5
-_ANSWER_SECONDS = 0.5
 _DOUBT = 1 / 3
 
 
@@ -126,8 +127,51 @@ class LivenessMonitor:
             raise BridgeError(text, FailureReason.UNAVAILABLE) from cause
 
 
+class Silence:
+    """For how long a host has not answered: from what it is asked and answers, and when.
+
+    Any answer counts, also a late one: a host that waits for a processor lives. The clock alone
+    would give up a host whenever this process had been stopped, so a question counts for the time
+    to the next one at most.
+
+    Args:
+        limit: seconds after which it is given up; it is doubted after a third of them.
+        now: seconds of a monotonic clock; so are all times.
+
+    Attributes:
+        in_doubt: whether it was doubted at the last look.
+    """
+
+    def __init__(self, limit: float, now: float) -> None:
+        self.limit = limit
+        self.in_doubt = False
+        self._heard_at = now
+        self._unanswered = 0
+
+    def asked(self) -> None:
+        """Note a question; there is one after each interval."""
+        self._unanswered += 1
+
+    def heard(self, now: float) -> None:
+        """Note an answer, to whichever question."""
+        self._heard_at, self._unanswered = now, 0
+
+    def seconds(self, now: float) -> float:
+        """Return for how long it has been silent."""
+        return min(now - self._heard_at, self._unanswered * _INTERVAL_SECONDS)
+
+    def doubt(self, now: float) -> bool | None:
+        """Return whether it is doubted from now on, or no more; None where that is as it was."""
+        before, self.in_doubt = self.in_doubt, self.seconds(now) > self.limit * _DOUBT
+        return None if before is self.in_doubt else self.in_doubt
+
+    def is_over(self, now: float) -> bool:
+        """Say whether it has been silent for too long."""
+        return self.seconds(now) > self.limit
+
+
 class Heartbeat:
-    """Asks a host whether it lives, in a thread, until it is stopped or the host is given up.
+    """Asks a host twice a second whether it lives, in a thread, until that ends or it is given up.
 
     Args:
         name: of the bridge, for the thread.
@@ -149,11 +193,12 @@ class Heartbeat:
         on_silence: Callable[[float], None],
     ) -> None:
         self._transport = transport
-        self._silence = silence
         self._on_answer = on_answer
         self._on_doubt = on_doubt
         self._on_silence = on_silence
-        self._stopped = threading.Event()
+        self._silence = Silence(silence, time.monotonic())
+        self._answers: SimpleQueue[Any] = SimpleQueue()
+        self._stopped = False
         self._thread = threading.Thread(
             target=self._run, name=f"uoarm-heartbeat-{name}", daemon=True
         )
@@ -163,8 +208,9 @@ class Heartbeat:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask no more, from any thread; a question under way ends within half a second."""
-        self._stopped.set()
+        """Ask no more, from any thread. Returns at once."""
+        self._stopped = True
+        self._answers.put(None)
 
     def join(self, timeout: float) -> None:
         """Wait for the thread to end, unless this is it."""
@@ -172,22 +218,34 @@ class Heartbeat:
             self._thread.join(timeout)
 
     def _run(self) -> None:
-        last = time.monotonic()
-        missed = 0
-        in_doubt = False
-        while not self._stopped.wait(_INTERVAL_SECONDS):
+        while self._hear(time.monotonic() + _INTERVAL_SECONDS):
+            now = time.monotonic()
+            self._tell_doubt(now)
+            if self._silence.is_over(now):
+                self._on_silence(self._silence.seconds(now))
+                return
+            self._silence.asked()
+            with suppress(BridgeError):  # the link is closed, which is silence
+                self._transport.ask_later(
+                    keys.HEARTBEAT, None, self._answers.put, timeout=self._silence.limit
+                )
+
+    def _hear(self, until: float) -> bool:
+        """Take answers until it is time for the next question; False when there is to be none."""
+        while not self._stopped:
             try:
-                self._on_answer(self._transport.ask(keys.HEARTBEAT, None, timeout=_ANSWER_SECONDS))
-                last, missed = time.monotonic(), 0
-            except UoarmError:
-                missed += 1
-            # The clock alone would give up a host whenever this process has been stopped.
-            silent = min(time.monotonic() - last, missed * (_INTERVAL_SECONDS + _ANSWER_SECONDS))
-            if self._stopped.is_set():
-                return
-            if in_doubt != (silent > self._silence * _DOUBT):
-                in_doubt = not in_doubt
-                self._on_doubt(in_doubt)
-            if silent > self._silence:
-                self._on_silence(silent)
-                return
+                answer = self._answers.get(timeout=max(0.0, until - time.monotonic()))
+            except Empty:
+                return not self._stopped
+            if answer is None:
+                continue
+            now = time.monotonic()
+            self._silence.heard(now)
+            self._tell_doubt(now)
+            self._on_answer(answer)
+        return False
+
+    def _tell_doubt(self, now: float) -> None:
+        told = self._silence.doubt(now)
+        if told is not None:
+            self._on_doubt(told)

@@ -20,7 +20,13 @@ import zenoh
 
 from uoarm._host.transport.codec import from_failure, pack, to_failure, unpack
 from uoarm.bridge import boot_seconds
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError
+from uoarm.errors import (
+    BridgeError,
+    BridgeTimeoutError,
+    FailureReason,
+    MessageError,
+    UoarmError,
+)
 
 __all__ = ["ANSWER_SECONDS", "NO_MORE", "Reply", "Transport", "configuration"]
 
@@ -112,20 +118,30 @@ class Transport:
             raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
         if not replies:
             raise BridgeError(f"nobody answers at {key}", FailureReason.UNAVAILABLE)
-        reply = replies[0]
-        if reply.err is not None:
-            text = reply.err.payload.to_string()
-            raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
-        assert reply.ok is not None, "a reply that is no error holds a sample"
-        told = unpack(reply.ok.payload.to_bytes())
-        match told:
-            case [bool(failed), value]:
-                if not failed:
-                    return value
-                if isinstance(value, Mapping):
-                    raise from_failure(value)
-        text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
-        raise BridgeError(text, FailureReason.CONTRACT)
+        return _answer_in(replies[0], key)
+
+    def ask_later(
+        self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
+    ) -> None:
+        """Send a request, and have the answer handed to `take` in the transport's thread.
+
+        An error, or no answer within `timeout` seconds, is told to nobody. `take` must not block.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+        key = self._prefix + key
+
+        def handle(reply: zenoh.Reply) -> None:
+            try:
+                answer = _answer_in(reply, key)
+            except UoarmError as error:
+                _log.debug("%s", error)
+            else:
+                take(answer)
+
+        with _wrapped(f"asking {key}"):
+            self._session.get(key, _directly(handle), payload=pack(request), timeout=timeout)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
         """Have requests at a key handed to `take`, in the transport's thread; returns what ends it.
@@ -257,6 +273,23 @@ def _boot_nanoseconds() -> int:
 def _directly(handle: Callable[[Any], None]) -> Any:
     """Have a handler called in Zenoh's thread; else each one gets a thread that no exit ends."""
     return zenoh.handlers.Callback(handle, indirect=False)
+
+
+def _answer_in(reply: zenoh.Reply, key: str) -> Any:
+    """Return what the other end answered at a key, or raise what it answered with."""
+    if reply.err is not None:
+        text = reply.err.payload.to_string()
+        raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
+    assert reply.ok is not None, "a reply that is no error holds a sample"
+    told = unpack(reply.ok.payload.to_bytes())
+    match told:
+        case [bool(failed), value]:
+            if not failed:
+                return value
+            if isinstance(value, Mapping):
+                raise from_failure(value)
+    text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
+    raise BridgeError(text, FailureReason.CONTRACT)
 
 
 def _reply_to(query: zenoh.Query) -> Reply:
