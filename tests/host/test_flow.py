@@ -10,6 +10,7 @@ from typing import Any
 import msgpack
 import pytest
 
+from uoarm._host.agent import flows as flows_module
 from uoarm._host.agent.flows import OpenFlows, OutboundFlow
 from uoarm._host.transport import flow as flow_module
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
@@ -285,6 +286,32 @@ def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(
     bridge.deliver("late")
     assert taken.read() == 3
     assert got.got == [1]
+
+
+def test_a_source_that_is_to_lose_nothing_waits_for_its_reader_as_long_as_it_says(
+    ends: Ends, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = ends
+    monkeypatch.setattr(flows_module, "_PATIENCE_SECONDS", 0.01)
+    flows, got = OpenFlows(far, None), _Taker()
+    got.gate.clear()
+    FlowReceiver(near, flow(1), name="test", take=got.take, ended=got.endings.append)
+    endpoint = Endpoint("memory", "numbers", Role.OUTPUT, ("numbers",))
+    with flows.outbound(1, None, endpoint) as outbound:
+        outbound.channel = source = Source(endpoint, lambda: None)
+        source.patience = patience()
+
+    def fill() -> None:
+        for number in range(200):
+            outbound.deliver(number)
+
+    filling = threading.Thread(target=fill)
+    filling.start()
+    filling.join(0.5)
+    got.gate.set()
+    wait(lambda: got.got == [*range(200)])
+    filling.join()
+    flows.close(1, 0, patience())
 
 
 class _Buffered(Sink):

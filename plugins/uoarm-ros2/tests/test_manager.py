@@ -2,31 +2,35 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from peers import DOMAIN, MORTAL, Peer
 
 from uoarm import RobotManager
 from uoarm.config import loads
-from uoarm.model import ConnectionState
+from uoarm.model import ConnectionState, QueuePolicy
 from uoarm.testing import patience, wait
 
 Start = Callable[..., Peer]
+LATE_SECONDS = 2.0  # twice as long as a host waits for a reader of anything else
 
 
-def robot(functions: str, more: str = "") -> RobotManager:
+def robot(functions: str, more: str = "", host: str = "") -> RobotManager:
     text = f"""
 version: 1
 {more}
 bridges:
-  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}{host}}}
 functions:
 {functions}
 """
     return RobotManager(loads(text, origin=str(Path(__file__).with_name("robot.yaml"))))
 
 
+HOSTS = ["", f", host: {{silence: {patience()}, start: {patience()}}}"]
 KEPT = """
   numbers:
     components:
@@ -38,15 +42,41 @@ KEPT = """
 """
 
 
-def test_of_what_is_sent_at_once_keep_all_loses_nothing(peer: Start) -> None:
+@pytest.mark.parametrize("host", HOSTS, ids=["here", "hosted"])
+def test_of_what_is_sent_at_once_keep_all_loses_nothing(peer: Start, host: str) -> None:
     listener = peer("listener")
     listener.do("subscribe", topic="/kept", history="keep_all")
-    with robot(KEPT) as manager, manager.request("numbers") as connection:
+    with robot(KEPT, host=host) as manager, manager.request("numbers") as connection:
         for number in range(2000):
             connection.send({"data": number})
         assert connection.flush(patience())
         seen = listener.do("report", topic="/kept", expected=2000)["seen"]
     assert seen == list(range(2000))
+
+
+FROM = """
+  numbers:
+    components:
+      - name: numbers
+        bridge: ros
+        output:
+          endpoint: [/from, std_msgs/msg/Int64]
+          options: {qos: {history: keep_all}}
+"""
+
+
+@pytest.mark.parametrize("host", HOSTS, ids=["here", "hosted"])
+def test_of_what_comes_at_once_keep_all_loses_nothing_to_who_reads_late(
+    peer: Start, host: str
+) -> None:
+    talker = peer("talker")
+    talker.do("advertise", topic="/from", history="keep_all")
+    waits = QueuePolicy(policy="block", timeout=patience())
+    with robot(FROM, host=host) as manager:
+        connection = manager.request("numbers", queue=waits)
+        talker.do("publish", topic="/from", count=2000)
+        time.sleep(LATE_SECONDS)
+        assert [connection.get(patience())["data"] for _ in range(2000)] == [*range(1, 2001)]
 
 
 OUT = """

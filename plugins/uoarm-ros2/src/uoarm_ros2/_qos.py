@@ -6,8 +6,17 @@ from collections.abc import Iterable, Mapping
 
 from attrs import evolve, frozen
 
-__all__ = ["Policies", "QosWish", "clashes", "for_reading", "for_writing", "wish_from"]
+__all__ = [
+    "KEEP_ALL_SECONDS",
+    "Policies",
+    "QosWish",
+    "clashes",
+    "for_reading",
+    "for_writing",
+    "wish_from",
+]
 
+KEEP_ALL_SECONDS = 10.0  # for which whoever keeps all waits for who is slow, before it loses any
 _DEPTH = 100
 _DEPTH_OF_LARGE = 5  # a queue of pictures is a delay: a hundred of 1080p are 600 MB
 _MAX_DEPTH = 1_000_000

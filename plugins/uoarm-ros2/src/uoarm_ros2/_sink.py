@@ -13,13 +13,12 @@ from uoarm.model import Message, OverflowPolicy, QueuePolicy
 from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
-from uoarm_ros2._qos import Policies, clashes, for_writing
+from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_writing
 
 __all__ = ["TopicSink"]
 
-_BLOCK_SECONDS = 10.0
 _FULL = "cannot publish data"
-_LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=_BLOCK_SECONDS)
+_LOSSLESS = QueuePolicy(policy=OverflowPolicy.BLOCK, timeout=KEEP_ALL_SECONDS)
 
 
 class _Publisher(End):
@@ -138,7 +137,7 @@ class TopicSink(Sink):
 
         The rmw itself waits for room a tenth of a second only.
         """
-        deadline = time.monotonic() + _BLOCK_SECONDS
+        deadline = time.monotonic() + KEEP_ALL_SECONDS
         while True:
             if self._closed:
                 raise self._gone() from error

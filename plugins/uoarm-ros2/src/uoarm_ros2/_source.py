@@ -11,7 +11,7 @@ from uoarm.model import Deliver, Message
 from uoarm_ros2._end import End, Place
 from uoarm_ros2._middleware import Peer
 from uoarm_ros2._pulse import Pulse
-from uoarm_ros2._qos import Policies, clashes, for_reading
+from uoarm_ros2._qos import KEEP_ALL_SECONDS, Policies, clashes, for_reading
 
 __all__ = ["TopicSource"]
 
@@ -109,6 +109,8 @@ class TopicSource(Source):
         matched = end.count() > 0
         self._end.require(limit)
         self.latched = self._end.policies.durability == "transient_local"
+        if self._end.policies.history == "keep_all":
+            self.patience = KEEP_ALL_SECONDS
         if matched and not self.latched:
             place.graph.settle(self._end.peers(), place.settle, lambda: self.closed)
 

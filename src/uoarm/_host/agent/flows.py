@@ -124,6 +124,7 @@ class OpenFlows:
                 self._opening.remove(outbound)
                 if outbound.channel is not None:
                     outbound.channel.watch_refused(outbound.count)
+                    outgoing.patience = max(_PATIENCE_SECONDS, outbound.channel.patience)
                     self._open[number] = _Open(outbound.channel, outbound=outbound)
 
     def inbound(self, number: int, slot: int | None, sink: Sink) -> None:

@@ -66,13 +66,13 @@ class FlowSender:
     Args:
         transport: carries it.
         key: name of the flow on the link.
-        patience: seconds that `send` waits while a whole window is under way.
+        patience: seconds that `send` waits while a whole window is under way; an attribute, too.
     """
 
     def __init__(self, transport: Transport, key: str, patience: float) -> None:
         self._transport = transport
         self._key = key
-        self._patience = patience
+        self.patience = patience
         self._number = 0
         self._skipped = 0
         self._handled = 0
@@ -159,7 +159,7 @@ class FlowSender:
         """
         with self._room:
             if self._next_try is None:
-                self._room.wait_for(self._has_room, self._patience)
+                self._room.wait_for(self._has_room, self.patience)
             if self._cut:
                 raise BridgeError(f"{self._key}: {self._cut}", FailureReason.CLOSED)
             now = time.monotonic()
