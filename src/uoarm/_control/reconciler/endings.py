@@ -64,6 +64,8 @@ def drop_next(draft: Draft, record: ConnectionRecord) -> ConnectionRecord:
 def cancel_switchover(draft: Draft, number: int, *, is_vain: bool = False) -> None:
     """Leave the members of a return where they are; each looks for its plan again later.
 
+    None has ended: the first that did would have cancelled it. Not while inputs change hands.
+
     Args:
         draft: the state.
         number: of the return.
@@ -73,10 +75,7 @@ def cancel_switchover(draft: Draft, number: int, *, is_vain: bool = False) -> No
     if group.is_reconfiguration and not is_vain:
         draft.outdated |= frozenset(group.members)
     for identity in group.members:
-        record = draft.connections.get(identity)
-        if record is None or record.state is ConnectionState.CLOSING:
-            continue
-        record = drop_next(draft, record)
+        record = drop_next(draft, draft.connections[identity])
         record = draft.put(record, switchover=0, available_since=None, look_at=None)
         if record.preferred is not None:
             look_later(draft, record)
