@@ -6,13 +6,15 @@ import ctypes
 import os
 import signal
 import sys
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, TypedDict
 
 from uoarm.local import Octets
 
-__all__ = ["count", "echo", "hang", "leave", "slowly", "zenoh_echo"]
+__all__ = ["count", "echo", "hang", "leave", "slowly", "subscribe", "zenoh_echo"]
 
 
 class Packet(TypedDict):
@@ -51,7 +53,24 @@ def hang(value: int) -> int:
     return value
 
 
-def zenoh_echo(place: str) -> None:
+def subscribe(session: Any, key: str, take: Callable[[Any], object], receivers: str) -> None:
+    """Have samples handed to `take`: in Zenoh's thread (`callbacks`), or in one of its own."""
+    import zenoh  # noqa: PLC0415 - the host's other components need none
+
+    if receivers == "callbacks":
+        session.declare_subscriber(key, zenoh.handlers.Callback(take, indirect=False))
+        return
+    subscriber = session.declare_subscriber(key, zenoh.handlers.RingChannel(128))
+
+    def receive() -> None:
+        with suppress(zenoh.ZError):  # the session is closed
+            while True:
+                take(subscriber.recv())
+
+    threading.Thread(target=receive, daemon=True).start()
+
+
+def zenoh_echo(place: str, receivers: str) -> None:
     """Give back frames over Zenoh and nothing else, until killed."""
     import zenoh  # noqa: PLC0415 - the host's other components need none
 
@@ -64,10 +83,10 @@ def zenoh_echo(place: str) -> None:
     def back(sample: Any) -> None:
         session.put("bench/back", sample.payload, attachment=sample.attachment)
 
-    session.declare_subscriber("bench/there", zenoh.handlers.Callback(back, indirect=False))
+    subscribe(session, "bench/there", back, receivers)
     session.liveliness().declare_token("bench/alive")
     signal.pause()
 
 
 if __name__ == "__main__":
-    zenoh_echo(sys.argv[1])
+    zenoh_echo(*sys.argv[1:])

@@ -40,7 +40,8 @@ def main() -> None:
     with ExitStack() as stack:
         trips = {
             "a pipe (multiprocessing)": stack.enter_context(_pipe()),
-            "bare Zenoh, two handlers": stack.enter_context(_zenoh()),
+            "bare Zenoh, handled in its threads": stack.enter_context(_zenoh("callbacks")),
+            "bare Zenoh, a thread at either end": stack.enter_context(_zenoh("threads")),
             "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
             "in a host": stack.enter_context(_bridge(_hosted())),
             "in a host, shared memory": stack.enter_context(_bridge(_hosted(shared_memory=True))),
@@ -115,9 +116,15 @@ def _pipe_echo(pipe: Connection) -> None:
 
 
 @contextmanager
-def _zenoh() -> Iterator[Trip]:
+def _zenoh(receivers: str) -> Iterator[Trip]:
+    """Give round trips over Zenoh and nothing else.
+
+    A component may take as long as it likes, so that it cannot be called in Zenoh's own threads:
+    what a host costs beside Zenoh is to be compared with `threads`.
+    """
     import zenoh  # noqa: PLC0415 - only this one needs it bare
 
+    from bench._hosted_parts import subscribe  # noqa: PLC0415 - it is for what Zenoh is here for
     from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
 
     with tempfile.TemporaryDirectory() as folder:
@@ -127,11 +134,10 @@ def _zenoh() -> Iterator[Trip]:
         )
         back: SimpleQueue[Any] = SimpleQueue()
         ready = threading.Event()
-        direct = zenoh.handlers.Callback
-        session.declare_subscriber("bench/back", direct(back.put, indirect=False))
+        subscribe(session, "bench/back", back.put, receivers)
         tokens = session.liveliness()
         kept = tokens.declare_subscriber("bench/alive", lambda _: ready.set(), history=True)
-        command = [sys.executable, "-m", "bench._hosted_parts", place]
+        command = [sys.executable, "-m", "bench._hosted_parts", place, receivers]
         with subprocess.Popen(command, cwd=HERE.parent) as child:
             ready.wait(20)
 

@@ -8,6 +8,7 @@ many messages may be lost.
 from __future__ import annotations
 
 import logging
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -24,6 +25,9 @@ from uoarm.model import Message
 
 __all__ = ["Ending", "FlowReceiver", "FlowSender", "Handled"]
 
+_HEADER = struct.Struct("<4sQQq")
+"""What it is, number, skipped, and when it was sent; behind it the ending, if it is the last."""
+_IS_HEADER = b"flow"
 _WINDOW = 64
 _CONFIRM_EACH = _WINDOW // 4
 _CONFIRM_SECONDS = 0.2
@@ -144,7 +148,9 @@ class FlowSender:
 
     def _put(self, frame: bytes, ending: tuple[str, str] | None, sent_at: int) -> None:
         self._number += 1
-        header = msgpack.packb((self._number, self._skipped, sent_at, ending))
+        header = _HEADER.pack(_IS_HEADER, self._number, self._skipped, sent_at)
+        if ending is not None:
+            header += msgpack.packb(ending)
         try:
             self._transport.publish(self._key, frame, header, must_arrive=ending is not None)
         except BridgeError:
@@ -325,10 +331,15 @@ class FlowReceiver:
 
 def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:
     """Return number, skipped, time and ending of a frame; None where it is no header of a flow."""
-    match _plain(octets):
-        case [int(number), int(skipped), int(sent_at), None]:
-            return number, skipped, sent_at, None
-        case [int(number), int(skipped), int(sent_at), [str(health), str(cause)]]:
+    if len(octets) < _HEADER.size:
+        return None
+    kind, number, skipped, sent_at = _HEADER.unpack_from(octets)
+    if kind != _IS_HEADER:
+        return None
+    if len(octets) == _HEADER.size:
+        return number, skipped, sent_at, None
+    match _plain(octets[_HEADER.size :]):
+        case [str(health), str(cause)]:
             return number, skipped, sent_at, Ending(health, cause)
     return None
 

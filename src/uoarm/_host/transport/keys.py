@@ -21,7 +21,7 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 6
+PROTOCOL_VERSION = 7
 """Both ends must have the same; it grows with every change of what crosses the link."""
 
 FOLDER = "uoarm-host-"

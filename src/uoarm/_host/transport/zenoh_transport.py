@@ -11,9 +11,9 @@ import json
 import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from types import MappingProxyType
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import zenoh
@@ -310,13 +310,27 @@ def _reply_to(query: zenoh.Query) -> Reply:
     return reply
 
 
-@contextmanager
-def _wrapped(step: str) -> Iterator[None]:
-    try:
-        yield
-    except zenoh.ZError as error:
-        text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
-        raise BridgeError(f"{step} failed: {text}", FailureReason.UNAVAILABLE) from error
+class _wrapped:  # noqa: N801 - as those of contextlib; each message enters one
+    """Raises as a BridgeError what Zenoh raises in a step, which the text names."""
+
+    __slots__ = ("_step",)
+
+    def __init__(self, step: str) -> None:
+        self._step = step
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if isinstance(error, zenoh.ZError):
+            text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
+            text = f"{self._step} failed: {text}"
+            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
 
 
 def configuration(
