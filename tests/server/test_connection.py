@@ -17,7 +17,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import Opcode
 
 from uoarm.server import Limits, Server
-from uoarm.server.session import TurnConnection
+from uoarm.server.session import DEFLATE, TurnConnection
 from uoarm.testing import patience, slowness
 
 PINGS = 100_000
@@ -113,15 +113,15 @@ def test_what_a_session_has_not_read_is_bounded(serve: Serve) -> None:
         assert server.unread_octets < 1_000_000
 
 
-LENGTHS = (125, 126, 0, 65_535, 65_536, 1, 300_000, 127)
+LENGTHS = (125, 126, 0, 512, 32_767, 65_535, 65_536, 1, 300_000, 127)
 FRAMES = [(b"x" * length, text) for length in LENGTHS for text in (True, False)]
 
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
 
 
-def received_from(send: Handler) -> list[str | bytes]:
-    """Return what a client gets from a server that sends in this way."""
+def received_from(send: Handler, *, deflate: bool = False) -> list[str | bytes]:
+    """Return what a client gets from a server that sends in this way, compressed or not."""
 
     async def receive() -> list[str | bytes]:
         make = functools.partial(TurnConnection, set(), 2)
@@ -131,6 +131,7 @@ def received_from(send: Handler) -> list[str | bytes]:
             0,
             create_connection=make,  # type: ignore[arg-type] # it is only called
             compression=None,
+            extensions=[DEFLATE] if deflate else None,
         ) as server:
             port = next(iter(server.sockets)).getsockname()[1]
             async with connect(f"ws://127.0.0.1:{port}/", max_size=None) as client:
@@ -139,12 +140,14 @@ def received_from(send: Handler) -> list[str | bytes]:
     return asyncio.run(asyncio.wait_for(receive(), patience()))
 
 
-def test_frames_of_every_length_arrive_whole_and_in_order() -> None:
+@pytest.mark.parametrize("deflate", [False, True])
+def test_frames_of_every_length_arrive_whole_and_in_order(deflate: bool) -> None:
     async def send(socket: ServerConnection) -> None:
         assert isinstance(socket, TurnConnection)
         await socket.send_frames(FRAMES)
 
-    assert received_from(send) == [frame.decode() if text else frame for frame, text in FRAMES]
+    told = [frame.decode() if text else frame for frame, text in FRAMES]
+    assert received_from(send, deflate=deflate) == told
 
 
 @pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the kernel has no such limit")

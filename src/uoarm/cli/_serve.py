@@ -8,7 +8,7 @@ import logging
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -31,7 +31,15 @@ from uoarm.errors import UoarmError
 if TYPE_CHECKING:
     from uoarm.server import Server, Settings
 
-__all__ = ["cannot_listen", "say", "serve", "stop_file_of", "stopping", "token"]
+__all__ = [
+    "cannot_listen",
+    "listening_options",
+    "say",
+    "serve",
+    "stop_file_of",
+    "stopping",
+    "token",
+]
 
 _log = logging.getLogger("uoarm")
 _USED = 5
@@ -44,18 +52,30 @@ _BEGINS_STOPPED = (
 _LAST_PORT = 65_535
 _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
+_LISTENING = (
+    click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on."),
+    click.option(
+        "--port",
+        type=click.IntRange(0, 65535),
+        default=9080,
+        show_default=True,
+        help="Port to listen on; 0 takes a free one.",
+    ),
+    click.option("--access", type=_FILE, help="Access file with roles and tokens."),
+)
+
+
+def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of where a server listens, and whom it lets in."""
+    for option in reversed(_LISTENING):
+        command = option(command)
+    return command
+
 
 @click.command()
 @click.argument("robot", required=False, type=click.Path(dir_okay=False))
 @configuration_option
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=9080,
-    show_default=True,
-    help="Port to listen on; 0 takes a free one.",
-)
+@listening_options
 @click.option(
     "--front-end-port",
     "front_end_ports",
@@ -69,7 +89,6 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
     type=click.IntRange(0, 65535),
     help="Short for --front-end-port rosbridge=PORT.",
 )
-@click.option("--access", type=_FILE, help="Access file with roles and tokens.")
 @click.option(
     "--origin", "origins", multiple=True, help="Origin of web pages that may connect; * for all."
 )
@@ -84,6 +103,9 @@ _FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.option("--certificate", type=_FILE, help="PEM file of the certificate, for TLS.")
 @click.option("--key", type=_FILE, help="PEM file of its key.")
 @click.option("--client-authority", type=_FILE, help="PEM file that client certificates rest on.")
+@click.option(
+    "--deflate", is_flag=True, help="Compress texts for clients that ask for it, as browsers do."
+)
 @click.option(
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )

@@ -13,7 +13,7 @@ import click
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
-from uoarm.cli._serve import cannot_listen, say, stop_file_of, stopping
+from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import json_option, needing, reporting
 from uoarm.config import add_functions, load
 from uoarm.errors import ConnectionClosedError, UoarmError
@@ -36,19 +36,7 @@ _RESOLVE_SECONDS = 10.0
     type=click.Path(dir_okay=False),
     help="Configuration to begin with, such as bridges with options; also UOARM_CONFIG.",
 )
-@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=9080,
-    show_default=True,
-    help="Port to listen on; 0 takes a free one.",
-)
-@click.option(
-    "--access",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Access file with roles and tokens.",
-)
+@listening_options
 @click.option(
     "--every",
     type=click.FloatRange(min=0.1),

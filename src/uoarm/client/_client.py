@@ -86,7 +86,7 @@ async def connect(
             subprotocols=[Subprotocol(form.subprotocol)],
             additional_headers=headers,
             max_size=LARGEST.octets,
-            compression=None,
+            compression=None if binary else "deflate",
             open_timeout=timeout,
             **secured,
         )

@@ -33,6 +33,7 @@ from uoarm.server.http import (
     listen,
 )
 from uoarm.server.session import (
+    DEFLATE,
     Client,
     Decoder,
     NativeSession,
@@ -221,7 +222,8 @@ class Server:
                 process_request=handshakes.process_request,
                 select_subprotocol=handshakes.select_subprotocol,
                 create_connection=self._make_connection,  # type: ignore[arg-type] # it is only called
-                compression=None,
+                compression=None,  # `extensions` says it, without what a library compresses
+                extensions=[DEFLATE] if self._settings.deflate else None,
                 server_header=None,
                 open_timeout=limits.handshake_seconds,  # of TLS, and then of HTTP
                 ping_interval=limits.ping_seconds,

@@ -33,6 +33,7 @@ class Settings:
         own_certificate: make one where there is none, and keep it for this user.
         key: PEM file of its key; None: in the same file.
         client_authority: PEM file of the authority whose client certificates are asked for.
+        deflate: compress texts of 512 octets to 32 KiB for clients that ask for it (RFC 7692).
         limits: bounds of what clients may use.
     """
 
@@ -46,6 +47,7 @@ class Settings:
     own_certificate: bool = False
     key: Path | None = None
     client_authority: Path | None = None
+    deflate: bool = False
     limits: Limits = field(factory=Limits)
 
     @property
