@@ -3,6 +3,7 @@
 `run` hands a step to a daemon thread and waits for it no longer than its limit. A step that
 itself calls `run` stays in its thread: the waiter then watches the inner step's limit and names
 the inner step when it gives up, so that a whole transaction of many steps costs one hop.
+A step that keeps its limit by itself costs no hop.
 A late result is handed to `on_late`, which puts it away. Steps that clean up after a step that
 was given up get limits of their own. What hangs for ever keeps its thread, so a step of which too
 many hang already is not begun again.
@@ -151,6 +152,7 @@ def run(
     *,
     on_late: Callable[[T], None] | None = None,
     on_give_up: Callable[[], object] | None = None,
+    keeps_time: bool = False,
 ) -> T:
     """Run an action under a time limit and return what it returns.
 
@@ -161,6 +163,8 @@ def run(
         on_late: takes a result that came after the step was given up, in the worker's thread.
         on_give_up: called when the step is given up, in the thread that waits; so that what goes
             on alone may be told to end.
+        keeps_time: the action ends within the limit by itself, with an error of its own: it runs
+            in the caller's thread, and nobody gives it up.
 
     Raises:
         BridgeTimeoutError: the step did not finish in time; it goes on alone, unheard.
@@ -171,6 +175,8 @@ def run(
         _hanging.check(step)
     outer = _current.job
     if outer is None or outer.given_up:
+        if keeps_time:
+            return action()
         job = _Job(step, limit, action, on_late, on_give_up)
         _workers.submit(job.work)
         return job.wait()

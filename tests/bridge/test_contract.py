@@ -292,6 +292,54 @@ def test_a_bridge_that_knows_no_structures_need_not_describe() -> None:
     assert Bare().describe(ENDPOINT) == Description()
 
 
+class Prompt(Puppet):
+    """Calls in the caller's thread where the endpoint is of the component `prompt`."""
+
+    capabilities = Capabilities(call=True)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.threads: list[threading.Thread] = []
+
+    def _keeps_time(self, endpoint: Endpoint) -> bool:
+        return endpoint.component == "prompt"
+
+    def _call(
+        self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
+    ) -> Message:
+        self.threads.append(threading.current_thread())
+        return self.step()
+
+
+@pytest.mark.parametrize("component", ["prompt", "other"])
+def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component: str) -> None:
+    bridge, endpoint = Prompt(), Endpoint("b", component, Role.SERVICE, ("x",))
+    bridge.step = lambda: "reply"
+    assert bridge.call(endpoint, "request") == "reply"
+    assert (bridge.threads == [threading.current_thread()]) is (component == "prompt")
+    bridge.step = fail
+    with pytest.raises(BridgeError, match=r"calling .*native trouble") as caught:
+        bridge.call(endpoint, "request")
+    assert caught.value.reason is FailureReason.RAISED
+    bridge.cancel_call(7)
+    with pytest.raises(BridgeError, match="cancelled before it began"):
+        bridge.call(endpoint, "request", number=7)
+    told: list[str] = []
+
+    def cancelled() -> str:
+        with bridge.cancelling(lambda: told.append("cancelled")):
+            assert bridge.cancel_call(8)
+        return "ended early"
+
+    bridge.step = cancelled
+    assert bridge.call(endpoint, "request", number=8) == "ended early"
+    assert told == ["cancelled"]
+    bridge.step = lambda: None
+    bridge.close()
+    with pytest.raises(BridgeError, match="is closed"):
+        bridge.call(endpoint, "request")
+
+
 def test_calls_and_served_functions_are_given_their_structures() -> None:
     seen: list[object] = []
     structures = ServiceStructures(MessageStructure({"type": "integer"}), ANY)

@@ -29,6 +29,10 @@ class CallUnderWay:
     is_cancelled: bool = False
 
 
+class _Here(threading.local):
+    call: CallUnderWay | None = None
+
+
 class CallsUnderWay:
     """Thread safe. A call stays in the thread in which it began."""
 
@@ -36,28 +40,31 @@ class CallsUnderWay:
         self._lock = threading.Lock()
         self._calls: set[CallUnderWay] = set()
         self._early: dict[int, None] = {}
-        self._here = threading.local()
+        self._here = _Here()
 
-    @contextmanager
-    def begun(self, call: CallUnderWay) -> Iterator[None]:
+    def begun(self, call: CallUnderWay) -> _Begun:
         """Have a call listed for the length of a block, in the thread that makes it.
 
         Raises:
-            BridgeError: it was cancelled before it began, and does not.
+            BridgeError: as the block is entered: it was cancelled before, and does not begin.
         """
-        outer = getattr(self._here, "call", None)
+        return _Begun(self, call)
+
+    def begin(self, call: CallUnderWay) -> CallUnderWay | None:
+        """List a call in this thread; return the one that this thread is in already."""
         with self._lock:
             if call.is_cancelled or call.number in self._early:
                 text = "the call was cancelled before it began"
                 raise BridgeError(text, FailureReason.REFUSED)
             self._calls.add(call)
-        self._here.call = call
-        try:
-            yield
-        finally:
-            self._here.call = outer
-            with self._lock:
-                self._calls.discard(call)
+        outer, self._here.call = self._here.call, call
+        return outer
+
+    def end(self, call: CallUnderWay, outer: CallUnderWay | None) -> None:
+        """List it no more; this thread is in `outer` again."""
+        self._here.call = outer
+        with self._lock:
+            self._calls.discard(call)
 
     @contextmanager
     def cancelling(self, cancel: Callable[[], object]) -> Iterator[None]:
@@ -65,7 +72,8 @@ class CallsUnderWay:
 
         Whichever comes first, this or `cancel`: a call that was cancelled before is cancelled here.
         """
-        call: CallUnderWay = self._here.call
+        call = self._here.call
+        assert call is not None, "in `_call` only"
         with self._lock:
             call.cancel, is_late = cancel, call.is_cancelled
         if is_late:
@@ -93,3 +101,19 @@ class CallsUnderWay:
         with self._lock:
             call.is_cancelled, way = True, call.cancel
         return way is not None and way() is not False
+
+
+class _Begun:
+    """A block in which a call is listed; a class, since each call enters one."""
+
+    __slots__ = ("_call", "_calls", "_outer")
+
+    def __init__(self, calls: CallsUnderWay, call: CallUnderWay) -> None:
+        self._calls = calls
+        self._call = call
+
+    def __enter__(self) -> None:
+        self._outer = self._calls.begin(self._call)
+
+    def __exit__(self, *raised: object) -> None:
+        self._calls.end(self._call, self._outer)
