@@ -41,6 +41,10 @@ class Answer:
         self._error = error
         self._given.release()
 
+    def is_given(self) -> bool:
+        """Say whether there is an answer, or an error in its place."""
+        return not self._given.locked()
+
     def wait(self, timeout: float) -> bool:
         """Wait so many seconds, once; return whether there is an answer."""
         return self._given.acquire(timeout=timeout)

@@ -52,7 +52,7 @@ class RocosBridge(Bridge):
         self._wire = wire
         self._making = threading.Lock()
         self._devices: dict[str, Device] = {}
-        self._described: dict[tuple[str, str], Api] = {}
+        self._described: dict[tuple[str, ...], Api] = {}
         self._services: dict[tuple[str, str], set[str]] = {}
 
     def _describe(self, endpoint: Endpoint) -> Description:
@@ -82,11 +82,19 @@ class RocosBridge(Bridge):
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures  # the catalogue has them
-        name, api_name, _ = address_of(endpoint)
+        # What was described has an address that was checked.
+        api = None if endpoint.options else self._described.get(endpoint.address)
+        device = self._devices.get(endpoint.address[0]) if api is not None else None
+        if api is not None and device is not None:
+            return device.call(api, message, timeout)
         began = time.monotonic()
-        api = self._described.get((name, api_name)) or self._find(endpoint, timeout)
+        api = self._find(endpoint, timeout)
         left = max(0.0, timeout - (time.monotonic() - began))
         return self._device(endpoint).call(api, message, left)
+
+    def _keeps_time(self, endpoint: Endpoint) -> bool:
+        device = self._devices.get(endpoint.address[0]) if endpoint.address else None
+        return device is not None and device.is_prompt
 
     def _discover(self) -> tuple[Discovered, ...]:
         end = time.monotonic() + _DISCOVER_SECONDS
@@ -132,6 +140,9 @@ class RocosBridge(Bridge):
             known = ", ".join(self._settings)
             text = f"bridge {self.name!r} has no device {name!r}; its options name {known}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
+        device = self._devices.get(name)
+        if device is not None and not self.closed:
+            return device  # without the lock, within which another device may be made
         with self._making:
             if self.closed:
                 raise BridgeError(f"bridge {self.name!r} is closed", FailureReason.CLOSED)

@@ -41,7 +41,12 @@ class Device(ABC):
     """One device that a bridge instance uses.
 
     Must implement: `catalogue`, `stop`, `close`. May implement what its catalogue offers.
+
+    Attributes:
+        is_prompt: whether `call` ends in its time whatever the device does.
     """
+
+    is_prompt = False
 
     @abstractmethod
     def catalogue(self, timeout: float) -> Catalogue:

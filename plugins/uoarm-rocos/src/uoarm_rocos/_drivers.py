@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
 from uoarm_rocos._catalogue_xml import load_catalogue
@@ -31,6 +32,7 @@ _OXIMETERS: dict[str, tuple[str, float, Callable[[], Decoder]]] = {
     "nonin-2": ("Nonin, serial format 2", PERIOD_2, Nonin2Decoder),
 }
 _ENGINES: dict[str, Callable[[], Engine]] = {"espeak": EspeakEngine, "festival": FestivalEngine}
+_IS_POSIX = os.name == "posix"
 MakeWire = Callable[[DeviceSettings], Wire]
 
 
@@ -38,8 +40,9 @@ def xml_wire(settings: DeviceSettings) -> Wire:
     """Return the profile's own parts: lengths over TCP, stuffing and CRC on every other line."""
     transport = transport_for(settings.url, settings.line)
     if settings.url.startswith("tcp://"):
-        return Wire(transport, LengthFramer, XmlCodec(TCP_LIMITS))
-    return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS))
+        return Wire(transport, LengthFramer, XmlCodec(TCP_LIMITS), prompt=_IS_POSIX)
+    is_port = "://" not in settings.url
+    return Wire(transport, StuffedFramer, XmlCodec(SERIAL_LIMITS), prompt=_IS_POSIX and is_port)
 
 
 def make_device(settings: DeviceSettings, wire: MakeWire, changed: Changed) -> Device:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -10,9 +11,10 @@ from typing import Protocol
 
 from attrs import frozen
 
-from uoarm.errors import BridgeError
+from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._errors import LineError
-from uoarm_rocos._transport import Transport
+from uoarm_rocos._readiness import Readiness
+from uoarm_rocos._transport import TICK_SECONDS, Transport
 
 __all__ = ["Backoff", "Line", "LineUser"]
 
@@ -30,6 +32,8 @@ class Backoff:
 
 class LineUser(Protocol):
     """Who uses a line. Every method is called in the line's own thread, one at a time.
+
+    `received` may be called in that of who has a turn instead.
 
     Any of them may raise BridgeError to have the line dropped and opened again.
     """
@@ -55,17 +59,31 @@ class Line:
         make: makes a transport that has not been opened.
         user: takes what arrives.
         backoff: how long to wait between attempts.
+        is_shared: whether `begin_turn` is used.
     """
 
     def __init__(
-        self, name: str, make: Callable[[], Transport], user: LineUser, backoff: Backoff
+        self,
+        name: str,
+        make: Callable[[], Transport],
+        user: LineUser,
+        backoff: Backoff,
+        *,
+        is_shared: bool = False,
     ) -> None:
         self.name = name
         self._make = make
         self._user = user
         self._backoff = backoff
+        self._is_shared = is_shared
         self._stop = threading.Event()
         self._sending = threading.Lock()
+        # Held by who reads and calls the user. The line's thread waits for it, others only try, and
+        # not while that waits, so that the clock is looked at however many there are.
+        self._reading = threading.Lock()
+        self._is_wanted = False
+        self._turns = 0
+        self._readiness: Readiness | None = None
         self._transport: Transport | None = None
         self._broken = ""
         self._cause = "not open yet"
@@ -90,6 +108,99 @@ class Line:
                 self._broken = str(error)
                 raise
 
+    def send_within(self, data: bytes, timeout: float) -> None:
+        """Send octets as `send` does, over a prompt transport, and wait at most so many seconds.
+
+        What the line does not take at once is sent after this has returned; where that fails, the
+        line is lost.
+
+        Raises:
+            LineError: the line is not open.
+            BridgeTimeoutError: it was busy all the time with what was sent before.
+        """
+        if not self._sending.acquire(timeout=timeout):
+            raise BridgeTimeoutError(f"{self.name} took nothing within {timeout:g} s")
+        is_handed_over = False
+        try:
+            transport = self._transport
+            if transport is None or self._broken:
+                cause = self._broken or self._cause
+                raise LineError(f"{self.name} is not connected: {cause}")
+            try:
+                taken = transport.write_now(data)
+                if taken < len(data):
+                    rest = threading.Thread(
+                        target=self._send_rest,
+                        args=(transport, data[taken:]),
+                        name=f"uoarm-{self.name}-rest",
+                        daemon=True,
+                    )
+                    is_handed_over = True
+                    rest.start()
+            except BaseException as error:  # whatever it is, half a message may be on the line
+                self._broken = str(error) or f"sending ended with {type(error).__name__}"
+                if isinstance(error, RuntimeError):  # the system gives no more threads
+                    is_handed_over = False
+                    raise LineError(f"{self.name}: {error}") from error
+                raise
+        finally:
+            if not is_handed_over:
+                self._sending.release()
+
+    def _send_rest(self, transport: Transport, rest: bytes) -> None:
+        """Send what is left of a message, in a thread that holds what every sender needs."""
+        try:
+            transport.write(rest)
+        except LineError as error:
+            self._broken = str(error)
+        finally:
+            self._sending.release()
+
+    def begin_turn(self) -> bool:
+        """Have the caller's thread read instead of the line's, over a prompt transport.
+
+        Who sends and waits for the answer within a turn need not be woken by the line's thread. A
+        turn is to be short, and not begun in a user's method. Returns whether it is one: not where
+        another thread reads, or the line is not open.
+        """
+        if self._is_wanted or not self._reading.acquire(blocking=False):
+            return False
+        if self._readiness is None or self._broken:
+            self._reading.release()
+            return False
+        self._turns += 1
+        self._readiness.ignore()
+        return True
+
+    def end_turn(self) -> None:
+        """Leave the reading to the line's thread again; only after `begin_turn` was True."""
+        if self._readiness is not None:
+            self._readiness.heed()
+        self._reading.release()
+
+    def read_for(self, is_over: Callable[[], bool], until: float) -> None:
+        """Read within a turn until somebody has what he waits for, but no longer than 50 ms.
+
+        Args:
+            is_over: says whether there is no more to wait for.
+            until: monotonic time at which to return at the latest, but for 50 ms.
+        """
+        transport = self._transport
+        assert transport is not None, "closed only by who has the turn"
+        until = min(until, time.monotonic() + TICK_SECONDS)
+        try:
+            while not is_over():
+                if self._is_wanted or self._stop.is_set() or time.monotonic() >= until:
+                    return
+                data = transport.read()
+                if data:
+                    self._user.received(data)
+        except BridgeError as error:
+            self._broken = str(error)  # the line's thread does the rest
+        except BaseException as error:  # what was read is lost, whatever it is
+            self._broken = f"{type(error).__name__}: {error}"
+            raise
+
     def stop(self) -> None:
         """Begin to end; returns at once."""
         self._stop.set()
@@ -99,6 +210,13 @@ class Line:
         self.stop()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(timeout)
+
+    def _watched(self, transport: Transport) -> Readiness | None:
+        """Return what lets other threads read as well; None: the line's own alone does."""
+        descriptor = transport.descriptor() if self._is_shared else None
+        if descriptor is None or not hasattr(select, "epoll"):
+            return None
+        return Readiness(descriptor)
 
     def _run(self) -> None:
         pause = self._backoff.first
@@ -122,21 +240,34 @@ class Line:
             with self._sending:
                 self._transport, self._broken = transport, ""
             self._user.connected()
+            readiness = self._readiness = self._watched(transport)
             while not self._stop.is_set():
                 if self._broken:
                     return self._broken
-                data = transport.read()
-                if data:
-                    self._user.received(data)
-                self._user.tick(time.monotonic())
+                turns = self._turns
+                is_ready = readiness is None or readiness.wait(TICK_SECONDS)
+                self._is_wanted = True
+                with self._reading:
+                    self._is_wanted = False
+                    # Who had a turn meanwhile may have read it.
+                    if readiness is not None and turns != self._turns:
+                        is_ready = readiness.wait(0)
+                    if is_ready:
+                        data = transport.read()
+                        if data:
+                            self._user.received(data)
+                    self._user.tick(time.monotonic())
         except BridgeError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - a replaced transport may raise anything
             _log.warning("line %s", self.name, exc_info=True)
             return f"{type(error).__name__}: {error}"
         finally:
-            with self._sending:
+            with self._reading, self._sending:
                 self._transport = None
+                readiness, self._readiness = self._readiness, None
+            if readiness is not None:
+                readiness.close()
             if transport is not None:
                 transport.close()
         return "closed"

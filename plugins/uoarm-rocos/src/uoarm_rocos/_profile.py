@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -33,6 +34,7 @@ from uoarm_rocos._talk import Talk, Wire
 
 __all__ = ["Changed", "ProfileDevice", "Timing"]
 
+_MOST_UNSAID = 1000
 Changed = Callable[[Health, str, "dict[str, str]"], None]
 
 
@@ -57,6 +59,9 @@ class ProfileDevice(Device):
     The line's thread reads, checks and answers heartbeats; a second one delivers, so that a
     receiver may call through the same device.
 
+    Attributes:
+        is_prompt: whether a call ends in its time whatever the line does.
+
     Args:
         name: for threads and errors.
         wire: the replaceable parts: transport, framer, codec.
@@ -74,6 +79,7 @@ class ProfileDevice(Device):
         changed: Changed,
     ) -> None:
         self.name = name
+        self.is_prompt = wire.prompt
         self._timing = timing
         self._changed = changed
         self._known = catalogue
@@ -85,9 +91,10 @@ class ProfileDevice(Device):
         self._answers = Answers(name)
         self._flows: set[ProfileFlow] = set()
         self._by_id: dict[int, ProfileFlow] = {}
+        self._unsaid: deque[int] = deque(maxlen=_MOST_UNSAID)
         self._courier = Courier(f"{name}-deliver")
         self._talk = Talk(wire, catalogue, self)
-        self._line = Line(name, wire.transport, self._talk, timing.backoff)
+        self._line = Line(name, wire.transport, self._talk, timing.backoff, is_shared=wire.prompt)
         self._talk.line = self._line
         self._line.start()
 
@@ -108,10 +115,19 @@ class ProfileDevice(Device):
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(api)
         what = f"calling {api.name} of {self.name}"
-        answer, identity = self._ask(what, lambda seq, number: Call(seq, number, api.name, values))
-        if not answer.wait(max(0.0, end - time.monotonic())):
-            self._answers.forget(identity)
-            self._say_close(identity)
+        identity = self._talk.ids.next()
+        answer = self._answers.expect(identity, what)
+        is_answered = False
+        try:
+            self._send_call(lambda seq: Call(seq, identity, api.name, values), answer, end)
+            is_answered = answer.wait(max(0.0, end - time.monotonic()))
+        except BridgeError:
+            self._answers.forget(identity)  # nothing was sent
+            raise
+        finally:  # also where the caller's thread is interrupted
+            if not is_answered and self._answers.forget(identity):
+                self._say_close(identity, 0.0 if self.is_prompt else None)
+        if not is_answered:
             raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s; it was given up")
         return fit(api.output, answer.value(), f"result of {api.name}")
 
@@ -182,6 +198,7 @@ class ProfileDevice(Device):
             self._ready, self._cause = False, cause
             flows = list(self._flows)
             self._by_id.clear()
+        self._unsaid.clear()
         self._answers.fail(LineError(f"the line to {self.name} was lost: {cause}"))
         news = self._outage.news(time.monotonic())
         if news is None:
@@ -194,6 +211,8 @@ class ProfileDevice(Device):
 
     def on_tick(self, now: float) -> None:
         """Look at the clock; from the line's thread."""
+        while self._unsaid:
+            self._say_close(self._unsaid.popleft())
         for flow in list(self._by_id.values()):
             flow.tick(now)
 
@@ -215,30 +234,51 @@ class ProfileDevice(Device):
             text = f"{self.name} has another catalogue than the one that was checked: {found}"
             raise BridgeError(text, FailureReason.CONTRACT)
 
-    def _ask(
-        self, what: str, build: Callable[[int, int], WireMessage], flow: ProfileFlow | None = None
-    ) -> tuple[Answer, int]:
+    def _send_call(self, build: Callable[[int], WireMessage], answer: Answer, end: float) -> None:
+        """Send a question; over a prompt line read the answer as well, if nobody else reads."""
+        if not self.is_prompt:
+            self._talk.send(build)
+        elif not self._send_in_turn(build, answer, end):
+            self._talk.send(build, end - time.monotonic())
+
+    def _send_in_turn(
+        self, build: Callable[[int], WireMessage], answer: Answer, end: float
+    ) -> bool:
+        """Send a question and read the answer, where nobody else reads or sends just now."""
+        if not self._line.begin_turn():
+            return False
+        try:
+            # Waiting for another sender would keep everybody from reading.
+            self._talk.send(build, 0.0)
+        except BridgeTimeoutError:
+            return False
+        else:
+            self._line.read_for(answer.is_given, end)
+            return True
+        finally:
+            self._line.end_turn()
+
+    def _ask_for(self, flow: ProfileFlow, what: str) -> Answer:
         identity = self._talk.ids.next()
         answer = self._answers.expect(identity, what)
-        if flow is not None:
-            with self._state:
-                self._flows.add(flow)
-                self._by_id[identity], flow.id = flow, identity
+        with self._state:
+            self._flows.add(flow)
+            self._by_id[identity], flow.id = flow, identity
+        api, way = flow.api.name, flow.direction
         try:
-            self._talk.send(lambda seq: build(seq, identity))
+            self._talk.send(lambda seq: Open(seq, identity, api, way))
         except BridgeError:
             self._answers.forget(identity)
             raise
-        return answer, identity
+        return answer
 
     def _open(self, flow: ProfileFlow, timeout: float) -> None:
         end = time.monotonic() + timeout
         self._await_ready(min(timeout, self._timing.wait))
         self._check_same(flow.api)
-        api, way = flow.api.name, flow.direction
-        what = f"opening {way.value} {api} of {self.name}"
+        what = f"opening {flow.direction.value} {flow.api.name} of {self.name}"
         try:
-            answer, _ = self._ask(what, lambda seq, number: Open(seq, number, api, way), flow)
+            answer = self._ask_for(flow, what)
             if not answer.wait(max(0.0, end - time.monotonic())):
                 raise BridgeTimeoutError(f"{what}: no answer within {timeout:g} s")
             answer.value()
@@ -271,9 +311,11 @@ class ProfileDevice(Device):
         if known is not None:
             self._say_close(flow.id)
 
-    def _say_close(self, identity: int) -> None:
+    def _say_close(self, identity: int, within: float | None = None) -> None:
         try:
-            self._talk.send(lambda seq: Close(seq, identity))
+            self._talk.send(lambda seq: Close(seq, identity), within)
+        except BridgeTimeoutError:
+            self._unsaid.append(identity)  # the line's thread says it
         except BridgeError:
             return  # the line is gone, and every conversation with it
 

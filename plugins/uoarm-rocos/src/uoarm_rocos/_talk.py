@@ -9,6 +9,7 @@ from typing import Protocol
 
 from attrs import frozen
 
+from uoarm.errors import BridgeError, BridgeTimeoutError
 from uoarm_rocos._catalogue import Catalogue
 from uoarm_rocos._codec import Codec
 from uoarm_rocos._errors import LineError, WireError
@@ -27,11 +28,17 @@ _WRAP = 2**32
 
 @frozen
 class Wire:
-    """The replaceable parts of a line: makers of what carries, frames and codes messages."""
+    """The replaceable parts of a line: makers of what carries, frames and codes messages.
+
+    Attributes:
+        prompt: whether nothing of them ever waits but `open`, `read` and `write` of the transport,
+            which then has `write_now` as well: calls are made in the caller's own thread.
+    """
 
     transport: Callable[[], Transport]
     framer: Callable[[], Framer]
     codec: Codec
+    prompt: bool = False
 
 
 class Listener(Protocol):
@@ -75,18 +82,36 @@ class Talk:
         self._refused = 0
         self._lost_before = 0
 
-    def send(self, build: Callable[[int], WireMessage]) -> None:
+    def send(self, build: Callable[[int], WireMessage], within: float | None = None) -> None:
         """Number and send a message; any thread.
+
+        Args:
+            build: makes the message of its number.
+            within: seconds to wait at most, over a prompt line; None: as long as the line does.
 
         Raises:
             LineError: the line is not open.
             WireError: the message cannot be written; nothing was sent.
+            BridgeTimeoutError: the line was busy all the time; nothing was sent.
         """
-        with self._sending:
-            data = self._wire.codec.write(build(self._seq))
-            self.line.send(self._framer.frame(data))
-            self._seq = (self._seq + 1) % _WRAP
+        end = 0.0 if within is None else time.monotonic() + within
+        if not self._sending.acquire(timeout=-1 if within is None else max(0.0, within)):
+            raise BridgeTimeoutError(f"{self.line.name} took nothing within {within:g} s")
+        try:
+            seq = self._seq
+            frame = self._framer.frame(self._wire.codec.write(build(seq)))
+            self._seq = (seq + 1) % _WRAP  # before, so that no number is ever there twice
+            try:
+                if within is None:
+                    self.line.send(frame)
+                else:
+                    self.line.send_within(frame, max(0.0, end - time.monotonic()))
+            except BridgeError:
+                self._seq = seq
+                raise
             self._watch.sent = time.monotonic()
+        finally:
+            self._sending.release()
 
     def facts(self) -> dict[str, object]:
         """Return counters: messages lost on the way, frames damaged, messages refused."""

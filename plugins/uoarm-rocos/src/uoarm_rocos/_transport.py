@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 
 import serial
 from attrs import frozen
@@ -61,6 +62,20 @@ class Transport(ABC):
             LineError: the line is gone, or the device takes nothing. It must then be closed.
         """
 
+    def descriptor(self) -> int | None:
+        """Return what epoll can watch for octets to read; None: `read` alone can wait for them."""
+        return None
+
+    def write_now(self, data: bytes) -> int:
+        """Send as many octets as the line takes at once, waiting for nothing; return how many.
+
+        For a transport of a `Wire` that is `prompt`; called where `write` might be.
+
+        Raises:
+            LineError: the line is gone.
+        """
+        raise NotImplementedError
+
     @abstractmethod
     def close(self) -> None:
         """Let go of the line; never raises, also after a failed `open`."""
@@ -100,6 +115,16 @@ class TcpTransport(Transport):
         assert self._writer is not None
         with _told("writing to TCP"):
             self._writer.sendall(data)
+
+    def descriptor(self) -> int | None:
+        """Return the socket's."""
+        assert self._reader is not None
+        return self._reader.fileno()
+
+    def write_now(self, data: bytes) -> int:
+        """Send as many octets as the connection takes at once."""
+        assert self._writer is not None
+        return _write_now(self._writer.fileno(), data, "writing to TCP")
 
     def close(self) -> None:
         """Close the connection; a `write` under way ends."""
@@ -152,6 +177,18 @@ class SerialTransport(Transport):
         with _told(f"writing to {self._url}"):
             self._port.write(data)
 
+    def descriptor(self) -> int | None:
+        """Return the port's; None where it has none."""
+        try:
+            return int(self._port.fileno()) if self._port is not None else None
+        except (AttributeError, OSError):
+            return None
+
+    def write_now(self, data: bytes) -> int:
+        """Send as many octets as the port takes at once; on POSIX, to a port of this machine."""
+        assert self._port is not None
+        return _write_now(self._port.fileno(), data, f"writing to {self._url}")
+
     def close(self) -> None:
         """Close the port."""
         if self._port is not None:
@@ -173,10 +210,29 @@ def transport_for(url: str, settings: LineSettings) -> Callable[[], Transport]:
     return lambda: TcpTransport(host.strip("[]"), int(port))
 
 
-@contextmanager
-def _told(what: str) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, ValueError, TypeError, NotImplementedError) as error:
+def _write_now(descriptor: int, data: bytes, what: str) -> int:
+    """Write to what was made non-blocking: sockets with a limit are, and the ports of pyserial."""
+    with _told(what):
+        try:
+            return os.write(descriptor, data)
+        except BlockingIOError:
+            return 0
+
+
+class _told:  # noqa: N801 - read as a block's beginning, as those of contextlib are
+    """Turns what a line raises into a LineError; a class, since each read and write enters one."""
+
+    __slots__ = ("_what",)
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> None:
         # pyserial raises TypeError when the port is closed under a read.
-        raise LineError(f"{what}: {type(error).__name__}: {error}") from error
+        if isinstance(error, OSError | ValueError | TypeError | NotImplementedError):
+            raise LineError(f"{self._what}: {type(error).__name__}: {error}") from error

@@ -120,6 +120,7 @@ class TcpEnd(End):
     def __init__(self, port: int = 0) -> None:
         self._server = socket.create_server(("127.0.0.1", port))
         self._host: socket.socket | None = None
+        self._writer: socket.socket | None = None  # the same connection, with a limit of its own
         self.where = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def meet(self, timeout: float) -> bool:
@@ -130,18 +131,23 @@ class TcpEnd(End):
             return False
         self._host = self._server.accept()[0]
         self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._host.settimeout(_WRITE_SECONDS)
+        self._writer = self._host.dup()
+        self._writer.settimeout(_WRITE_SECONDS)
         return True
 
     def read(self, timeout: float) -> bytes | None:
         """Return what came."""
         if self._host is None:
             return None
-        if not select.select([self._host], [], [], timeout)[0]:
-            return b""
+        if self._host.gettimeout() != timeout:
+            self._host.settimeout(timeout)
         data = b""
-        with suppress(OSError):
+        try:
             data = self._host.recv(_MOST)
+        except TimeoutError:
+            return b""
+        except OSError:
+            pass  # the host is gone
         if not data:
             self.cut()
             return None
@@ -149,17 +155,18 @@ class TcpEnd(End):
 
     def write(self, data: bytes) -> None:
         """Send octets; a host that does not take them is cut off."""
-        if self._host is not None:
+        if self._writer is not None:
             try:
-                self._host.sendall(data)
+                self._writer.sendall(data)
             except OSError:
                 self.cut()
 
     def cut(self) -> None:
         """Close the host's connection."""
-        if self._host is not None:
-            self._host.close()
-            self._host = None
+        for one in (self._host, self._writer):
+            if one is not None:
+                one.close()
+        self._host = self._writer = None
 
     def close(self) -> None:
         """Close everything."""
