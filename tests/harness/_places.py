@@ -9,7 +9,7 @@ import signal
 import tempfile
 from pathlib import Path
 
-__all__ = ["isolate"]
+__all__ = ["isolate", "unmeasured"]
 
 # What finds programs, certificates and package indexes, and what is said to the tests themselves.
 _KEPT = {
@@ -49,6 +49,14 @@ _FROM_HOME = {
     "NPM_CONFIG_CACHE": ".npm",
     "NPM_CONFIG_USERCONFIG": ".npmrc",
 }
+
+
+def unmeasured() -> dict[str, str]:
+    """Return the environment for a process whose coverage is not measured.
+
+    For one that has no room for that: on the disk, or on its stack.
+    """
+    return {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
 
 
 def isolate() -> None:

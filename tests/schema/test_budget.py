@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.harness._places import unmeasured
 from tests.schema._hostile import HOSTILE, chain, choices, rows
 from tests.schema._reference import Reference
 
@@ -283,7 +284,8 @@ def test_neither_memory_nor_the_stack_runs_out(code: str) -> None:
     """In a process that may grow by 256 MB, and in one whose stack has room for sixty frames."""
     root = Path(__file__).parents[2]
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False
-    )
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False,
+        env=unmeasured(),
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2_000:]
     assert done.stdout == ""
