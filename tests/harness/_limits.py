@@ -1,7 +1,8 @@
-"""Limits after which a client and a server take each other for gone, or a proof is given up.
+"""Limits after which two ends take each other for gone, or what is under way is given up.
 
-Those are for networks and for hostile structures. In tests both ends are here, structures are
-small, and what is late is only starved; a test about being late states its limit.
+Those are for networks, for frameworks that hang and for hostile structures. In tests both ends are
+here, structures are small, and what is late is only starved; a test about being late states its
+limit.
 """
 
 from __future__ import annotations
@@ -9,14 +10,20 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 __all__ = ["lengthen"]
 
 _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
-    "uoarm._adapt._edge": {"check_edge": ("seconds",)},
+    "uoarm._adapt._edge": {"check_edge": ("seconds", "suggest_seconds")},
+    "uoarm._host.process.settings": {"HostSettings": ("silence", "start")},
     "uoarm._host.transport.zenoh_transport": {"Transport": ("timeout", "lease")},
-    "uoarm.client": {"connect": ("timeout",), "trust_fingerprint": ("timeout",)},
+    "uoarm.client": {
+        "connect": ("timeout",),
+        "trust_fingerprint": ("timeout",),
+        "Client.call": ("timeout",),
+    },
     "uoarm.server": {
         "Limits": (
             "handshake_seconds",
@@ -31,10 +38,30 @@ _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 # Of what nobody calls with a limit.
 _CONSTANTS = {
-    "uoarm._resolve._proofs": ("_PAIR_SECONDS",),
+    "uoarm._control.bridges.bridge_set": ("_START_SECONDS",),
+    "uoarm._control.discovery.candidate_watch": ("_ASK_SECONDS", "_GRACE_SECONDS"),
+    "uoarm._control.live.application_ports": ("_LAST_SECONDS",),
+    "uoarm._control.live.component": ("_STOP_SECONDS",),
+    "uoarm._control.offers.offered_function": ("_OPEN_SECONDS", "_DESCRIBE_SECONDS"),
+    "uoarm._hints.applications": ("_SECONDS",),
+    "uoarm._host.process.process_connection": ("_LEASE_SECONDS",),
+    "uoarm._host.remote_bridge": ("_BLOCKING_SECONDS", "_PROMPT_SECONDS"),
     "uoarm._host.transport.zenoh_transport": ("_FULL_SECONDS",),
+    "uoarm._host.xmlrpc_server": ("_DESCRIBE_SECONDS", "_REQUEST_SECONDS", "_CONNECTION_SECONDS"),
+    "uoarm._renewal": ("_LAST_SECONDS",),
+    "uoarm._resolve._catalogue": ("_DESCRIBE_SECONDS",),
+    "uoarm._resolve._proofs": ("_PAIR_SECONDS", "_ROUND_SECONDS", "_SUGGEST_SECONDS"),
+    "uoarm._resolve._search": ("_CHECK_SECONDS",),
+    "uoarm.bridge._channel": ("_LAST_SECONDS",),
+    "uoarm.bridge._watchdog": ("_LAST_SECONDS",),
+    "uoarm.cli._configured": ("_SECONDS",),
+    "uoarm.config._plugins": ("_PARAMETER_SECONDS",),
     "uoarm.config._suggestion": ("_PAIR_SECONDS",),
+    "uoarm.environments._doctor": ("_SECONDS",),
+    "uoarm.local._bridge": ("_HANDLER_SECONDS",),
     "uoarm.server._running": ("_START_SECONDS",),
+    "uoarm.server.session._discoveries": ("_ASK_SECONDS", "_GRACE_SECONDS"),
+    "uoarm.server.streams._known_structures": ("_WAIT_SECONDS",),
     "uoarm_mqtt._link": ("_STEP_SECONDS", "_CONNECT_SECONDS", "_GOODBYE_SECONDS"),
     "uoarm_rocos._bridge": ("_OPEN_SECONDS",),
     "uoarm_rocos._line": ("_OPEN_SECONDS",),
@@ -56,7 +83,7 @@ def lengthen(seconds: float) -> None:
         if (found := sys.modules.get(module)) is None:
             continue
         for name, limits in calls.items():
-            called = inspect.unwrap(getattr(found, name))
+            called = inspect.unwrap(attrgetter(name)(found))
             for limit in limits:
                 _set_default(called.__init__ if inspect.isclass(called) else called, limit, seconds)
 

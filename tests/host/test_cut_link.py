@@ -16,7 +16,7 @@ from uoarm import RobotManager
 from uoarm.model import ConnectionState, Health, QueuePolicy, StatusEvent
 from uoarm.testing import free_port, patience, slowness, wait
 
-SILENCE = 3 * slowness()
+SILENCE = 10 * slowness()  # no end is starved for so long before the cable is cut
 
 
 def _ip(*words: str, check: bool = True) -> subprocess.CompletedProcess[str]:

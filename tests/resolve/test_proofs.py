@@ -75,7 +75,7 @@ def test_nor_is_a_map_given_up_for_want_of_time(
 
 def test_what_was_decided_stays_so_when_no_time_is_left(proofs: Proofs, clock: ManualClock) -> None:
     refused = proofs.refusal(LARGE, SMALL)
-    clock.advance(100.0)
+    clock.advance(_proofs._ROUND_SECONDS + 1)
     assert proofs.refusal(SMALL, LARGE) == "it was not compared yet, for want of time"
     assert proofs.unjudged == 1
     assert proofs.refusal(LARGE, SMALL) == refused != ""

@@ -10,7 +10,7 @@ from attrs import frozen
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._resolve import NoPlanError, Resolver, Structures, Unavailable
+from uoarm._resolve import NoPlanError, Resolver, Structures, Unavailable, _search
 from uoarm.errors import ResolutionError
 from uoarm.model import (
     Component,
@@ -315,7 +315,10 @@ class Heavy(World):
         return Verdict(compatible=True)
 
 
-def test_checks_that_take_too_long_are_given_up_and_the_edge_is_named() -> None:
+def test_checks_that_take_too_long_are_given_up_and_the_edge_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(_search, "_CHECK_SECONDS", 30.0)
     functions = {
         f"f{n}": Function(f"f{n}", (component(f"f{n}", 0, (f"f{n + 1}",) if n < 49 else ()),))
         for n in range(50)

@@ -20,7 +20,7 @@ import pytest
 from tests.server.robot import CONFIGURATION
 from tests.server.talk import Talk, eventually
 from tests.server.test_serving import ROOT
-from websockets.exceptions import InvalidHandshake
+from websockets.exceptions import WebSocketException
 
 from uoarm import RobotManager
 from uoarm.server import Server, Settings
@@ -66,7 +66,7 @@ def test_half_open_sockets_beyond_all_descriptors_are_told_once_and_outlived(
             try:
                 with Talk(f"ws://127.0.0.1:{port}/") as client:
                     return bool(client.ask("List"))
-            except (OSError, EOFError, InvalidHandshake):
+            except (OSError, EOFError, WebSocketException):
                 return False
 
         eventually(comes_in, "a client comes in again")

@@ -41,8 +41,9 @@ __all__ = ["BUGS", "RULED_OUT", "BadWorld", "Bug", "table"]
 class BadWorld(MemoryWorld):
     """A world whose bridges have one bug; what hangs in them ends with the world."""
 
-    def __init__(self, spoil: Spoil) -> None:
+    def __init__(self, spoil: Spoil, patience: float) -> None:
         super().__init__()
+        self._patience = patience
         self.spoil = spoil
         self.ended = threading.Event()
         self.leaks: list[tuple[int, int]] = []
@@ -56,7 +57,7 @@ class BadWorld(MemoryWorld):
     @property
     def patience(self) -> float:
         """Short, since most bugs show in that nothing comes."""
-        return 0.3
+        return self._patience
 
     def registry(self) -> Registry:
         made = Registry([])

@@ -14,7 +14,7 @@ class Value(TypedDict):
 
 
 def until_killed(killed: str) -> Iterator[Value]:
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 600.0
     pause = threading.Event()
     while time.monotonic() < deadline:
         if Path(killed).exists():
