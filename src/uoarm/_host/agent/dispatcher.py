@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
+from functools import lru_cache
 from threading import Event
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from uoarm._host.agent.flows import OpenFlows
 from uoarm._host.transport import keys
+from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import Ending
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounters
@@ -25,6 +27,9 @@ __all__ = ["RequestDispatcher"]
 _log = logging.getLogger("uoarm")
 
 Request = Mapping[str, Any]
+T = TypeVar("T")
+_REMEMBERED = 256  # 1 MiB of what was written at most, and what was read of it
+_REMEMBERED_OCTETS = 4096
 
 
 class RequestDispatcher:
@@ -127,7 +132,7 @@ class RequestDispatcher:
         }
 
     def _describe(self, request: Request) -> Any:
-        endpoint = from_json(request["endpoint"], Endpoint)
+        endpoint = _read(request["endpoint"], Endpoint)
         return to_json(self._bridge.describe(endpoint, timeout=ANSWER_SECONDS))
 
     def _discover(self, request: Request) -> Any:
@@ -152,14 +157,14 @@ class RequestDispatcher:
         return to_json(sink.default_queue) if sink.blocking else None
 
     def _call(self, request: Request) -> Message:
-        endpoint = from_json(request["endpoint"], Endpoint)
-        structures = from_json(request["structures"], ServiceStructures)
+        endpoint = _read(request["endpoint"], Endpoint)
+        structures = _read(request["structures"], ServiceStructures)
         message, limit, number = request["message"], request["timeout"], request["call"]
         return self._bridge.call(endpoint, message, structures, timeout=limit, number=number)
 
     def _serve(self, request: Request) -> None:
-        endpoint = from_json(request["endpoint"], Endpoint)
-        structures = from_json(request["structures"], ServiceStructures)
+        endpoint = _read(request["endpoint"], Endpoint)
+        structures = _read(request["structures"], ServiceStructures)
         key = keys.service(request["flow"])
 
         def handle(message: Message) -> Message:
@@ -169,8 +174,8 @@ class RequestDispatcher:
         self._flows.plain(request["flow"], channel)
 
     def _native_link(self, request: Request) -> bool:
-        source = from_json(request["source"], Endpoint)
-        sink = from_json(request["sink"], Endpoint)
+        source = _read(request["source"], Endpoint)
+        sink = _read(request["sink"], Endpoint)
         channel = self._bridge.link(source, sink, timeout=ANSWER_SECONDS)
         if channel is not None:
             self._flows.plain(request["flow"], channel)
@@ -226,5 +231,22 @@ class RequestDispatcher:
 
 
 def _port(request: Request) -> tuple[Endpoint, MessageStructure]:
-    endpoint = from_json(request["endpoint"], Endpoint)
-    return endpoint, from_json(request["structure"], MessageStructure)
+    endpoint = _read(request["endpoint"], Endpoint)
+    return endpoint, _read(request["structure"], MessageStructure)
+
+
+def _read(data: Any, kind: type[T]) -> T:
+    """Return what `from_json` returns; of what came before, the very same value.
+
+    A manager asks for the same few ports and services again and again.
+    """
+    written = pack(data)
+    if len(written) > _REMEMBERED_OCTETS:
+        return from_json(data, kind)
+    found: T = _read_once(written, cast("Hashable", kind))
+    return found
+
+
+@lru_cache(_REMEMBERED)
+def _read_once(written: bytes, kind: Any) -> Any:
+    return from_json(unpack(written), kind)

@@ -1,0 +1,48 @@
+"""What a host reads of its manager's requests is as it was written, and read once only."""
+
+from __future__ import annotations
+
+import pytest
+
+from uoarm._host.agent.dispatcher import _read
+from uoarm.bridge import ServiceStructures
+from uoarm.model import Endpoint, MessageStructure, Role, from_json, to_json
+
+
+def endpoint(**options: object) -> Endpoint:
+    return Endpoint("far", "arm", Role.INPUT, ("topic", "name"), options=options)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        endpoint(depth=3),
+        MessageStructure({"type": "object", "properties": {"x": {"type": "number"}}}),
+        ServiceStructures(MessageStructure({"type": "integer"}), MessageStructure(True)),
+    ],
+)
+def test_what_came_before_is_the_very_same_value(value: object) -> None:
+    kind = type(value)
+    first = _read(to_json(value), kind)
+    assert first == value == from_json(to_json(value), kind)
+    assert _read(to_json(value), kind) is first
+
+
+def test_what_is_equal_in_python_but_not_in_json_is_not_confused() -> None:
+    options: list[object] = [1, 1.0, True]
+    read = [_read(to_json(endpoint(depth=one)), Endpoint).options["depth"] for one in options]
+    assert [type(one) for one in read] == [int, float, bool]
+
+
+def test_the_same_data_of_another_kind_is_another_value() -> None:
+    data = to_json(MessageStructure(True))
+    assert isinstance(_read(data, MessageStructure), MessageStructure)
+    with pytest.raises(ValueError, match="Endpoint"):
+        _read(data, Endpoint)
+
+
+def test_what_is_large_is_not_kept() -> None:
+    large = to_json(endpoint(words="word " * 1000))
+    first = _read(large, Endpoint)
+    assert _read(large, Endpoint) == first
+    assert _read(large, Endpoint) is not first
