@@ -65,6 +65,12 @@ class RosWorld(World):
     def missing(self) -> Endpoint:
         return at(Role.OUTPUT, "/nowhere", "std_msgs/msg/Int64")
 
+    def await_receivers(self, kind: str, count: int) -> None:
+        """DDS tells a writer of its readers, and a reader nothing of what its writers know."""
+        if kind == "echoed":
+            told = self._lasting.do("subscriptions", topic="/echoed", expected=count)
+            assert told["count"] == count
+
     def carried(self, kind: str, message: Message) -> Message:
         return rounded(KINDS[kind], message)
 

@@ -231,6 +231,7 @@ class Doer:
         """
         everything = profile(history="keep_all")
         publisher = self.node.create_publisher(PoseStamped, go, everything)
+        self.publishers[go] = publisher
 
         def pass_on(message: Any) -> None:
             deadline = time.monotonic() + PATIENCE

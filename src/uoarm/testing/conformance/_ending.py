@@ -50,6 +50,7 @@ class Ending:
         self, world: World, bridge: Bridge, kind: str
     ) -> None:
         with line(world, bridge, kind) as closing, line(world, bridge, kind) as witness:
+            world.await_receivers(kind, 2)
             message = witness.example()
             witness.send(message)
             for each in (closing, witness):
@@ -71,6 +72,7 @@ class Ending:
         with line(world, bridge, kind) as through:
             structure = structure_of(bridge, pair, incoming=False)
             channels.append(bridge.open_source(pair.source, structure, close))
+            world.await_receivers(kind, 2)
             through.carries(through.example())
             assert done.wait(world.patience), "closing from within a delivery did not return"
             through.carries(through.example())

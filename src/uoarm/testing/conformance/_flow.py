@@ -136,6 +136,7 @@ class Flow:
 
     def test_two_receivers_get_the_same(self, world: World, bridge: Bridge, kind: str) -> None:
         with line(world, bridge, kind) as first, line(world, bridge, kind) as second:
+            world.await_receivers(kind, 2)
             first.send(first.example())
             for receiver in (first, second):
                 receiver.collector.wait(1, world.patience)

@@ -99,6 +99,13 @@ class World(ABC):
     def missing(self) -> Endpoint:
         """Return a well-formed output endpoint that is not there."""
 
+    def await_receivers(self, kind: str, count: int) -> None:  # noqa: B027 - mostly they are reached
+        """Return once what comes out at a pair's source reaches so many receivers.
+
+        Override where a part of this world, such as a node in another process, sends it on and
+        learns of a receiver in its own time, of which nobody tells the bridge.
+        """
+
     def carried(self, kind: str, message: Message) -> Message:
         """Return what should come out for a message; override where the framework rounds."""
         del kind
