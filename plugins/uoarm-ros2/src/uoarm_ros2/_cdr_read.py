@@ -198,10 +198,10 @@ def _numbers(scalar: Scalar, order: str, *, fixed: bool) -> Callable[[bytes, int
     code = CODES[scalar.name]
     if scalar.name == "uint8":
         return lambda octets, start, end: memoryview(octets)[start:end]
+    swapped = (order == "<") is not (array("H", b"\1\0")[0] == 1)
     if fixed:
-        dtype = np.dtype(scalar.name)
-        return partial(_fixed, np.dtype(order + dtype.str[1:]), dtype)
-    return partial(_sequence, code, (order == "<") is not (array("H", b"\1\0")[0] == 1))
+        return partial(_fixed, np.dtype(scalar.name), swapped)
+    return partial(_sequence, code, swapped)
 
 
 def _wide_text(order: str, octets: bytes, start: int, end: int) -> str:
@@ -210,10 +210,14 @@ def _wide_text(order: str, octets: bytes, start: int, end: int) -> str:
     return units.astype("<u2").tobytes().decode("utf-16-le", "replace")
 
 
-def _fixed(
-    wire: np.dtype[Any], native: np.dtype[Any], octets: bytes, start: int, end: int
-) -> Message:
-    return np.frombuffer(octets, wire, (end - start) // wire.itemsize, start).astype(native)
+def _fixed(dtype: np.dtype[Any], swapped: bool, octets: bytes, start: int, end: int) -> Message:  # noqa: FBT001 - bound beforehand
+    if end > len(octets):
+        raise ValueError("cut short")
+    # Over octets of its own an array is made by one call of numpy; a copy of a view takes two.
+    numbers: np.ndarray[Any, Any] = np.ndarray(
+        (end - start) // dtype.itemsize, dtype, bytearray(octets[start:end])
+    )
+    return numbers.byteswap() if swapped else numbers
 
 
 def _sequence(code: str, swapped: bool, octets: bytes, start: int, end: int) -> Message:  # noqa: FBT001 - bound beforehand
