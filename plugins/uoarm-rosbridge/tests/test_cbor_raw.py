@@ -113,6 +113,29 @@ def test_alignment_is_counted_from_after_the_header() -> None:
     assert serialiser(structure(**kinds))(message) == HEADER + expected
 
 
+def test_what_is_packed_together_is_aligned_as_one_by_one() -> None:
+    """Across records, after what has no fixed length, and after arrays that have one."""
+    wide, short = {"type": "number"}, {"type": "integer", "x-native-type": "int16"}
+    pair = structure(short=short, wide=wide).schema
+    kinds = {
+        "first": BYTE,
+        "pair": pair,
+        "nothing": structure().schema,
+        "both": numbers("int16", minItems=2, maxItems=2),
+        "behind": wide,
+        "pairs": {"type": "array", "items": pair},
+        'it\'s "{0}"\n': short,
+    }
+    two = {"short": 2, "wide": 2.5}
+    message = {
+        "first": 1, "pair": two, "nothing": {}, "both": [3, 4], "behind": 6.5,
+        "pairs": [two, two], "it's \"{0}\"\n": 7,
+    }  # fmt: skip
+    expected = struct.pack("=Bxh4xd", 1, 2, 2.5) + struct.pack("=Bx2hxxd", 0, 3, 4, 6.5)
+    expected += struct.pack("=Ihxxdh6xdh", 2, 2, 2.5, 2, 2.5, 7)
+    assert serialiser(structure(**kinds))(message) == HEADER + expected
+
+
 def test_fields_keep_their_order_on_the_way_from_a_host() -> None:
     made = structure(zebra=BYTE, ape={"type": "boolean"})
     sent = json.dumps(to_json(made))

@@ -1,7 +1,8 @@
 """Messages as ROS 2 serialises them: CDR, version 1 of its plain encoding, in this machine's order.
 
-The layout is read from a structure once, by the same rules by which rosapi describes the type. An
-octet string as in an image is copied once. Source: the Common Data Representation of CORBA 3.3,
+The layout is read from a structure once, by the same rules by which rosapi describes the type, and
+compiled: what is next to one another and of known size is packed with one `struct`. An octet string
+as in an image is copied once. Source: the Common Data Representation of CORBA 3.3,
 part 2, section 9.3, and the encapsulation header of DDSI-RTPS 2.3, section 10; that a text counts
 its closing zero, that a wide character takes four octets and that a type without fields has one
 octet of zero is what Fast CDR and rosidl do.
@@ -13,6 +14,7 @@ import struct
 import sys
 from array import array
 from collections.abc import Callable, Mapping
+from itertools import count
 from typing import Any, TypeAlias
 
 from uoarm.errors import MessageError
@@ -24,6 +26,7 @@ __all__ = ["serialiser"]
 Put: TypeAlias = "Callable[[bytearray, Any], None]"
 _HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
 _MAX_DEPTH = 64
+_GREATEST = 8
 _UNFIT = (struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 _count = struct.Struct("=I").pack
 
@@ -36,7 +39,9 @@ def serialiser(structure: MessageStructure) -> Callable[[Message], bytearray]:
     Raises:
         MessageError: the structure has no fixed layout; the text names the field.
     """
-    put = _record(structure.schema, "the message", 0)
+    writing = _Writing(_GREATEST)
+    writing.record(structure.schema, "v", "the message", 0)
+    put = writing.function()
 
     def serialise(message: Message) -> bytearray:
         out = bytearray(_HEADER)
@@ -49,52 +54,98 @@ def serialiser(structure: MessageStructure) -> Callable[[Message], bytearray]:
     return serialise
 
 
-def _put(schema: object, where: str, depth: int) -> Put:
-    if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
-        raise _loose(where, "anything may stand there")
-    if schema.get("type") == "array":
-        return _listing(schema, where, depth)
-    basic = basic_type(schema)
-    if basic:
-        return _scalar(basic)
-    return _record(schema, where, depth)
+class _Writing:
+    """One function under construction: `v` is the value, `out` are the octets so far.
+
+    Of the place of the next field is known that it is `rest` more than a multiple of `modulus`.
+    """
+
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self._rest = 0
+        self._lines = ["def put(out, v):"]
+        self._constants: dict[str, Any] = {}
+        self._fresh = count()
+        self._format = ""
+        self._values: list[str] = []
+
+    def function(self) -> Put:
+        """Compile it, with what was written before."""
+        self._flush()
+        # Nothing of a structure is in the text but names of fields, each as a literal.
+        exec("\n ".join(self._lines), self._constants)  # noqa: S102 - our own text, see above
+        put: Put = self._constants["put"]
+        return put
+
+    def value(self, schema: object, place: str, where: str, depth: int) -> None:
+        """Write what puts a value of any kind; `place` is the expression for it."""
+        if not isinstance(schema, Mapping) or depth > _MAX_DEPTH:
+            raise _loose(where, "anything may stand there")
+        basic = basic_type(schema)
+        if schema.get("type") == "array":
+            self._array(schema, place, where, depth)
+        elif basic == "string":
+            self._call(_put_text, place)
+        elif basic == "wstring":
+            self._call(_put_wide_text, place)
+        elif basic:
+            self._number(BASIC[basic], place)
+        else:
+            self.record(schema, place, where, depth)
+
+    def record(self, schema: object, place: str, where: str, depth: int) -> None:
+        """Write what puts a record, whose fields are written out in place."""
+        if not isinstance(schema, Mapping) or schema.get("type") != "object":
+            raise _loose(where, "no single type is stated for it")
+        fields: Mapping[str, object] = schema.get("properties", {})
+        always = fields.keys() == set(schema.get("required", ()))
+        if not always or schema.get("additionalProperties") is not False:
+            raise _loose(where, "fields may be absent or added")
+        holder = f"r{next(self._fresh)}"
+        self._lines.append(f"{holder} = {place}")
+        for name, one in fields.items():
+            self.value(one, f"{holder}[{name!r}]", f"{where}.{name}", depth + 1)
+        if not fields:
+            self._number("B", "0")
+
+    def _array(self, schema: Mapping[str, Any], place: str, where: str, depth: int) -> None:
+        put, aligned = _listing(schema, where, depth)
+        self._call(put, place)
+        self._modulus = aligned
+
+    def _number(self, code: str, place: str) -> None:
+        """Gather a number, to be packed with those around it."""
+        size = struct.calcsize(f"={code}")
+        if self._modulus % size:
+            self._flush()
+            self._lines.append(f"{self._constant(_align)}(out, {size})")
+            self._modulus, self._rest = size, 0
+        padding = -self._rest % size
+        self._rest = (self._rest + padding + size) % self._modulus
+        self._format += "x" * padding + code
+        self._values.append(place)
+
+    def _call(self, put: Put, place: str) -> None:
+        """Have something put whose length only the message tells."""
+        self._flush()
+        self._lines.append(f"{self._constant(put)}(out, {place})")
+        self._modulus, self._rest = 1, 0
+
+    def _flush(self) -> None:
+        """Write the line that packs all numbers that were gathered."""
+        if self._format:
+            pack = self._constant(struct.Struct(f"={self._format}").pack)
+            self._lines.append(f"out += {pack}({', '.join(self._values)})")
+            self._format, self._values = "", []
+
+    def _constant(self, value: object) -> str:
+        name = f"c{len(self._constants)}"
+        self._constants[name] = value
+        return name
 
 
-def _record(schema: object, where: str, depth: int) -> Put:
-    if not isinstance(schema, Mapping) or schema.get("type") != "object":
-        raise _loose(where, "no single type is stated for it")
-    fields: Mapping[str, object] = schema.get("properties", {})
-    always = fields.keys() == set(schema.get("required", ()))
-    if not always or schema.get("additionalProperties") is not False:
-        raise _loose(where, "fields may be absent or added")
-    members = [(name, _put(one, f"{where}.{name}", depth + 1)) for name, one in fields.items()]
-
-    def put(out: bytearray, value: Any) -> None:
-        if not members:
-            out.append(0)
-        for name, member in members:
-            member(out, value[name])
-
-    return put
-
-
-def _scalar(basic: str) -> Put:
-    if basic == "string":
-        return _put_text
-    if basic == "wstring":
-        return _put_wide_text
-    pack, size = struct.Struct(f"={BASIC[basic]}").pack, struct.calcsize(f"={BASIC[basic]}")
-    if size == 1:
-        return lambda out, value: out.extend(pack(value))
-
-    def put(out: bytearray, value: Any) -> None:
-        _align(out, size)
-        out += pack(value)
-
-    return put
-
-
-def _listing(schema: Mapping[str, Any], where: str, depth: int) -> Put:
+def _listing(schema: Mapping[str, Any], where: str, depth: int) -> tuple[Put, int]:
+    """Return what puts an array, and of what number the place behind it is always a multiple."""
     items = schema.get("items")
     if not isinstance(items, Mapping) or "prefixItems" in schema or items.get("type") == "array":
         raise _loose(where, "its elements have no single type that ROS has")
@@ -104,7 +155,9 @@ def _listing(schema: Mapping[str, Any], where: str, depth: int) -> Put:
     if BASIC.get(basic):
         elements = _block(BASIC[basic])
     else:
-        elements = _each(_put(items, f"{where}[]", depth + 1))
+        writing = _Writing(1)
+        writing.value(items, "v", f"{where}[]", depth + 1)
+        elements = _each(writing.function())
 
     def put(out: bytearray, value: Any) -> None:
         if fixed is None:
@@ -115,7 +168,7 @@ def _listing(schema: Mapping[str, Any], where: str, depth: int) -> Put:
         if len(value):
             elements(out, value)
 
-    return put
+    return put, struct.calcsize(f"={BASIC[basic]}") if fixed and BASIC.get(basic) else 1
 
 
 def _each(put: Put) -> Put:
