@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import pytest
@@ -67,7 +68,19 @@ def test_a_message_has_the_kinds_of_value_that_reading_by_rclpy_gives(name: str)
     assert kinds(read) == kinds(wanted)
 
 
-@pytest.mark.parametrize("name", ["test_msgs/msg/UnboundedSequences", "test_msgs/msg/Nested"])
+def test_numbers_of_the_other_byte_order_are_read() -> None:
+    values = [float(number) for number in range(7 + 36)]
+    octets = b"\0\0\0\0" + struct.pack(">43d", *values)
+    message: Any = cdr_reader(record("geometry_msgs/msg/PoseWithCovariance"))(octets)
+    assert message["pose"]["position"] == {"x": 0.0, "y": 1.0, "z": 2.0}
+    assert message["covariance"].tolist() == values[7:]
+    assert message["covariance"].dtype.isnative
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["test_msgs/msg/UnboundedSequences", "test_msgs/msg/Nested", "sensor_msgs/msg/Imu"],
+)
 def test_what_is_cut_short_is_refused_wherever_it_is_cut(name: str) -> None:
     shape = record(name)
     octets = cdr_writer(shape)(shape.native())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -36,9 +35,8 @@ from uoarm_ros2._graph import Graph, Topic
 from uoarm_ros2._link import Relay, SameTopic
 from uoarm_ros2._managed_node import NodeAccess
 from uoarm_ros2._managed_nodes import ManagedNodes
-from uoarm_ros2._middleware import Participant, Station
+from uoarm_ros2._middleware import Participant
 from uoarm_ros2._offered_action import (
-    OfferedAction,
     OfferedCall,
     OfferedSink,
     OfferedSource,
@@ -56,6 +54,7 @@ from uoarm_ros2._settings import (
     settings_of,
 )
 from uoarm_ros2._shape import is_described, is_large, shape_of
+from uoarm_ros2._shared_ends import SharedEnds
 from uoarm_ros2._sink import TopicSink
 from uoarm_ros2._source import TopicSource
 from uoarm_ros2._type_finder import DESCRIPTION_SERVICE, TypeFinder
@@ -105,11 +104,9 @@ class Ros2Bridge(Bridge):
         resolve = self._station.topic_name
         self._managed = ManagedNodes(access, self._graph, resolve)
         self._lookups = FrameLookups(self._station, self._graph, self._types.find)
-        self._making = threading.RLock()
-        self._replies: Station | None = None
-        self._callers: dict[tuple[str, str], Caller] = {}
-        self._actions: dict[tuple[str, str], Action] = {}
-        self._offered: dict[tuple[str, str], OfferedAction] = {}
+        self._shared = SharedEnds(
+            self._station, self._graph, lambda: self._participant.station(f"{node}_replies")
+        )
         self._called: dict[Address, Caller | Action] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
@@ -166,8 +163,11 @@ class Ros2Bridge(Bridge):
         del structure  # the native type is in the address, or on the graph
         address, settings = address_of(endpoint), settings_of(endpoint)
         if address.kind == ACTION and endpoint.is_offered:
-            with self._making:
-                return OfferedSource(endpoint, self._offering(address), address.part, deliver)
+            return self._shared.with_offered(
+                self._station.service_name(address.name),
+                address.type,
+                lambda offered: OfferedSource(endpoint, offered, address.part, deliver),
+            )
         with self._managed.held(endpoint, settings) as held:
             if address.kind == ACTION:
                 action = self._reachable(address, held.settings)
@@ -181,8 +181,11 @@ class Ros2Bridge(Bridge):
         del structure
         address, settings = address_of(endpoint), settings_of(endpoint)
         if address.kind == ACTION and endpoint.is_offered:
-            with self._making:
-                return OfferedSink(endpoint, self._offering(address), address.part)
+            return self._shared.with_offered(
+                self._station.service_name(address.name),
+                address.type,
+                lambda offered: OfferedSink(endpoint, offered, address.part),
+            )
         with self._managed.held(endpoint, settings) as held:
             if address.kind == ACTION:
                 action = self._reachable(address, held.settings)
@@ -206,7 +209,7 @@ class Ros2Bridge(Bridge):
             server = self._called.get(address)
             if server is None or not server.ready():
                 action, name, type_name = self._require_server(address, held.settings, at_most=wait)
-                server = (self._action if action else self._caller)(name, type_name)
+                server = (self._shared.action if action else self._shared.caller)(name, type_name)
                 self._called[address] = server
             if isinstance(server, Action):
                 return server.call(message, timeout, wait, self.cancelling)
@@ -222,7 +225,7 @@ class Ros2Bridge(Bridge):
             raise BridgeError(text, FailureReason.UNSUPPORTED)
         name = self._station.service_name(address.name)
         kind = OfferedCall if address.kind == ACTION else Server
-        station, at_once = self._reply_station(), settings.at_once
+        station, at_once = self._shared.replies(), settings.at_once
         return kind(station, endpoint, name, address.type, handler, at_once, self._told)
 
     def _link(self, source: Endpoint, sink: Endpoint) -> Channel | None:
@@ -256,8 +259,7 @@ class Ros2Bridge(Bridge):
         self._managed.close(_LEAVE_SECONDS)
         self._lookups.close()
         self._watched.clear()
-        for offered in list(self._offered.values()):
-            offered.destroy()
+        self._shared.close()
         self._participant.close(_CLOSE_SECONDS)
 
     def _structure(self, type_name: str, topic: str) -> MessageStructure:
@@ -272,7 +274,7 @@ class Ros2Bridge(Bridge):
         return self._ask(name, DESCRIPTION_SERVICE, request, _DESCRIPTION_SECONDS)
 
     def _ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
-        return self._caller(name, type_name).call(request, seconds, seconds)
+        return self._shared.caller(name, type_name).call(request, seconds, seconds)
 
     def _listen(self, topic: str, heard: Callable[[], None]) -> Callable[[], None]:
         """Have something called, in the station's thread, when a node tells of its lifecycle."""
@@ -329,41 +331,10 @@ class Ros2Bridge(Bridge):
 
     def _reachable(self, address: Address, settings: Settings) -> Action:
         _, name, type_name = self._require_server(address, settings, action=True)
-        action = self._action(name, type_name)
+        action = self._shared.action(name, type_name)
         if settings.peer_required:
             action.wait(self._graph.limit(settings))
         return action
-
-    def _caller(self, name: str, type_name: str) -> Caller:
-        with self._making:
-            caller = self._callers.get((name, type_name))
-            if caller is None:
-                caller = Caller(self._reply_station(), self._graph, name, type_name)
-                self._callers[name, type_name] = caller
-            return caller
-
-    def _action(self, name: str, type_name: str) -> Action:
-        with self._making:
-            action = self._actions.get((name, type_name))
-            if action is None:
-                action = Action(self._reply_station(), self._graph, name, type_name)
-                self._actions[name, type_name] = action
-            return action
-
-    def _offering(self, address: Address) -> OfferedAction:
-        """Return the server of an action; goals come where topics do, so that takers may call."""
-        name = self._station.service_name(address.name)
-        offered = self._offered.get((name, address.type))
-        if offered is None:
-            offered = OfferedAction(self._station, name, address.type)
-            self._offered[name, address.type] = offered
-        return offered
-
-    def _reply_station(self) -> Station:
-        with self._making:
-            if self._replies is None:
-                self._replies = self._participant.station(f"{self._settings.node}_replies")
-            return self._replies
 
     def _told(self, channel: Channel, health: Health, cause: str) -> None:
         self.report(health, cause, channel=channel)
@@ -381,21 +352,11 @@ class Ros2Bridge(Bridge):
                 self._watched.pop(channel, None)
             else:
                 tick()
-        for action in list(self._actions.values()):
-            action.tick()
-        self._look_after_offers()
+        self._shared.tick()
         self._lookups.tick()
         self._managed.tick()
         self._graph.tick()
         self._attendance.tick()
-
-    def _look_after_offers(self) -> None:
-        for key, offered in list(self._offered.items()):
-            offered.tick()
-            with self._making:
-                if offered.is_unused:
-                    del self._offered[key]
-                    offered.destroy()
 
 
 def _serialising(
