@@ -117,5 +117,11 @@ def test_vehicles_are_discovered_with_what_they_are(broker: Broker) -> None:
 def _die(vehicle: Vehicle) -> None:
     """End its connection without a word, so that the broker publishes its last will."""
     client: Any = vehicle._broker._client
-    client.on_disconnect = lambda client, *_: client.disconnect()
+    told = client.on_disconnect
+
+    def stay_away(client: Any, *more: Any) -> None:
+        client.disconnect()
+        told(client, *more)  # its link is down: closing waits for no goodbye
+
+    client.on_disconnect = stay_away
     client.socket().shutdown(socket.SHUT_RDWR)
