@@ -82,7 +82,7 @@ def test_a_device_that_stays_away_is_lost_after_its_grace_with_the_cause() -> No
         assert lost.health is Health.LOST
         assert "refused" in lost.cause
         with pytest.raises(BridgeError, match="refused") as raised:
-            bridge.call(ECHO, {"text": "gone"})
+            bridge.call(ECHO, {"text": "gone"}, timeout=0.3)
         assert raised.value.reason is FailureReason.UNAVAILABLE
 
 
