@@ -42,6 +42,7 @@ class Base(Bridge):
         self.refuses = False
         self.in_send = threading.Event()
         self.was_closed_after: list[Message] = []
+        self.drained: list[list[Message]] = []
 
     def _open_source(
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
@@ -57,7 +58,14 @@ class Base(Bridge):
                 raise OSError("the motor does not answer")
             self.taken.append(message)
 
-        sink = Sink(endpoint, send, lambda: self.was_closed_after.extend(self.taken))
+        class Buffered(Sink):
+            """Notes what it was given by the time it is waited for."""
+
+            def drain(_, timeout: float) -> bool:  # noqa: N805 - the bridge is `self` here
+                self.drained.append(list(self.taken))
+                return True
+
+        sink = Buffered(endpoint, send, lambda: self.was_closed_after.extend(self.taken))
         sink.parallel = self.parallel
         return sink
 
@@ -173,6 +181,23 @@ def test_what_moves_is_stopped_before_it_is_closed(base: Base) -> None:
     sink.send(GO)
     sink.close()
     assert base.was_closed_after == [GO, STOP]
+
+
+@pytest.mark.parametrize("how", ["close", "hold", "halt"])
+def test_a_stop_has_arrived_before_its_input_is_closed(base: Base, how: str) -> None:
+    """Also one that was taken before the close began: it may be in a buffer of the framework."""
+    sink = base.open_sink(ENDPOINT, ANY)
+    sink.send(GO)
+    if how != "close":
+        outcome = getattr(sink, how)(patience())
+        assert outcome.phase is CommandPhase.STOPPED
+    sink.close()
+    assert base.drained == [[GO, STOP]]
+
+
+def test_an_input_that_was_told_nothing_is_closed_at_once(base: Base) -> None:
+    base.open_sink(ENDPOINT, ANY).close()
+    assert base.drained == []
 
 
 def test_a_machine_that_was_suspended_lets_no_command_through_before_its_stop() -> None:

@@ -117,20 +117,20 @@ class Watchdog:
     def close(self) -> bool:
         """Let nothing more through, and stop what moves; wait for that half a second at most.
 
-        Returns whether a stop was taken in that time.
+        Returns whether a stop was taken last, now or before: it may not have arrived yet.
         """
         with self._changed:
             self._state.close(self._clock())
-            was_moving = not self._is_at_rest()
-            if was_moving:
+            if not self._is_at_rest():
                 self._wake()
                 self._changed.wait_for(self._is_at_rest, _LAST_SECONDS)
-            was_stopped = self._is_at_rest()
+            is_at_rest = self._is_at_rest()
             self._ended = True
             self._changed.notify_all()
-        if not was_stopped:
+            was_stopped = self._state.phase is CommandPhase.STOPPED
+        if not is_at_rest:
             _log.error("%s was closed before it took its stop message", self._name)
-        return was_moving and was_stopped
+        return was_stopped
 
     def _is_at_rest(self) -> bool:
         return self._state.phase in {CommandPhase.IDLE, CommandPhase.STOPPED} or self._stop is None
