@@ -76,9 +76,7 @@ def zenoh_echo(place: str, receivers: str) -> None:
 
     from uoarm._host.transport.zenoh_transport import configuration  # noqa: PLC0415 - the same settings
 
-    session = zenoh.open(
-        configuration(place, listen=False, timeout=10, lease=10, shared_memory=False)
-    )
+    session = zenoh.open(configuration(place, listen=False, timeout=10, lease=10))
 
     def back(sample: Any) -> None:
         session.put("bench/back", sample.payload, attachment=sample.attachment)

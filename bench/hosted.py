@@ -44,7 +44,6 @@ def main() -> None:
             "bare Zenoh, a thread at either end": stack.enter_context(_zenoh("threads")),
             "in this process": stack.enter_context(_bridge(PythonBridge("far", PARTS))),
             "in a host": stack.enter_context(_bridge(_hosted())),
-            "in a host, shared memory": stack.enter_context(_bridge(_hosted(shared_memory=True))),
         }
         samples = {(name, size): list[float]() for name in trips for size in SIZES}
         for _ in range(ROUNDS):
@@ -76,9 +75,8 @@ def _end(name: str, role: Role = Role.OUTPUT) -> Endpoint:
     return Endpoint("far", name, role, (f"_hosted_parts:{name}",))
 
 
-def _hosted(*, shared_memory: bool = False) -> RemoteBridge:
-    host = {"silence": SILENCE, "shared_memory": shared_memory}
-    return RemoteBridge(BridgeSpec("far", "python", PARTS, host))
+def _hosted() -> RemoteBridge:
+    return RemoteBridge(BridgeSpec("far", "python", PARTS, {"silence": SILENCE}))
 
 
 @contextmanager
@@ -129,9 +127,7 @@ def _zenoh(receivers: str) -> Iterator[Trip]:
 
     with tempfile.TemporaryDirectory() as folder:
         place = f"unixsock-stream/{folder}/link"
-        session = zenoh.open(
-            configuration(place, listen=True, timeout=10, lease=10, shared_memory=False)
-        )
+        session = zenoh.open(configuration(place, listen=True, timeout=10, lease=10))
         back: SimpleQueue[Any] = SimpleQueue()
         ready = threading.Event()
         subscribe(session, "bench/back", back.put, receivers)

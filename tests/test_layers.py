@@ -212,6 +212,14 @@ def test_importing_uoarm_loads_no_framework_and_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_a_host_of_this_machine_loads_no_zenoh() -> None:
+    code = "import sys, uoarm._host.__main__; print('zenoh' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=patience()
+    )
+    assert done.stdout.strip() == "False"
+
+
 PLUGINS = Path(__file__).parents[1] / "plugins"
 
 

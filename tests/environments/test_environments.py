@@ -219,14 +219,14 @@ def test_the_doctor_tells_what_is_missing(tmp_path: Path, home: Path) -> None:
     good = home / "good" / "bin" / "python"
     good.unlink()
     _executable(good, f'exec {sys.executable} "$@"')
-    _executable(home / "bad" / "bin" / "python", "echo no module named zenoh >&2; exit 1")
+    _executable(home / "bad" / "bin" / "python", "echo no module named msgpack >&2; exit 1")
     (home / "bad" / "uoarm-environment.json").write_text(json.dumps({"requirements": []}))
     (home / "cut" / "bin").mkdir(parents=True)
     found = {one.name: environments.examine(one) for one in environments.listed()}
     assert found["good"].problem == ""
     assert found["good"].facts["uoarm"] == uoarm.__version__
     assert "python" in found["good"].facts["plugins"]
-    assert found["bad"].problem == "it lacks what a host needs: no module named zenoh"
+    assert found["bad"].problem == "it lacks what a host needs: no module named msgpack"
     assert "cut short" in found["cut"].problem
 
 

@@ -18,7 +18,7 @@ __all__ = ["lengthen"]
 _LIMITS: dict[str, dict[str, tuple[str, ...]]] = {
     "uoarm._adapt._edge": {"check_edge": ("seconds", "suggest_seconds")},
     "uoarm._host.process.settings": {"HostSettings": ("silence", "start")},
-    "uoarm._host.transport.zenoh_transport": {"Transport": ("timeout", "lease")},
+    "uoarm._host.transport.zenoh_transport": {"ZenohTransport": ("timeout", "lease")},
     "uoarm.client": {
         "connect": ("timeout",),
         "trust_fingerprint": ("timeout",),
@@ -44,8 +44,8 @@ _CONSTANTS = {
     "uoarm._control.live.component": ("_STOP_SECONDS",),
     "uoarm._control.offers.offered_function": ("_OPEN_SECONDS", "_DESCRIBE_SECONDS"),
     "uoarm._hints.applications": ("_SECONDS",),
-    "uoarm._host.process.process_connection": ("_LEASE_SECONDS",),
     "uoarm._host.remote_bridge": ("_BLOCKING_SECONDS", "_PROMPT_SECONDS"),
+    "uoarm._host.transport.socket_transport": ("_FULL_SECONDS", "_MUST_ARRIVE_SECONDS"),
     "uoarm._host.transport.zenoh_transport": ("_FULL_SECONDS",),
     "uoarm._host.xmlrpc_server": ("_DESCRIBE_SECONDS", "_REQUEST_SECONDS", "_CONNECTION_SECONDS"),
     "uoarm._renewal": ("_LAST_SECONDS",),

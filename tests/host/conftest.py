@@ -1,34 +1,25 @@
-"""Links over a unix socket in a folder that is short enough for one; nothing left behind."""
+"""Links of both kinds, and nothing left behind."""
 
 from __future__ import annotations
 
-import os
-import tempfile
+import socket
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from tests.host import hosted
 
 from uoarm._host import remote_bridge
-from uoarm._host.transport.zenoh_transport import Transport
-from uoarm.testing import Census, patience
-
-
-@pytest.fixture(scope="session")
-def _a_link_has_been(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Have what stays for the next link: Zenoh's own threads."""
-    hosted.bridge(tmp_path_factory.mktemp("first")).close()
+from uoarm._host.transport.socket_transport import SocketTransport
+from uoarm._host.transport.transport import Transport
+from uoarm._host.transport.zenoh_transport import ZenohTransport
+from uoarm.testing import Census, free_port, patience
 
 
 @pytest.fixture
-def nothing_is_left(_a_link_has_been: None) -> Iterator[None]:
-    """Hold that threads, descriptors, folders and processes return to where they were."""
+def nothing_is_left() -> Iterator[None]:
+    """Hold that threads, descriptors and processes return to where they were."""
     before = Census()
     yield
     before.check()
-    left = Path(tempfile.gettempdir()).glob(f"uoarm-host-{os.getpid()}-*")
-    assert not list(left)
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +30,18 @@ def unhurried() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def ends() -> Iterator[tuple[Transport, Transport]]:
-    with tempfile.TemporaryDirectory(prefix="uoarm-test-") as folder:
-        place = f"unixsock-stream/{folder}/link"
-        near = Transport(place, listen=True)
-        far = Transport(place, listen=False)
-        yield near, far
-        far.close()
-        near.close()
+@pytest.fixture(params=["socket", "zenoh"])
+def ends(request: pytest.FixtureRequest) -> Iterator[tuple[Transport, Transport]]:
+    """Both ends of a link of either kind."""
+    near: Transport
+    far: Transport
+    if request.param == "socket":
+        one, other = socket.socketpair()
+        near, far = SocketTransport(one, "near"), SocketTransport(other, "far")
+    else:
+        place = f"tcp/127.0.0.1:{free_port()}"
+        near = ZenohTransport(place, listen=True)
+        far = ZenohTransport(place, listen=False)
+    yield near, far
+    far.close()
+    near.close()

@@ -13,10 +13,12 @@ import pytest
 from tests.host.joined import Joined
 
 from uoarm._certificates import Authority
-from uoarm._host import HostAgent, Identity, MachineRegistry
+from uoarm._host import Identity
+from uoarm._host.agent.host_agent import HostAgent
+from uoarm._host.machines.registry import MachineRegistry
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import Listening
 from uoarm.testing import free_port, patience, wait
@@ -56,12 +58,12 @@ def registry(
     made.close()
 
 
-def _join(place: str, identity: Identity, timeout: float | None = None) -> Transport:
+def _join(place: str, identity: Identity, timeout: float | None = None) -> ZenohTransport:
     limit = patience() if timeout is None else timeout
-    return Transport(place, listen=False, timeout=limit, more=identity.settings(listen=False))
+    return ZenohTransport(place, listen=False, timeout=limit, more=identity.settings(listen=False))
 
 
-def _settle(registry: MachineRegistry, link: Transport, machine: str) -> None:
+def _settle(registry: MachineRegistry, link: ZenohTransport, machine: str) -> None:
     """Wait until what was declared before under a machine's own name has reached the registry."""
     bridge = f"settled{next(_numbers)}"
     link.show_alive(f"{keys.MACHINES}/{keys.here(machine, bridge, 'x')}")
@@ -96,7 +98,7 @@ def test_who_shows_no_certificate_is_refused(
 ) -> None:
     trusts = {"transport/link/tls": {"root_ca_certificate": str(folder / "ca.pem")}}
     with pytest.raises(BridgeError, match="opening the link"):
-        Transport(place, listen=False, timeout=1.0, more=trusts)
+        ZenohTransport(place, listen=False, timeout=1.0, more=trusts)
 
 
 def test_a_machine_that_pretends_to_be_another_gets_nothing_through(
@@ -159,7 +161,7 @@ def test_a_host_with_the_certificate_of_another_machine_is_not_asked_and_says_so
 
 def test_a_machine_cannot_stand_in_for_the_manager(folder: Path, place: str) -> None:
     arm = Identity.find(folder, "arm")
-    false = Transport(place, listen=True, more=arm.settings(listen=True))
+    false = ZenohTransport(place, listen=True, more=arm.settings(listen=True))
     with pytest.raises(BridgeError, match="opening the link"):
         _join(place, Identity.find(folder, "leg"), 1.0)
     false.close()

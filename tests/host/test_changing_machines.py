@@ -12,7 +12,8 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm._certificates import Authority
-from uoarm._host import HostAgent, Identity
+from uoarm._host import Identity
+from uoarm._host.agent.host_agent import HostAgent
 from uoarm.bridge import BridgeType, Registry
 from uoarm.config import loads
 from uoarm.errors import ConfigurationError

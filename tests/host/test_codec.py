@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uoarm._host.transport import codec
 from uoarm._host.transport.codec import pack, unpack
 from uoarm.errors import MessageError
 
@@ -183,9 +184,38 @@ def test_lists_are_not_made_as_long_as_they_claim(head: bytes, texts: int) -> No
 
 
 LONG = st.recursive(
-    st.integers(-(2**40), 2**40) | st.floats() | st.text() | st.binary() | st.just(2**80),
+    st.integers(-(2**40), 2**40)
+    | st.integers(-40, 140)
+    | st.floats()
+    | st.text()
+    | st.binary()
+    | st.just(2**80),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
 )
+
+
+EACH_HEAD: dict[str, object] = {
+    **{f"integer {n}": n for n in (0, 127, -1, -32, -33, -200, -40_000, -(2**33))},
+    **{f"integer {n}": n for n in (200, 40_000, 2**20, 2**33, 2**80, 2**130, -(2**300))},
+    **{f"text of {n}": "a" * n for n in (0, 1, 31, 32, 300, 70_000)},
+    **{f"{n} octets": b"\xdd" * n for n in (0, 1, 300, 70_000)},
+    **{f"list of {n}": [1] * n for n in (0, 15, 16)},
+    **{f"map of {n}": dict.fromkeys(map(str, range(n)), 1) for n in (0, 15, 16)},
+    **{f"buffer of {n}": array("d", [1.5] * n) for n in (0, 1, 40_000)},
+    "float": 1.5,
+    "true": True,
+    "null": None,
+}
+
+
+@pytest.mark.parametrize("value", EACH_HEAD.values(), ids=EACH_HEAD.keys())
+def test_what_stands_behind_every_kind_of_head_is_found(value: object) -> None:
+    """Else octets that look like long lists would be taken for them."""
+    looks = b"\xdd\xdf" * 4000
+    frame = pack([[value] * 7, looks])
+    size = int.from_bytes(frame[:4], "little")
+    assert codec._walk(frame, 4, 4 + size, size, 0, size)[1] == 4 + size
+    unpack(frame)
 
 
 @given(LONG, st.integers(0, 3))

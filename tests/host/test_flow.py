@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -17,7 +16,7 @@ from uoarm._host.transport import flow as flow_module
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.keys import flow
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.transport import Transport
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, MessageStructure, Role
@@ -221,11 +220,14 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     assert taker.got == [1]
 
 
-def test_a_message_counts_as_taken_from_when_something_comes_of_it(
-    ends: Ends, tmp_path: Path
-) -> None:
+def _counters() -> SharedCounters:
+    with SharedCounters.make_file() as file:
+        return SharedCounters(file.fileno(), gives=True)
+
+
+def test_a_message_counts_as_taken_from_when_something_comes_of_it(ends: Ends) -> None:
     near, far = ends
-    counters = SharedCounters(tmp_path / "counters", make=True)
+    counters = _counters()
     taken, given = counters.counter(), counters.counter()
     assert taken is not None
     assert given is not None
@@ -268,12 +270,10 @@ class _Calls(Bridge):
         pass
 
 
-def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(
-    ends: Ends, tmp_path: Path
-) -> None:
+def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(ends: Ends) -> None:
     """The manager knows so that these messages are lost, also where it shares no memory."""
     near, far = ends
-    counters = SharedCounters(tmp_path / "counters", make=True)
+    counters = _counters()
     taken = counters.counter()
     assert taken is not None
     bridge, endpoint = _Calls(), Endpoint("calls", "camera", Role.OUTPUT, ("camera",))
@@ -341,8 +341,8 @@ def test_drained_is_what_has_left_the_buffers_of_the_framework_too(ends: Ends) -
     outgoing.close()
 
 
-def test_a_counter_that_is_given_out_anew_leaves_what_it_was(tmp_path: Path) -> None:
-    counters = SharedCounters(tmp_path / "counters", make=True)
+def test_a_counter_that_is_given_out_anew_leaves_what_it_was() -> None:
+    counters = _counters()
     first = counters.counter()
     assert first is not None
     first.set(7)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import select
 import socket
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import pytest
 from tests.host import hosted
 from tests.host.hosted import ANY, Events, at
 from tests.processes import lives
 
-from uoarm._host.process.host_process import HostProcess
+from uoarm._host.process import process_connection
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
@@ -23,38 +23,37 @@ pytestmark = pytest.mark.usefixtures("nothing_is_left")
 
 
 class Middleman:
-    """Stands between a host and its manager; passes everything on until it is told to stall."""
+    """Stands between a host and its manager; passes everything on until it is told to stall.
 
-    def __init__(self, behind: str, folder: str) -> None:
-        self.place = f"{folder}/middle"
+    Attributes:
+        near: where the manager is to be connected.
+        far: where the host is.
+    """
+
+    def __init__(self) -> None:
         self._stall = threading.Event()
         self._stalled = threading.Event()
-        self._behind = behind
         self._ended = threading.Event()
-        self._listener = socket.socket(socket.AF_UNIX)
-        self._listener.bind(self.place)
-        self._listener.listen()
+        self.near, manager = socket.socketpair()
+        self.far, host = socket.socketpair()
+        self._ends = {host: manager, manager: host}
         self._thread = threading.Thread(target=self._run, name="middleman")
         self._thread.start()
 
     def _run(self) -> None:
-        host, _ = self._listener.accept()
-        manager = socket.socket(socket.AF_UNIX)
-        manager.connect(self._behind)
-        ends = {host: manager, manager: host}
         while not self._ended.is_set():
-            readable = [] if self._stall.is_set() else list(ends)
+            readable = [] if self._stall.is_set() else list(self._ends)
             if not readable:
                 self._stalled.set()
             for one in select.select(readable, [], [], 0.02)[0]:
                 octets = one.recv(65536)
                 if not octets:
-                    return self._close(host, manager)
-                ends[one].sendall(octets)
-        return self._close(host, manager)
+                    return self._close()
+                self._ends[one].sendall(octets)
+        return self._close()
 
-    def _close(self, *sockets: socket.socket) -> None:
-        for one in (*sockets, self._listener):
+    def _close(self) -> None:
+        for one in self._ends:
             one.close()
 
     def stall(self) -> None:
@@ -72,16 +71,15 @@ class Middleman:
 
 @pytest.fixture
 def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterator[list[Middleman]]:
-    """Have every host connect to a middleman, who listens in the same private folder."""
+    """Have every host connected to a middleman."""
     made: list[Middleman] = []
-    tell = HostProcess.tell
 
-    def tell_detour(process: HostProcess, orders: Mapping[str, Any]) -> None:
-        scheme, _, behind = str(orders["address"]).partition("/")
-        made.append(Middleman(behind, str(orders["folder"])))
-        tell(process, {**orders, "address": f"{scheme}/{made[-1].place}"})
+    def detour() -> tuple[socket.socket, socket.socket]:
+        made.append(Middleman())
+        return made[-1].near, made[-1].far
 
-    monkeypatch.setattr(HostProcess, "tell", tell_detour)
+    connected = SimpleNamespace(socketpair=detour, socket=socket.socket)
+    monkeypatch.setattr(process_connection, "socket", connected)
     yield made
     for one in made:
         one.end()

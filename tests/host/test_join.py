@@ -6,10 +6,12 @@ import threading
 
 import pytest
 
-from uoarm._host import HostAgent, HostSettings, MachineRegistry
+from uoarm._host import HostSettings
 from uoarm._host.agent import host_agent
+from uoarm._host.agent.host_agent import HostAgent
 from uoarm._host.machines.machine_connection import MachineConnection
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.machines.registry import MachineRegistry
+from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm.bridge import BridgeType, Registry
 from uoarm.model import BridgeSpec, Listening
 from uoarm.testing import MemoryBridge, free_port, patience
@@ -59,15 +61,15 @@ def test_a_host_whose_link_tells_the_manager_nothing_joins_anew(
 ) -> None:
     """As one that joined in the moment in which the manager began to listen anew."""
     shown: list[str] = []
-    show = Transport.show_alive
+    show = ZenohTransport.show_alive
 
-    def show_later(transport: Transport, key: str) -> None:
+    def show_later(transport: ZenohTransport, key: str) -> None:
         shown.append(key)
         if len(shown) > 1:
             monkeypatch.setattr(host_agent, "_UNASKED_SECONDS", patience())
             show(transport, key)
 
-    monkeypatch.setattr(Transport, "show_alive", show_later)
+    monkeypatch.setattr(ZenohTransport, "show_alive", show_later)
     monkeypatch.setattr(host_agent, "_UNASKED_SECONDS", 0.01)
     place = f"tcp/127.0.0.1:{free_port()}"
     joined = threading.Event()

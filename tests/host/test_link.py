@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from uoarm._host.transport.zenoh_transport import Reply, Transport
+from uoarm._host.transport.transport import Reply, Transport
+from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm.errors import (
     BridgeError,
     BridgeTimeoutError,
@@ -145,20 +146,20 @@ def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
 
 def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:
     with pytest.raises(BridgeError, match="opening the link") as caught:
-        Transport("tcp/127.0.0.1:1", listen=False, timeout=0.1)
+        ZenohTransport("tcp/127.0.0.1:1", listen=False, timeout=0.1)
     assert ".rs" not in str(caught.value)
 
 
 def test_an_end_that_tries_to_reach_somebody_mute_again_still_closes_soon() -> None:
     port = free_port()
     place = f"tcp/127.0.0.1:{port}"
-    near = Transport(place, listen=True)
-    reached: list[Transport] = []
+    near = ZenohTransport(place, listen=True)
+    reached: list[ZenohTransport] = []
 
-    def reach() -> list[Transport]:
+    def reach() -> list[ZenohTransport]:
         """Connect in less time than Zenoh gives a close; a machine that is busy may take more."""
         with suppress(BridgeError):
-            reached.append(Transport(place, listen=False, timeout=2.0))
+            reached.append(ZenohTransport(place, listen=False, timeout=2.0))
         return reached
 
     wait(reach)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from uoarm._host.transport import liveness
 from uoarm._host.transport.liveness import Heartbeat, Silence
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.transport import Transport
 from uoarm.errors import BridgeError
 from uoarm.testing import patience
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -182,50 +180,3 @@ def test_closing_leaves_nothing_behind(tmp_path: Path) -> None:
     process = bridge.process
     bridge.close()
     assert not lives(process)
-
-
-SHARED = """
-import sys
-from pathlib import Path
-import numpy as np
-from tests.host import hosted
-from tests.host.hosted import ANY, at
-from uoarm.testing import wait
-from uoarm.model import Role
-far = hosted.bridge(Path(sys.argv[1]), shared_memory=True)
-got = []
-far.open_source(at("echo"), ANY, got.append)
-sink = far.open_sink(at("echo", Role.INPUT), ANY)
-for number in range(40):
-    sink.send({"n": number, "data": np.full(1_000_000, number, dtype="u1")})
-wait(lambda: len(got) == 40)
-assert all((one["data"] == one["n"]).all() for one in got)
-for process in ("self", far.process):
-    for line in Path(f"/proc/{process}/maps").read_text().splitlines():
-        if line.endswith(".zenoh"):
-            print(line.split()[-1])
-far.close()
-"""
-
-
-@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="no shared memory that can be listed")
-def test_large_messages_cross_in_shared_memory_and_segments_do_not_pile_up(tmp_path: Path) -> None:
-    first = _with_shared_memory(tmp_path)
-    second = _with_shared_memory(tmp_path)
-    assert first
-    assert second
-    assert not [one for one in first - second if one.exists()]
-
-
-def _with_shared_memory(folder: Path) -> set[Path]:
-    """Run an application of its own; return the segments that it and its host had."""
-    done = subprocess.run(
-        [sys.executable, "-c", SHARED, str(folder)],
-        cwd=Path(__file__).parents[2],
-        capture_output=True,
-        check=False,
-        text=True,
-        timeout=patience(),
-    )
-    assert done.returncode == 0, done.stderr
-    return {Path(line) for line in done.stdout.splitlines()}

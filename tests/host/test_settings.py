@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from uoarm._host.process.process_connection import link_folder
 from uoarm._host.process.settings import HostSettings
 from uoarm.config import loads
 from uoarm.errors import BridgeError, ConfigurationError, FailureReason
-from uoarm.testing import patience
 
 
 def test_without_any_setting_the_interpreter_is_the_applications_own() -> None:
@@ -62,25 +58,6 @@ def test_another_environment_does_not_inherit_paths_of_ours() -> None:
 def test_variables_are_set_and_taken_away_last() -> None:
     settings = HostSettings.read({"variables": {"A": "new", "B": None, "C": "3"}})
     assert settings.process_variables({"A": "old", "B": "2"}) == {"A": "new", "C": "3"}
-
-
-def test_a_link_folder_is_private_and_those_of_the_dead_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait(patience())
-    left = tmp_path / f"uoarm-host-{dead.pid}-x"
-    other = tmp_path / "uoarm-host-not-ours"
-    for folder in (left, other):
-        folder.mkdir()
-    mine = link_folder()
-    assert mine.stat().st_mode & 0o777 == 0o700
-    assert mine.name.startswith(f"uoarm-host-{os.getpid()}-")
-    assert not left.exists()
-    assert other.exists()
-    assert link_folder() != mine
-    assert mine.exists()
 
 
 @pytest.mark.parametrize(("written", "octets"), [("64 MiB", 2**26), ("2GiB", 2**31)])

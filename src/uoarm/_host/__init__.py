@@ -1,20 +1,17 @@
 """Bridge hosts: a bridge, unchanged, in a process and Python environment of its own.
 
-Needs the extra `uoarm[hosts]`, in the application and in the environment of every host.
+Needs the extra `uoarm[hosts]`, in the application and in the environment of every host. What other
+machines need beside, `uoarm[machines]`, is imported from `_host.machines` and `_host.agent` alone.
 """
 
-from uoarm._host.agent.host_agent import HostAgent
-from uoarm._host.machines.registry import MachineRegistry
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.remote_bridge import RemoteBridge
 from uoarm._host.transport.security import Identity
 from uoarm._host.xmlrpc_server import XmlRpcServer
 
 __all__ = [
-    "HostAgent",
     "HostSettings",
     "Identity",
-    "MachineRegistry",
     "RemoteBridge",
     "XmlRpcServer",
 ]

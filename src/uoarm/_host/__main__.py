@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import logging
 import os
-import shutil
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
@@ -19,7 +18,8 @@ from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_parent
 from uoarm._host.transport import keys
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.zenoh_transport import Reply, Transport
+from uoarm._host.transport.socket_transport import SocketTransport
+from uoarm._host.transport.transport import Reply, Transport
 from uoarm._switch_interval import switch_interval_seconds
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
@@ -68,22 +68,19 @@ def main() -> int:
     except UoarmError as error:
         logging.getLogger("uoarm.host").warning("%s; it stays as it is", error)
     main_thread = _MainThread()
-    watching = orders["folder"], main_thread
-    threading.Thread(target=_watch_manager, args=watching, daemon=True).start()
+    threading.Thread(target=_watch_manager, args=(main_thread,), daemon=True).start()
     # In a thread: a handler must not take the lock that the thread it interrupts may hold.
     signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=main_thread.end).start())
-    transport = Transport(
-        orders["address"],
-        listen=False,
-        lease=orders["lease"],
-        shared_memory=orders["shared_memory"],
-    )
+    for inherited in (orders["link"], orders["counters"]):
+        os.set_inheritable(inherited, False)  # processes that the bridge starts have no part in it
+    transport = SocketTransport(socket.socket(fileno=orders["link"]))
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:
         _refuse(transport, error)
         return 1
-    counters = SharedCounters(Path(orders["counters"]), make=False)
+    counters = SharedCounters(orders["counters"], gives=False)
+    os.close(orders["counters"])
     return _serve(bridge, transport, main_thread, counters)
 
 
@@ -117,7 +114,7 @@ def _refuse(transport: Transport, error: UoarmError) -> None:
     transport.close()
 
 
-def _watch_manager(folder: str, main_thread: _MainThread) -> None:
+def _watch_manager(main_thread: _MainThread) -> None:
     """End with the manager: its end of stdin closes when it dies, however it dies.
 
     What moves is stopped first. Where nothing does, the kernel mostly ends the process before.
@@ -129,8 +126,6 @@ def _watch_manager(folder: str, main_thread: _MainThread) -> None:
             with suppress(UoarmError):
                 main_thread.bridge.close(timeout=_STOP_SECONDS)
     finally:
-        if Path(folder).name.startswith(keys.FOLDER):
-            shutil.rmtree(folder, ignore_errors=True)
         os._exit(_ORPHANED)
 
 

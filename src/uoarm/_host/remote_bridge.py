@@ -7,10 +7,9 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 from uoarm._host.machines.machine_connection import MachineConnection
-from uoarm._host.machines.registry import MachineRegistry
 from uoarm._host.process.process_connection import ProcessConnection
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.remote_channels import RemoteChannel, RemoteSink, RemoteSource
@@ -18,7 +17,7 @@ from uoarm._host.transport import keys
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender, Handled
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounter
-from uoarm._host.transport.zenoh_transport import Reply
+from uoarm._host.transport.transport import Reply
 from uoarm.bridge import (
     Bridge,
     Capabilities,
@@ -42,6 +41,9 @@ from uoarm.model import (
     from_json,
     to_json,
 )
+
+if TYPE_CHECKING:
+    from uoarm._host.machines.registry import MachineRegistry
 
 __all__ = ["RemoteBridge"]
 

@@ -81,8 +81,9 @@ def _join(
     modules: str,
     silence: float,
 ) -> None:
-    with needing("hosts"):
-        from uoarm._host import HostAgent, Identity  # noqa: PLC0415 - needs an extra
+    with needing("machines"):
+        from uoarm._host import Identity  # noqa: PLC0415 - needs an extra
+        from uoarm._host.agent.host_agent import HostAgent  # noqa: PLC0415 - likewise
     problem = place_problem(place)
     if problem:
         raise UsageError(f"--join {place}: {problem}")

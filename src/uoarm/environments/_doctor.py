@@ -16,11 +16,11 @@ _SECONDS = 60.0
 _QUESTION = """
 import json, platform
 from importlib.metadata import entry_points, version
-import msgpack, zenoh
+import msgpack
 import uoarm
 points = sorted(one.name for one in entry_points(group="uoarm.bridges"))
 print(json.dumps({"python": platform.python_version(), "uoarm": uoarm.__version__,
-    "zenoh": version("eclipse-zenoh"), "plugins": points}))
+    "msgpack": version("msgpack"), "plugins": points}))
 """
 
 

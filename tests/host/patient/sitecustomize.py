@@ -7,7 +7,8 @@ full for a fifth of one. Here the manager is only starved.
 import os
 
 from uoarm._host.agent import flows
-from uoarm._host.transport import zenoh_transport
+from uoarm._host.transport import socket_transport, zenoh_transport
 
 patience = float(os.environ["UOARM_TEST_PATIENCE"])
-flows._PATIENCE_SECONDS = zenoh_transport._FULL_SECONDS = patience
+flows._PATIENCE_SECONDS = patience
+socket_transport._FULL_SECONDS = zenoh_transport._FULL_SECONDS = patience

@@ -132,7 +132,7 @@ class BridgeSet:
 
         Raises:
             BridgeError: other machines cannot join at its address.
-            PluginError: the extra `uoarm[hosts]` is missing.
+            PluginError: the extra `uoarm[machines]` is missing.
         """
         machines = self.machines.stage(specs, listening)
         return StagedBridges(self, self._specs, specs, self._start, machines)

@@ -13,7 +13,7 @@ from uoarm.errors import BridgeError, FailureReason, PluginError
 from uoarm.model import BridgeSpec, Health, Listening, MachineStatus
 
 if TYPE_CHECKING:
-    from uoarm._host import MachineRegistry
+    from uoarm._host.machines.registry import MachineRegistry
 
 __all__ = ["Machines", "StagedMachines"]
 
@@ -67,7 +67,7 @@ class Machines:
 
         Raises:
             BridgeError: the address cannot be had, the certificate is missing, or it is closed.
-            PluginError: the extra `uoarm[hosts]` is missing.
+            PluginError: the extra `uoarm[machines]` is missing.
         """
         found, is_new = self._listener.registry(self._changed)
         if is_new:
@@ -83,7 +83,7 @@ class Machines:
 
         Raises:
             BridgeError: the address cannot be had, or the certificate not be used.
-            PluginError: the extra `uoarm[hosts]` is missing.
+            PluginError: the extra `uoarm[machines]` is missing.
         """
         bridges = _by_machine(specs)
         before, names = self._listener, frozenset(bridges)
@@ -214,7 +214,7 @@ class StagedMachines:
 
         Raises:
             BridgeError: the address cannot be had, or not before the configuration is in force.
-            PluginError: the extra `uoarm[hosts]` is missing.
+            PluginError: the extra `uoarm[machines]` is missing.
         """
         if self.is_cut:
             text = "it can join once the configuration is in force"
@@ -277,9 +277,11 @@ class _Listener:
             PluginError: likewise.
         """
         try:
-            from uoarm._host import MachineRegistry  # noqa: PLC0415 - needs an extra
+            from uoarm._host.machines.registry import (  # noqa: PLC0415 - needs an extra
+                MachineRegistry,
+            )
         except ImportError as error:
-            command = install_command("uoarm", "hosts")
+            command = install_command("uoarm", "machines")
             raise PluginError(f"bridges on other machines need: {command} ({error})") from error
         with self._lock:
             if self._closed or self.listening is None:

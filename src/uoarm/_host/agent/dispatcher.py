@@ -15,7 +15,7 @@ from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import Ending
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.zenoh_transport import ANSWER_SECONDS, Reply, Transport
+from uoarm._host.transport.transport import ANSWER_SECONDS, Reply, Transport
 from uoarm._version import __version__
 from uoarm._workers import WorkerPool
 from uoarm.bridge import CONTRACT_VERSION, Bridge, Channel, HealthEvent, ServiceStructures

@@ -14,7 +14,7 @@ from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack
 from uoarm._host.transport.flow import Ending, FlowReceiver, FlowSender
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter, SharedCounters
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog
 from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError

@@ -15,7 +15,8 @@ from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.transport import keys
 from uoarm._host.transport.request_workers import RequestWorkers
 from uoarm._host.transport.security import Identity
-from uoarm._host.transport.zenoh_transport import Reply, Transport
+from uoarm._host.transport.transport import Reply
+from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm._version import __version__
 from uoarm.bridge import CONTRACT_VERSION, Registry
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -99,7 +100,7 @@ class HostAgent:
         self._closed.set()
         self._asked.set()
 
-    def _is_asked(self, whole: Transport) -> bool:
+    def _is_asked(self, whole: ZenohTransport) -> bool:
         """Show over a link which bridges are here; False if the manager asks for none in time."""
         _log.info("the manager at %s is reached", self._address)
         transport = self._transport = whole.part(keys.MACHINES)
@@ -118,12 +119,12 @@ class HostAgent:
             )
         return is_asked
 
-    def _connect(self) -> Transport | None:
+    def _connect(self) -> ZenohTransport | None:
         """Try until the manager is there; what is in the way is told once, not at each try."""
         told = ""
         while not self._closed.is_set():
             try:
-                whole = Transport(
+                whole = ZenohTransport(
                     self._address,
                     listen=False,
                     timeout=_TRY_SECONDS,
@@ -174,7 +175,7 @@ class HostAgent:
         if self._closed.is_set():
             hosted.end()
 
-    def _part(self, orders: Orders) -> Transport:
+    def _part(self, orders: Orders) -> ZenohTransport:
         prefix: str = orders["prefix"]
         expected = keys.bridge_prefix(self._machine, orders["name"], "")
         if not prefix.startswith(expected):
@@ -208,7 +209,7 @@ class HostedBridge:
         UoarmError: the bridge could not be made.
     """
 
-    def __init__(self, registry: Registry, spec: BridgeSpec, transport: Transport) -> None:
+    def __init__(self, registry: Registry, spec: BridgeSpec, transport: ZenohTransport) -> None:
         self.name = spec.name
         self._transport = transport
         self._ended = Event()

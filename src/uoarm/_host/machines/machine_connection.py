@@ -5,17 +5,19 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from uoarm._host.machines.registry import MachineRegistry
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.transport import keys
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.transport import Transport
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.model import BridgeSpec
+
+if TYPE_CHECKING:
+    from uoarm._host.machines.registry import MachineRegistry
 
 __all__ = ["MachineConnection"]
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 from uoarm._host.transport import keys
 from uoarm._host.transport.security import MANAGER, Identity, access_list, certified
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.zenoh_transport import ZenohTransport
 from uoarm.errors import UoarmError
 from uoarm.model import Listening
 
@@ -72,7 +72,9 @@ class MachineRegistry:
         self._is_retired = False
         self._stopped = threading.Event()
         self.closed = threading.Event()
-        self._whole = Transport(listening.place, listen=True, lease=listening.silence, more=more)
+        self._whole = ZenohTransport(
+            listening.place, listen=True, lease=listening.silence, more=more
+        )
         self._whole.clock = time.time_ns
         self._transport = self._whole.part(keys.MACHINES)
         self.watch(names)
@@ -147,7 +149,7 @@ class MachineRegistry:
         with self._news:
             return self._serving(machine, bridge) is not None
 
-    def part(self, prefix: str) -> Transport:
+    def part(self, prefix: str) -> ZenohTransport:
         """Return a transport to what lies behind a prefix of the keys of machines."""
         return self._transport.part(prefix)
 

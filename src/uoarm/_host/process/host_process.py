@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -36,6 +36,7 @@ class HostProcess:
         command: program and arguments.
         variables: the environment variables of the process.
         exited: told how the process ended, in the waiting thread.
+        passed: descriptors that the process inherits under their numbers.
 
     Raises:
         BridgeError: the process could not be started.
@@ -47,11 +48,13 @@ class HostProcess:
         command: list[str],
         variables: Mapping[str, str],
         exited: Callable[[str], None],
+        passed: Sequence[int] = (),
     ) -> None:
         self._name = name
         self._command = command
         self._variables = variables
         self._exited = exited
+        self._passed = tuple(passed)
         self._log = logging.getLogger(f"uoarm.host.{name}")
         self._last: deque[str] = deque(maxlen=5)
         self._gone = threading.Event()
@@ -143,6 +146,7 @@ class HostProcess:
                 stderr=subprocess.STDOUT,
                 env=dict(self._variables),
                 start_new_session=True,
+                pass_fds=self._passed,
             )
         except OSError as error:
             started.put(error)

@@ -1,40 +1,34 @@
-"""One host process from start to end: its folder, transport, process and heartbeat."""
+"""One host process from start to end: its transport, process and heartbeat."""
 
 from __future__ import annotations
 
 import atexit
 import logging
 import os
-import re
-import shutil
-import tempfile
+import socket
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from uoarm._host.process.host_process import HostProcess, host_command
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.transport import keys
-from uoarm._host.transport.keys import FOLDER
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm.bridge import CONTRACT_VERSION
 from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.model import BridgeSpec
 
-__all__ = ["ProcessConnection", "link_folder"]
+__all__ = ["ProcessConnection"]
 
 _log = logging.getLogger("uoarm")
 _POLITE_SECONDS = 1.5
 _KILLED_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
-_LEASE_SECONDS = 10.0
 # Every large message would otherwise be given back to the system and be faulted in anew, which
 # halves the rate of pictures. glibc keeps blocks up to the first size and as much as the second.
 _KEEPS_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**28)}
-_OWNED = re.compile(re.escape(FOLDER) + r"(\d+)-")
 
 
 class ProcessConnection:
@@ -68,41 +62,36 @@ class ProcessConnection:
         self._memory = settings.memory
         self._given_up = ""
         self._liveness = LivenessMonitor(spec.name, on_doubt, on_death)
-        self._transport: Transport | None = None
+        self._transport: SocketTransport | None = None
         self._started: HostProcess | None = None
         self._heartbeat: Heartbeat | None = None
         deadline = time.monotonic() + settings.start
         command = host_command(settings.interpreter(), spec.name, origin)
         variables = {**_KEEPS_MEMORY, **settings.process_variables(os.environ)}
-        folder, self.counters = _folder_with_counters(spec.name)
+        counted, near, far = _shared_with_host(spec.name)
+        self.counters = SharedCounters(counted.fileno(), gives=True)
+        self._transport = SocketTransport(near, spec.name)
+        self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
         try:
-            address = f"unixsock-stream/{folder}/link"
-            lease = max(_LEASE_SECONDS, 3 * settings.silence)
-            shared = settings.shared_memory
-            self._transport = Transport(address, listen=True, lease=lease, shared_memory=shared)
-            self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
-            self._started = HostProcess(spec.name, command, variables, self._exited)
-            self._started.tell(
-                {
-                    "name": spec.name,
-                    "plugin": spec.plugin,
-                    "options": dict(spec.options),
-                    "address": address,
-                    "folder": str(folder),
-                    "counters": str(folder / "counters"),
-                    "parent": os.getpid(),
-                    "memory": settings.memory_bytes,
-                    "lease": lease,
-                    "shared_memory": shared,
-                }
-            )
+            with counted, far:  # the host has inherited them, or there is none
+                passed = far.fileno(), counted.fileno()
+                self._started = HostProcess(spec.name, command, variables, self._exited, passed)
+                self._started.tell(
+                    {
+                        "name": spec.name,
+                        "plugin": spec.plugin,
+                        "options": dict(spec.options),
+                        "link": far.fileno(),
+                        "counters": counted.fileno(),
+                        "parent": os.getpid(),
+                        "memory": settings.memory_bytes,
+                    }
+                )
             self._await_token(deadline)
             self.greeting = self._greet(deadline)
         except BaseException:
             self.close(None)
             raise
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)  # both ends stand: nobody needs it now
         self._heartbeat = Heartbeat(
             spec.name,
             self._transport,
@@ -120,7 +109,7 @@ class ProcessConnection:
         return self._liveness.dead
 
     @property
-    def transport(self) -> Transport:
+    def transport(self) -> SocketTransport:
         """The transport to the host."""
         assert self._transport is not None, "the constructor raises when there is none"
         return self._transport
@@ -210,41 +199,19 @@ class ProcessConnection:
         self._liveness.die(self._given_up)
 
 
-def _folder_with_counters(name: str) -> tuple[Path, SharedCounters]:
-    """Make the folder of a link, with the counters that both ends share.
+def _shared_with_host(name: str) -> tuple[IO[bytes], socket.socket, socket.socket]:
+    """Make the file of the counters, and two sockets that are connected.
 
     Raises:
         BridgeError: UNAVAILABLE, such as where the disk is full.
     """
-    folder: Path | None = None
     try:
-        folder = link_folder()
-        return folder, SharedCounters(folder / "counters", make=True)
+        counted = SharedCounters.make_file()
+        try:
+            return counted, *socket.socketpair()
+        except OSError:
+            counted.close()
+            raise
     except OSError as error:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
         text = f"bridge host {name!r} has no place for its link: {error}"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
-
-
-def link_folder() -> Path:
-    """Make a folder that only this user can enter, for the socket of one link.
-
-    Removes what processes left behind that were killed while their hosts started.
-    """
-    home = Path(tempfile.gettempdir())
-    for left in home.glob(f"{FOLDER}*"):
-        owner = _OWNED.match(left.name)
-        if owner is not None and not _lives(int(owner[1])):
-            shutil.rmtree(left, ignore_errors=True)  # another user's folder stays, as it should
-    return Path(tempfile.mkdtemp(prefix=f"{FOLDER}{os.getpid()}-"))
-
-
-def _lives(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True

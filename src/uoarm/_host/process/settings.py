@@ -35,7 +35,6 @@ class HostSettings:
         silence: seconds without an answer after which the host counts as dead.
         start: seconds within which it must be ready.
         restarts: deaths in a row after which the manager gives it up.
-        shared_memory: whether large messages cross in shared memory.
         memory: how much memory it may have, `512 MiB` or `2 GiB`; None: all there is. Linux.
     """
 
@@ -46,7 +45,6 @@ class HostSettings:
     silence: float = 3.0
     start: float = 30.0
     restarts: int = 5
-    shared_memory: bool = False
     memory: str | None = None
 
     @classmethod

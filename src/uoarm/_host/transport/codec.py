@@ -13,7 +13,7 @@ import struct
 import sys
 from array import array
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgpack
 
@@ -21,7 +21,10 @@ from uoarm import errors
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, MessageError, UoarmError
 from uoarm.model import Message
 
-__all__ = ["check_claims", "from_failure", "pack", "to_failure", "unpack"]
+__all__ = ["Frame", "check_claims", "from_failure", "pack", "to_failure", "unpack"]
+
+Frame: TypeAlias = bytes | bytearray
+"""What `unpack` reads; nobody changes one that it was given."""
 
 _LENGTH = struct.Struct("<I")
 _BUFFER, _BIG = 1, 2
@@ -37,7 +40,7 @@ _HARMLESS = 1_000_000
 _FEW = 128
 # Runs of items that hold no others, or 15 at most, and no texts: by what follows their heads.
 _RUN = re.compile(
-    rb"[\x00-\xa0\xc0\xc2\xc3]{1,4096}"
+    rb"[\x00-\xa0\xc0\xc2\xc3\xe0-\xff]{1,4096}"
     rb"|(?:[\xcc\xd0].){1,4096}"
     rb"|(?:[\xcd\xd1]..){1,4096}"
     rb"|(?:[\xca\xce\xd2].{4}){1,4096}"
@@ -100,7 +103,7 @@ def pack(message: Message) -> bytes:
     return b"".join(parts)
 
 
-def unpack(frame: bytes) -> Message:
+def unpack(frame: Frame) -> Message:
     """Return the message of a frame that `pack` made.
 
     Raises:
@@ -114,7 +117,7 @@ def unpack(frame: bytes) -> Message:
         raise MessageError(f"a frame cannot be read: {type(error).__name__}: {error}") from error
 
 
-def _read(frame: bytes) -> Message:
+def _read(frame: Frame) -> Message:
     end = _LENGTH.size + int.from_bytes(frame[: _LENGTH.size], "little")
     if len(frame) < max(end, _LENGTH.size + 1):
         raise MessageError(f"a frame of {len(frame)} octets says that its tree ends at {end}")
@@ -127,7 +130,7 @@ def _read(frame: bytes) -> Message:
         if code != _BUFFER:
             raise MessageError(f"a frame holds an unknown extension {code}")
         kind, shape, size = _buffer(data)
-        view = memoryview(frame)[place : place + size]
+        view = memoryview(frame).toreadonly()[place : place + size]
         if len(view) != size:
             raise MessageError(f"a frame ends within a buffer of {size} octets")
         place += size + -size % _STEP
@@ -195,7 +198,7 @@ def _flat(view: memoryview, kind: str, shape: list[int]) -> Any:
     )
 
 
-def check_claims(frame: bytes, start: int, end: int) -> None:
+def check_claims(frame: Frame, start: int, end: int) -> None:
     """Refuse a tree whose lists and maps claim more items than it has octets.
 
     The decoder makes a list as long as it claims to be before it reads the first item, so nested
@@ -221,7 +224,7 @@ def check_claims(frame: bytes, start: int, end: int) -> None:
 
 
 def _walk(
-    frame: bytes, place: int, end: int, size: int, claimed: int, steps: int
+    frame: Frame, place: int, end: int, size: int, claimed: int, steps: int
 ) -> tuple[int, int]:
     """Walk over some heads of a tree; return how many items were claimed so far, and where it is.
 

@@ -16,9 +16,9 @@ from collections.abc import Callable
 import msgpack
 from attrs import astuple, frozen
 
-from uoarm._host.transport.codec import pack, unpack
+from uoarm._host.transport.codec import Frame, pack, unpack
 from uoarm._host.transport.shared_counters import HANDLING, SharedCounter
-from uoarm._host.transport.zenoh_transport import Transport
+from uoarm._host.transport.transport import Transport
 from uoarm._raised import LimitedLog, is_raised, text_of
 from uoarm.errors import BridgeError, CommandRefusedError, FailureReason
 from uoarm.model import Message
@@ -281,7 +281,7 @@ class FlowReceiver:
         except BridgeError as error:
             _log.debug("%s ended with its link: %s", self._key, error)
 
-    def _handle(self, frame: bytes, header: bytes) -> None:
+    def _handle(self, frame: Frame, header: bytes) -> None:
         told = _header(header)
         if (
             told is None or told[0] <= self._number

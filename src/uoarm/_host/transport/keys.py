@@ -7,7 +7,6 @@ __all__ = [
     "ANY_BRIDGE",
     "ASK",
     "COMMAND",
-    "FOLDER",
     "HEALTH",
     "HEARTBEAT",
     "MACHINES",
@@ -21,11 +20,8 @@ __all__ = [
     "service",
 ]
 
-PROTOCOL_VERSION = 7
+PROTOCOL_VERSION = 8
 """Both ends must have the same; it grows with every change of what crosses the link."""
-
-FOLDER = "uoarm-host-"
-"""How the name of a folder begins that holds the socket of a link."""
 
 ALIVE = "uoarm/host/alive"
 ASK = "uoarm/host/ask"

@@ -14,7 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from uoarm._host.transport import keys
-from uoarm._host.transport.zenoh_transport import ANSWER_SECONDS, Transport
+from uoarm._host.transport.transport import ANSWER_SECONDS, Transport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 __all__ = ["Heartbeat", "LivenessMonitor", "Silence"]

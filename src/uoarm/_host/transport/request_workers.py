@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from uoarm._host.transport.zenoh_transport import Reply
+from uoarm._host.transport.transport import Reply
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 

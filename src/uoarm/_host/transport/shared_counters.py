@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import mmap
+import tempfile
 import threading
 from array import array
 from collections import deque
-from pathlib import Path
+from typing import IO
 
 __all__ = ["HANDLING", "SharedCounter", "SharedCounters"]
 
@@ -15,21 +16,34 @@ _WIDTH = 8
 
 
 class SharedCounters:
-    """A page of counters in a file, which may be removed once both ends have opened it.
+    """Counters in a file without a name, which both ends have open.
 
     Args:
-        path: of the file.
-        make: whether this end makes it; then it gives out the counters.
+        file: its descriptor, which may be closed afterwards.
+        gives: whether this end gives out the counters.
     """
 
-    def __init__(self, path: Path, *, make: bool) -> None:
-        if make:
-            path.write_bytes(bytes(_SLOTS * _WIDTH))
-        with path.open("r+b") as file:
-            shared = mmap.mmap(file.fileno(), _SLOTS * _WIDTH)
+    def __init__(self, file: int, *, gives: bool) -> None:
+        shared = mmap.mmap(file, _SLOTS * _WIDTH)
         self.numbers: memoryview | array[int] = memoryview(shared).cast("q")
-        self._free = deque(SharedCounter(self, slot) for slot in range(_SLOTS if make else 0))
+        self._free = deque(SharedCounter(self, slot) for slot in range(_SLOTS if gives else 0))
         self._lock = threading.Lock()
+
+    @staticmethod
+    def make_file() -> IO[bytes]:
+        """Return a file for counters that stand at nought.
+
+        Raises:
+            OSError: there is no room for it.
+        """
+        file = tempfile.TemporaryFile()  # noqa: SIM115 - whoever asked closes it
+        try:
+            file.write(bytes(_SLOTS * _WIDTH))
+            file.flush()
+        except OSError:
+            file.close()
+            raise
+        return file
 
     def counter(self) -> SharedCounter | None:
         """Give out a counter that stands at nought; None when there is none left."""

@@ -1,7 +1,6 @@
-"""The transport between a manager and a host: one Zenoh session at either end of a socket.
+"""The transport between a manager and the hosts of other machines: one Zenoh session at either end.
 
-Requests are Zenoh queries whose payloads are frames of the codec. Every request gets a reply or
-an error, also when the answering function raises. Foreign exceptions end here.
+Requests are Zenoh queries whose payloads are frames of the codec.
 """
 
 from __future__ import annotations
@@ -14,27 +13,22 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from types import MappingProxyType, TracebackType
-from typing import Any
+from typing import Any, final
 
 import zenoh
 
-from uoarm._host.transport.codec import from_failure, pack, to_failure, unpack
-from uoarm.bridge import boot_seconds
-from uoarm.errors import (
-    BridgeError,
-    BridgeTimeoutError,
-    FailureReason,
-    MessageError,
-    UoarmError,
+from uoarm._host.transport.codec import Frame, pack
+from uoarm._host.transport.transport import (
+    ANSWER_SECONDS,
+    Reply,
+    Transport,
+    answer_of,
+    answer_to,
+    read_answer,
 )
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
-__all__ = ["ANSWER_SECONDS", "NO_MORE", "Reply", "Transport", "configuration"]
-
-ANSWER_SECONDS = 120.0
-"""A request that nothing else limits is given up after this time."""
-
-Reply = Callable[[Any], None]
-"""Takes the value to answer with, or the exception to answer with; from any thread, once."""
+__all__ = ["NO_MORE", "ZenohTransport", "configuration"]
 
 _PLACE_IN_ZENOH = re.compile(r" at /\S+\.rs:\d+")  # of the machine that built it
 _BLOCK, _DROP = zenoh.CongestionControl.BLOCK, zenoh.CongestionControl.DROP
@@ -44,23 +38,18 @@ _FULL_SECONDS = 0.2
 _RETRY_MILLISECONDS = 200
 
 
-class Transport:
-    """One end of a transport. All methods may be called from any thread.
+@final
+class ZenohTransport(Transport):
+    """One end of a Zenoh session.
 
     Args:
-        address: a Zenoh endpoint, `unixsock-stream/...` or `tls/...`.
+        address: a Zenoh endpoint, `tls/...` or `tcp/...`.
         listen: whether this end waits for the other one; it must be there first.
         timeout: seconds for the connection to stand, where this end connects, or connects again;
             `close` waits as long for such a try.
         lease: seconds without a sign of life after which the other end is taken for gone. The
             heartbeat notices a host that hangs, so this may be long.
-        shared_memory: whether large frames cross in shared memory; both ends must say the same.
         more: further settings of the session, by name.
-
-    Attributes:
-        ahead: by how many nanoseconds the clock at the other end is ahead of this one.
-        clock: the clock by which both ends say when a message was sent, nanoseconds. One that
-            nobody sets where both are on one machine; else that of the calendar.
 
     Raises:
         BridgeError: the session could not be opened.
@@ -73,25 +62,18 @@ class Transport:
         listen: bool,
         timeout: float = 10.0,
         lease: float = 10.0,
-        shared_memory: bool = False,
         more: Mapping[str, object] = NO_MORE,
     ) -> None:
+        super().__init__()
         with _wrapped(f"opening the link at {address}"):
             settings = configuration(
-                address,
-                listen=listen,
-                timeout=timeout,
-                lease=lease,
-                shared_memory=shared_memory,
-                more=more,
+                address, listen=listen, timeout=timeout, lease=lease, more=more
             )
             self._session = zenoh.open(settings)
         self._prefix = ""
         self._kept: list[Any] = []
-        self.ahead: Callable[[], int] = _same_clock
-        self.clock: Callable[[], int] = _boot_nanoseconds
 
-    def part(self, prefix: str) -> Transport:
+    def part(self, prefix: str) -> ZenohTransport:
         """Return a transport over the same session that sees every key behind a prefix.
 
         Closing it ends what was declared through it; the session stays.
@@ -102,13 +84,7 @@ class Transport:
         return part
 
     def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
-        """Send a request and return the answer; waits `timeout` seconds at most.
-
-        Raises:
-            UoarmError: what the other end answered with.
-            BridgeError: UNAVAILABLE when nobody answers.
-            BridgeTimeoutError: no answer in time.
-        """
+        """Send a request and return the answer."""
         begun = time.monotonic()
         key = self._prefix + key
         with _wrapped(f"asking {key}"):
@@ -123,13 +99,7 @@ class Transport:
     def ask_later(
         self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
     ) -> None:
-        """Send a request, and have the answer handed to `take` in the transport's thread.
-
-        An error, or no answer within `timeout` seconds, is told to nobody. `take` must not block.
-
-        Raises:
-            BridgeError: the link is closed.
-        """
+        """Send a request, and have the answer handed to `take` in Zenoh's thread."""
         key = self._prefix + key
 
         def handle(reply: zenoh.Reply) -> None:
@@ -144,18 +114,11 @@ class Transport:
             self._session.get(key, _directly(handle), payload=pack(request), timeout=timeout)
 
     def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
-        """Have requests at a key handed to `take`, in the transport's thread; returns what ends it.
-
-        `take` must not block: it answers at once, or hands the reply to another thread.
-        """
+        """Have requests at a key handed to `take`, in Zenoh's thread."""
 
         def handle(query: zenoh.Query) -> None:
-            reply = _reply_to(query)
-            try:
-                payload = query.payload
-                take(None if payload is None else unpack(payload.to_bytes()), reply)
-            except Exception as error:  # noqa: BLE001 - an unanswered query looks like a death
-                reply(error)
+            payload = query.payload
+            answer_to(take, None if payload is None else payload.to_bytes(), _reply_to(query))
 
         with _wrapped(f"answering at {key}"):
             return self._keep(
@@ -165,13 +128,7 @@ class Transport:
     def publish(
         self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
     ) -> None:
-        """Send one frame. When the link is full for 0.2 s, the frame is dropped.
-
-        With `must_arrive` it waits longer, and a link that stays full for 5 s is broken.
-
-        Raises:
-            BridgeError: the link is closed.
-        """
+        """Send one frame; with `must_arrive`, a link that stays full for 5 s is broken."""
         with _wrapped(f"sending to {key}"):
             self._session.put(
                 self._prefix + key,
@@ -180,12 +137,10 @@ class Transport:
                 congestion_control=_BLOCK if must_arrive else _DROP,
             )
 
-    def subscribe(self, key: str, length: int) -> tuple[Callable[[], Any], Callable[[], None]]:
-        """Return a function that waits for the next frame, and one that ends the subscription.
-
-        The first returns (payload, header), or None when the subscription has ended. At most
-        `length` frames wait; the oldest are lost first.
-        """
+    def subscribe(
+        self, key: str, length: int
+    ) -> tuple[Callable[[], tuple[Frame, bytes] | None], Callable[[], None]]:
+        """Return a function that waits for the next frame, and one that ends the subscription."""
         with _wrapped(f"subscribing to {key}"):
             ring: Any = zenoh.handlers.RingChannel(length)
             subscriber = self._session.declare_subscriber(self._prefix + key, ring)
@@ -202,7 +157,7 @@ class Transport:
         return receive, self._keep(subscriber)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have the headers of frames at a key handed to `take`, in the transport's thread."""
+        """Have the headers of frames at a key handed to `take`, in Zenoh's thread."""
 
         def handle(sample: zenoh.Sample) -> None:
             header = sample.attachment
@@ -219,7 +174,7 @@ class Transport:
             self._keep(self._session.liveliness().declare_token(self._prefix + key))
 
     def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
-        """Have the coming and going of a token told, in the transport's thread."""
+        """Have the coming and going of a token told, in Zenoh's thread."""
         self.watch_tokens(key, lambda _, alive: seen(alive))
 
     def watch_tokens(self, keys: str, seen: Callable[[str, bool], None]) -> Callable[[], None]:
@@ -262,14 +217,6 @@ class Transport:
         return end
 
 
-def _same_clock() -> int:
-    return 0
-
-
-def _boot_nanoseconds() -> int:
-    return int(boot_seconds() * 1e9)
-
-
 def _directly(handle: Callable[[Any], None]) -> Any:
     """Have a handler called in Zenoh's thread; else each one gets a thread that no exit ends."""
     return zenoh.handlers.Callback(handle, indirect=False)
@@ -281,28 +228,15 @@ def _answer_in(reply: zenoh.Reply, key: str) -> Any:
         text = reply.err.payload.to_string()
         raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
     assert reply.ok is not None, "a reply that is no error holds a sample"
-    told = unpack(reply.ok.payload.to_bytes())
-    match told:
-        case [bool(failed), value]:
-            if not failed:
-                return value
-            if isinstance(value, Mapping):
-                raise from_failure(value)
-    text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
-    raise BridgeError(text, FailureReason.CONTRACT)
+    return read_answer(reply.ok.payload.to_bytes(), key)
 
 
 def _reply_to(query: zenoh.Query) -> Reply:
     key = str(query.key_expr)
 
     def reply(value: Any) -> None:
-        failed = isinstance(value, BaseException)
         try:
-            frame = pack((failed, to_failure(value) if failed else value))
-        except MessageError as error:
-            frame = pack((True, to_failure(error)))
-        try:
-            query.reply(key, frame)
+            query.reply(key, answer_of(value))
             query.drop()  # type: ignore[no-untyped-call] # zenoh's stub says no more
         except zenoh.ZError as error:
             _log.debug("nobody waits for the answer at %s any more: %s", key, error)
@@ -339,7 +273,6 @@ def configuration(
     listen: bool,
     timeout: float,
     lease: float,
-    shared_memory: bool,
     more: Mapping[str, object] = NO_MORE,
 ) -> zenoh.Config:
     """Return settings under which nothing is found by itself and nothing listens elsewhere."""
@@ -356,7 +289,7 @@ def configuration(
         "scouting/delay": 0,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": shared_memory,
+        "transport/shared_memory/enabled": False,
         "transport/unicast/open_timeout": int(timeout * 1000),
         "transport/link/tx/lease": int(lease * 1000),
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": full_microseconds,

@@ -1,0 +1,142 @@
+"""What a transport between a manager and a host does, whatever carries it.
+
+Every request gets an answer or an error, also when the answering function raises. Foreign
+exceptions end here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from uoarm._host.transport.codec import Frame, from_failure, pack, to_failure, unpack
+from uoarm.bridge import boot_seconds
+from uoarm.errors import BridgeError, FailureReason, MessageError
+
+__all__ = ["ANSWER_SECONDS", "Reply", "Transport", "answer_of", "answer_to", "read_answer"]
+
+ANSWER_SECONDS = 120.0
+"""A request that nothing else limits is given up after this time."""
+
+Reply = Callable[[Any], None]
+"""Takes the value to answer with, or the exception to answer with; from any thread, once."""
+
+
+class Transport(ABC):
+    """One end of a transport. All methods may be called from any thread.
+
+    Attributes:
+        ahead: by how many nanoseconds the clock at the other end is ahead of this one.
+        clock: the clock by which both ends say when a message was sent, nanoseconds. One that
+            nobody sets where both are on one machine; else that of the calendar.
+    """
+
+    def __init__(self) -> None:
+        self.ahead: Callable[[], int] = _same_clock
+        self.clock: Callable[[], int] = _boot_nanoseconds
+
+    @abstractmethod
+    def ask(self, key: str, request: Any, *, timeout: float = ANSWER_SECONDS) -> Any:
+        """Send a request and return the answer; waits `timeout` seconds at most.
+
+        Raises:
+            UoarmError: what the other end answered with.
+            BridgeError: UNAVAILABLE when nobody answers.
+            BridgeTimeoutError: no answer in time.
+        """
+
+    @abstractmethod
+    def ask_later(
+        self, key: str, request: Any, take: Callable[[Any], None], *, timeout: float
+    ) -> None:
+        """Send a request, and have the answer handed to `take` in the transport's thread.
+
+        An error, or no answer within `timeout` seconds, is told to nobody. `take` must not block.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+
+    @abstractmethod
+    def answer(self, key: str, take: Callable[[Any, Reply], None]) -> Callable[[], None]:
+        """Have requests at a key handed to `take`, in the transport's thread; returns what ends it.
+
+        `take` must not block: it answers at once, or hands the reply to another thread.
+        """
+
+    @abstractmethod
+    def publish(
+        self, key: str, payload: bytes, header: bytes, *, must_arrive: bool = False
+    ) -> None:
+        """Send one frame. When the link is full for 0.2 s, the frame is dropped.
+
+        With `must_arrive` it waits longer, and a link that stays full for 5 s is an error.
+
+        Raises:
+            BridgeError: the link is closed.
+        """
+
+    @abstractmethod
+    def subscribe(
+        self, key: str, length: int
+    ) -> tuple[Callable[[], tuple[Frame, bytes] | None], Callable[[], None]]:
+        """Return a function that waits for the next frame, and one that ends the subscription.
+
+        The first returns (payload, header), or None when the subscription has ended. At most
+        `length` frames wait; the oldest are lost first.
+        """
+
+    @abstractmethod
+    def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
+        """Have the headers of frames at a key handed to `take`, in the transport's thread."""
+
+    @abstractmethod
+    def show_alive(self, key: str) -> None:
+        """Declare a token that goes when this end dies."""
+
+    @abstractmethod
+    def watch_alive(self, key: str, seen: Callable[[bool], None]) -> None:
+        """Have the coming and going of a token told; `seen` must not block."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End everything of this end. Idempotent."""
+
+
+def answer_to(take: Callable[[Any, Reply], None], request: Frame | None, reply: Reply) -> None:
+    """Have a request answered; what taking it raises is the answer."""
+    try:
+        take(None if request is None else unpack(request), reply)
+    except Exception as error:  # noqa: BLE001 - an unanswered request looks like a death
+        reply(error)
+
+
+def answer_of(value: Any) -> bytes:
+    """Return the frame that answers with a value or an exception."""
+    failed = isinstance(value, BaseException)
+    try:
+        return pack((failed, to_failure(value) if failed else value))
+    except MessageError as error:
+        return pack((True, to_failure(error)))
+
+
+def read_answer(frame: Frame, key: str) -> Any:
+    """Return what the other end answered at a key, or raise what it answered with."""
+    told = unpack(frame)
+    match told:
+        case [bool(failed), value]:
+            if not failed:
+                return value
+            if isinstance(value, Mapping):
+                raise from_failure(value)
+    text = f"asking {key}: the answer is none of this link: {str(told)[:40]}"
+    raise BridgeError(text, FailureReason.CONTRACT)
+
+
+def _same_clock() -> int:
+    return 0
+
+
+def _boot_nanoseconds() -> int:
+    return int(boot_seconds() * 1e9)
