@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._host.transport import socket_transport
+from uoarm._host.transport import frames, socket_transport
 from uoarm._host.transport.codec import Frame
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
@@ -110,8 +110,8 @@ class _Interrupted:
     def __init__(self, real: socket.socket) -> None:
         self._real = real
 
-    def sendmsg(self, *given: Any) -> int:
-        self._real.sendmsg(*given)
+    def send(self, *given: Any) -> int:
+        self._real.send(*given)
         raise KeyboardInterrupt
 
     def __getattr__(self, name: str) -> Any:
@@ -124,11 +124,12 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
     near, other = bare
     far = SocketTransport(other.dup(), "far")
     receive, _ = far.subscribe("test/frames", 4)
-    real: Any = near._socket
-    monkeypatch.setattr(near, "_socket", _Interrupted(real))
+    writer = near._writer
+    real: Any = writer._socket
+    monkeypatch.setattr(writer, "_socket", _Interrupted(real))
     with pytest.raises(KeyboardInterrupt):
         near.publish("test/frames", b"one", b"")
-    monkeypatch.setattr(near, "_socket", real)
+    monkeypatch.setattr(writer, "_socket", real)
     with pytest.raises(BridgeError, match="the link is closed"):
         near.publish("test/frames", b"two", b"")
     assert receive() == (b"one", b"")
@@ -137,7 +138,7 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
 
 @pytest.mark.parametrize(
     "told",
-    [b"\xff" * 16, socket_transport._HEAD.pack(2, 0, 4, 0, 0, 2**31) + b"name"],
+    [b"\xff" * 16, frames._HEAD.pack(2, 0, 4, 0, 0, 2**31) + b"name"],
     ids=["noise", "a frame of 2 GiB"],
 )
 def test_what_is_no_frame_ends_the_link_for_both(
@@ -161,8 +162,8 @@ def test_a_frame_for_which_there_is_no_memory_ends_the_link(
     def none_left(size: int) -> bytearray:
         raise MemoryError
 
-    monkeypatch.setattr(socket_transport, "bytearray", none_left, raising=False)
-    other.sendall(socket_transport._HEAD.pack(2, 0, 4, 0, 0, LONG) + b"name")
+    monkeypatch.setattr(frames, "bytearray", none_left, raising=False)
+    other.sendall(frames._HEAD.pack(2, 0, 4, 0, 0, LONG) + b"name")
     assert other.recv(1) == b""
     with pytest.raises(BridgeError, match="the link is closed"):
         near.publish("test/frames", b"", b"")
@@ -226,4 +227,4 @@ def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, socket.socke
     assert far.ask("test/ask", "told", timeout=patience()) == "told"
     assert seen == []
     far.close()
-    wait(lambda: not far._reader.is_alive())
+    wait(lambda: not far._thread.is_alive())

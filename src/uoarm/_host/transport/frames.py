@@ -1,0 +1,222 @@
+"""Frames over a connected socket: a head of fixed layout, a key, a header and a payload.
+
+A frame that has begun to be written is always written to its end, if need be by whoever writes
+next.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from contextlib import suppress
+from typing import NamedTuple
+
+from uoarm._host.transport.codec import Frame
+from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
+
+__all__ = ["FrameReader", "FrameWriter", "Received"]
+
+_HEAD = struct.Struct("<BBHIII")
+"""What it is, nothing, the length of its key, its number, the lengths of header and payload."""
+_READ_OCTETS = 2**16
+_KERNEL_OCTETS = 2**20  # what the kernel may hold; on most machines it gives less
+_JOINED_OCTETS = 2**14  # a short frame is written as one piece
+_MOST_OCTETS = 2**30
+_STEP_MICROSECONDS = 20_000
+_NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
+
+
+class Received(NamedTuple):
+    """One frame. `payload` is a bytearray where it is long; nobody else holds it."""
+
+    kind: int
+    key: str
+    number: int
+    header: bytes
+    payload: Frame
+
+
+class FrameWriter:
+    """Writes frames to a socket, from any thread.
+
+    Args:
+        connected: the socket, which somebody else may read.
+    """
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._socket = connected
+        for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            with suppress(OSError):
+                connected.setsockopt(socket.SOL_SOCKET, option, _KERNEL_OCTETS)
+        # The kernel waits for room a short while, then we look at the time; reading has no limit.
+        limit = struct.pack("ll", 0, _STEP_MICROSECONDS)  # a `struct timeval`
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        self._writing = threading.Lock()
+        self._rest = memoryview(b"")
+        self._is_torn = False
+
+    def write(
+        self,
+        kind: int,
+        key: str,
+        number: int,
+        header: bytes,
+        payload: Frame,
+        seconds: float,
+    ) -> None:
+        """Write a frame, after what is left of the one before.
+
+        Args:
+            kind: what it is, below 256.
+            key: below 64 KiB.
+            number: below 2**32.
+            header: short.
+            payload: 1 GiB at most.
+            seconds: for which to wait for room.
+
+        Raises:
+            BridgeTimeoutError: there was no room, and none of it was written.
+            BridgeError: REFUSED: it is too long.
+            OSError: the socket is closed, at either end.
+        """
+        if len(payload) > _MOST_OCTETS:
+            text = f"{key}: a message of {len(payload):,} octets is longer than {_MOST_OCTETS:,}"
+            raise BridgeError(text, FailureReason.REFUSED)
+        name = key.encode()
+        start = _HEAD.pack(kind, 0, len(name), number, len(header), len(payload)) + name + header
+        deadline = time.monotonic() + seconds
+        if not self._writing.acquire(timeout=seconds):
+            raise _full(key, seconds)
+        try:
+            if self._is_torn:
+                self.shut()
+                raise OSError("a write was interrupted")
+            self._is_torn = True  # until it is known what is left: a signal's handler may raise
+            has_begun = self._write_rest(deadline) and self._begin(start, payload, deadline)
+            if has_begun:
+                self._write_rest(deadline)
+            self._is_torn = False
+        finally:
+            self._writing.release()
+        if not has_begun:
+            raise _full(key, seconds)
+
+    def shut(self) -> None:
+        """Have both ends know that no more is said."""
+        with suppress(OSError):  # it is closed, or the other end is
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the socket, which was shut: nobody waits in it."""
+        # A write that a starved thread begins now must not reach who gets this descriptor next.
+        with self._writing:
+            self._is_torn = True
+            self._socket.close()
+
+    def _begin(self, start: bytes, payload: Frame, deadline: float) -> bool:
+        """Write what the kernel takes of a frame, and keep the rest; False: it takes none."""
+        is_short = len(payload) < _JOINED_OCTETS
+        while True:
+            try:
+                if is_short:
+                    written = self._socket.send(start + payload, _NO_SIGNAL)
+                else:
+                    written = self._socket.sendmsg((start, payload), (), _NO_SIGNAL)
+                break
+            except BlockingIOError:
+                if time.monotonic() >= deadline:
+                    return False
+        if written < len(start) + len(payload):
+            whole = start + payload if written < len(start) else payload
+            gone = written if written < len(start) else written - len(start)
+            self._rest = memoryview(whole)[gone:]
+        return True
+
+    def _write_rest(self, deadline: float) -> bool:
+        """Write on at what was begun; False when time ran out before its end."""
+        while self._rest:
+            try:
+                self._rest = self._rest[self._socket.send(self._rest, _NO_SIGNAL) :]
+            except BlockingIOError:
+                if time.monotonic() >= deadline:
+                    return False
+        return True
+
+
+def _full(key: str, seconds: float) -> BridgeTimeoutError:
+    return BridgeTimeoutError(f"sending to {key}: the link has been full for {seconds:g} s")
+
+
+class FrameReader:
+    """Cuts what a socket gives into frames: few calls for many short ones, no copy of long ones.
+
+    Args:
+        connected: the socket, which one thread reads.
+    """
+
+    def __init__(self, connected: socket.socket) -> None:
+        self._socket = connected
+        self._buffer = bytearray(_READ_OCTETS)
+        self._view = memoryview(self._buffer)
+        self._start = self._end = 0
+
+    def read(self) -> Received | None:
+        """Return the next frame; None at the end. Waits for it without a limit.
+
+        Raises:
+            OSError: the link broke.
+            ValueError: what came is no frame.
+        """
+        if not self._have(_HEAD.size):
+            return None
+        kind, _, key_length, number, header_length, length = _HEAD.unpack_from(
+            self._buffer, self._start
+        )
+        if length > _MOST_OCTETS:
+            raise ValueError(f"a frame says that it is {length:,} octets long")
+        self._start += _HEAD.size
+        names = self._take(key_length + header_length)
+        payload = self._take(length)
+        if names is None or payload is None:
+            return None
+        key, header = str(names[:key_length], "utf-8"), bytes(names[key_length:])
+        return Received(kind, key, number, header, payload)
+
+    def _take(self, length: int) -> Frame | None:
+        """Return so many octets; long ones as a bytearray, which nobody else holds."""
+        if length <= _READ_OCTETS:
+            if not self._have(length):
+                return None
+            begin = self._start
+            self._start += length
+            return bytes(self._view[begin : self._start])
+        taken = bytearray(length)
+        got = self._end - self._start
+        taken[:got] = self._view[self._start : self._end]
+        self._start = self._end
+        rest = memoryview(taken)[got:]
+        while rest:
+            count = self._socket.recv_into(rest, len(rest), socket.MSG_WAITALL)
+            if not count:
+                return None
+            rest = rest[count:]
+        return taken
+
+    def _have(self, length: int) -> bool:
+        """Read until so many octets, 64 KiB at most, are there; False at the end."""
+        if self._end - self._start >= length:
+            return True
+        if self._start == self._end:
+            self._start = self._end = 0
+        elif self._start + length > _READ_OCTETS:
+            left = bytes(self._view[self._start : self._end])
+            self._start, self._end = 0, len(left)
+            self._view[: self._end] = left
+        while self._end - self._start < length:
+            count = self._socket.recv_into(self._view[self._end :])
+            if not count:
+                return False
+            self._end += count
+        return True
