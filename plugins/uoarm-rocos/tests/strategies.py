@@ -66,6 +66,12 @@ def _ordered(pair: tuple[Any, Any]) -> tuple[Any, Any]:
     return pair if None in pair or low <= high else (high, low)
 
 
+def _string(choices: tuple[str, ...], size: int | None) -> StringField:
+    """Return texts among which there is one."""
+    longest = max(map(len, choices), default=0)
+    return StringField(choices, None if size is None else max(size, longest))
+
+
 finite = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 sizes = st.none() | st.integers(0, 2**32 - 1)
 simple: st.SearchStrategy[Field] = st.one_of(
@@ -80,7 +86,7 @@ simple: st.SearchStrategy[Field] = st.one_of(
             NumberField, st.just(pair[0]), st.just(pair[1]), texts, st.booleans()
         )
     ),
-    st.builds(StringField, st.lists(texts, max_size=3).map(tuple), sizes),
+    st.builds(_string, st.lists(texts, max_size=3).map(tuple), sizes),
     st.builds(OctetsField, sizes),
 )
 

@@ -84,6 +84,13 @@ def test_what_the_codec_writes_needs_no_xml_parser_and_reads_the_same(message: W
         assert repr(quick) == repr(CODEC._read_any(written))
 
 
+@pytest.mark.parametrize("time", [0.0, -1.5e300, math.inf, -math.inf, math.nan])
+def test_every_time_is_read_without_the_parser(time: float) -> None:
+    quick = WrittenForm(Limits()).read(CODEC.write(Data(0, 1, {}, time)))
+    assert isinstance(quick, Data)
+    assert repr(quick.time) == repr(time)
+
+
 @given(messages, st.data())
 def test_what_is_read_without_the_parser_is_what_the_parser_reads(
     message: WireMessage, data: st.DataObject

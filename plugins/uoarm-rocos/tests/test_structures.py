@@ -120,6 +120,15 @@ def test_what_does_not_fit_is_named(change: dict[str, object], said: str) -> Non
         fit(FIELDS, {**GOOD, **change}, "m")
 
 
+def test_octets_fit_a_list_of_numbers_and_no_other() -> None:
+    levels = {"levels": Member(ListField(IntegerField(0, 3)))}
+    assert fit(levels, {"levels": b"\x01\x02"}, "m") == {"levels": [1, 2]}
+    with pytest.raises(WireError, match=r"m\.levels\[1\]: expected 0 to 3"):
+        fit(levels, {"levels": b"\x01\x04"}, "m")
+    with pytest.raises(WireError, match="true or false"):
+        fit({"on": Member(ListField(BooleanField()))}, {"on": b"\x01"}, "m")
+
+
 def test_buffers_and_numpy_fit() -> None:
     given_: dict[str, Any] = {
         "on": np.bool_(True),

@@ -30,7 +30,7 @@ def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
     """Return a message as values of exactly these fields; `where` begins the path in errors.
 
     Whole floats are taken for integers, integers for numbers, buffers and lists of 0 to 255 for
-    octets, anything with `tolist` (numpy, array) for lists.
+    octets, octets and anything with `tolist` (numpy, array) for lists.
 
     Raises:
         WireError: with the path of the first field that does not fit, what was expected and what
@@ -119,6 +119,8 @@ def _octets(kind: OctetsField, value: Any, where: str) -> bytes:
 
 def _list(kind: ListField, value: Any, where: str) -> list[Any]:
     items = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(items, bytes | bytearray):
+        items = list(items)
     if not isinstance(items, list | tuple):
         raise _wrong(where, "a list", value)
     most = math.inf if kind.max_items is None else kind.max_items

@@ -21,7 +21,7 @@ __all__ = ["WrittenForm"]
 _LARGEST = 2**32 - 1
 _ATTRIBUTES = 3
 _ATTRIBUTE_OCTETS = 64  # of a name; times and counts are shorter
-_REAL = r"-?[0-9.eE+\-]{1,30}"
+_REAL = r"[0-9.eE+\-]{1,30}|-?INF|NaN"
 _HEAD = re.compile(
     rf'<(data|call|result) id="([0-9]{{1,10}})" seq="([0-9]{{1,10}})"'
     rf'(?: time="({_REAL})"| api="({NAME.pattern})")?>',
