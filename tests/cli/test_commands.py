@@ -304,7 +304,7 @@ def test_status_says_what_can_be_had_and_what_cannot(robot: str) -> None:
     [
         ("uoarm._certificates", "certificates", ["certificates", "--machine", "arm"]),
         ("uoarm.client", "server", ["status", "--url", "ws://127.0.0.1:1/"]),
-        ("uoarm._host", "hosts", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
+        ("uoarm._host", "machines", ["host", "--join", "tcp/127.0.0.1:1", "--machine", "arm"]),
         ("uoarm.server", "server", ["token", "pad", "--role", "driver"]),
     ],
 )

@@ -144,6 +144,18 @@ def test_whatever_the_order_candidates_come_and_go(robot: str, policy: str) -> N
     assert explore(first, depth=12, most=300, candidates=True) == 300
 
 
+@pytest.mark.parametrize("robot", PLANS)
+def test_what_began_with_a_spare_and_runs_on_the_best_comes_to_rest(robot: str) -> None:
+    """Its preferred plan, the one that died first, is there again and is not the best one."""
+    world = World(PLANS[robot], POLICIES["returns"])
+    path = ("request c1", "do request c1", "request c2", "die best", "do request c2",
+        "do request c2", "revive best", "die spare", "revive spare")  # fmt: skip
+    for name in path:
+        dict(moves(world))[name](world)
+    world.settle()
+    world.check_at_rest()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("robot", PLANS)
 @pytest.mark.parametrize("policy", POLICIES)

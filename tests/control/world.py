@@ -387,12 +387,16 @@ class World:
         """Say whether time brings anything: what waits for ever for a better plan is at rest."""
         return any(
             one.failure is not None
-            or (one.preferred is not None and self._is_there(names(one.preferred)))
+            or (one.preferred is not None and self._is_chosen(one.preferred))
             for one in self.state.connections.values()
         )
 
-    def _is_there(self, wanted: tuple[str, ...]) -> bool:
-        return self.dead.isdisjoint(wanted)
+    def _is_chosen(self, plan: Plan) -> bool:
+        """Say whether a request would get this plan now, as `check_preferred` does."""
+        try:
+            return names(self.plans(plan.function, self.dead)) == names(plan)
+        except ResolutionError:
+            return False
 
     def _report(self, name: str, health: Health) -> None:
         bridge = self.state.bridges[name]
@@ -433,8 +437,7 @@ class World:
         if isinstance(action, act.FindReplacement):
             return self._find(action)
         if isinstance(action, act.CheckPreferred):
-            there = self._is_there(names(action.plan))
-            return ev.PreferredChecked(action.connection, there)
+            return ev.PreferredChecked(action.connection, self._is_chosen(action.plan))
         return ev.InputsSwitched(action.switchover, "" if fails_at is None else "no")
 
     def _do_old(self, action: act.CallAction) -> ev.Event:

@@ -93,6 +93,14 @@ def test_a_place_that_no_message_reaches_is_no_difference(
         verify_counterexample(verdict, producer, consumer)
 
 
+def test_what_stands_before_the_items_is_made_even_if_no_message_needs_it() -> None:
+    """To put an item at place 1 one stands at place 0, which `minItems` does not ask for."""
+    narrower = {"allOf": [{"pattern": "^a"}, {"required": ["a"]}]}
+    producer: Any = {"prefixItems": [{}], "items": {"pattern": "^a"}}
+    consumer: Any = {"prefixItems": [{}], "items": narrower}
+    verify_counterexample(check(producer, consumer), producer, consumer)
+
+
 def changed(choices: RandomChoices, schema: Any) -> Any:
     """Return a schema with one schema in it, of a member or of items, widened or narrowed."""
     if isinstance(schema, dict) and isinstance(members := schema.get("properties"), dict):

@@ -112,7 +112,8 @@ PATTERNS = (
 def test_a_text_of_a_length_is_found_exactly_where_there_is_one(
     wanted: list[str], unwanted: list[str], least: int, more: int, excluded: list[str]
 ) -> None:
-    """Among all texts over three letters; the third stands for every other."""
+    """Among all texts over four letters: `.` stands for the third, and for every other but those
+    that end a line, for which the fourth stands."""
     meter = Meter(10**9, 1_000.0, 10**9)
     found = shortest_word(wanted, unwanted, least, least + more, excluded, meter)
 
@@ -130,9 +131,9 @@ def test_a_text_of_a_length_is_found_exactly_where_there_is_one(
             assert len(found) == length
             assert does(found)
             return
-        if len(layer) > 3**7:
+        if len(layer) > 4**5:
             return
-        layer = [text + letter for text in layer for letter in "abc"]
+        layer = [text + letter for text in layer for letter in "abc\n"]
     assert found is None
 
 

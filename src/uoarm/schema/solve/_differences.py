@@ -170,15 +170,15 @@ class Messages:
         if any(one.min_items > _MAX_ITEMS for one in around):
             return None
         for step, one in zip(reversed(path), reversed(around[:-1]), strict=True):
-            kind = "array" if isinstance(step, int) else "object"
-            for part in _needed(one, kind):
+            is_item = isinstance(step, int)
+            for part in one.prefix if is_item else _needed(one, "object"):
                 if self.simplest(part) is None:
                     return None
-            if isinstance(step, int):
+            if is_item:
                 front = [self._made[part.number] for part in one.prefix]
                 value = _repeated(front, value, max(1, one.min_items - len(front)))
             else:
-                value = {**self._of_kind(one, kind), step: value}
+                value = {**self._of_kind(one, "object"), step: value}
         return Found(value)
 
     def _of_kind(self, node: Node, kind: str) -> Any:
