@@ -38,7 +38,8 @@ def limit_memory(octets: int | None) -> None:
 
     What it asks for beyond fails: Python raises MemoryError, native code may abort. Addresses
     that are only reserved, libraries and shared memory do not count, since RLIMIT_DATA and not
-    RLIMIT_AS is set (getrlimit(2)): middleware such as Zenoh reserves ten times what it uses. Linux only.
+    RLIMIT_AS is set (getrlimit(2)): middleware such as Zenoh reserves ten times what it uses.
+    Linux only.
     """
     if octets is not None and sys.platform == "linux":
         resource.setrlimit(resource.RLIMIT_DATA, (octets, octets))
