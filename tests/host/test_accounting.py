@@ -93,6 +93,55 @@ functions:
         input: {endpoint: ["kept:keep"]}
 """
 
+PLUGIN = """
+import os
+from pathlib import Path
+from uoarm.bridge import Bridge, BridgeType, Capabilities, Description, Source, hookimpl
+from uoarm.model import MessageStructure
+
+NONE_OF_THEM_CAN_BE_WRITTEN = [object() for _ in range(5)]
+
+class Deadly:
+    @property
+    def __class__(self):  # asked for when it is written into a frame
+        os.kill(os.getpid(), 9)
+
+class Hasty(Bridge):
+    capabilities = Capabilities()
+
+    def _describe(self, endpoint):
+        return Description(MessageStructure({"type": "integer"}))
+
+    def _open_source(self, endpoint, structure, deliver):
+        with Path(__file__).with_name(f"source-{os.getpid()}.journal").open("wb", 0) as journal:
+            for message in (1, 2, 3, *NONE_OF_THEM_CAN_BE_WRITTEN, Deadly()):
+                journal.write(b"x")
+                deliver(message)
+
+    def _open_sink(self, *given):
+        raise NotImplementedError
+
+    def _close(self):
+        pass
+
+@hookimpl
+def uoarm_bridge_types():
+    return [BridgeType(name="hasty", summary="hasty", create=Hasty, contract=2)]
+"""
+HASTY = """
+version: 1
+bridges:
+  one: {plugin: python, host: {silence: 600}}
+  two: {plugin: hasty, host: {silence: 600}}
+  three: {plugin: python, host: {silence: 600}}
+functions:
+  camera:
+    components:
+      - {name: first, bridge: one, priority: 3, output: {endpoint: ["kept:numbers"]}}
+      - {name: second, bridge: two, priority: 2, output: {endpoint: ["hasty"]}}
+      - {name: third, bridge: three, priority: 1, output: {endpoint: ["kept:numbers"]}}
+"""
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -266,3 +315,28 @@ def test_what_waited_between_a_killed_source_and_a_slow_consumer_is_counted(
     (gap,) = connection.gaps
     assert gap.after == ("second", "finder")
     assert gap.dropped
+
+
+def test_what_a_source_had_sent_before_its_host_said_that_it_is_open_is_received_or_counted(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "hasty_plugin.py").write_text(PLUGIN)
+    about = folder / "hasty_plugin-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: hasty-plugin\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[uoarm.bridges]\nhasty = hasty_plugin\n")
+    path = os.pathsep.join((str(folder), os.environ.get("PYTHONPATH", "")))
+    monkeypatch.setenv("PYTHONPATH", path)
+    (folder / "robot.yaml").write_text(HASTY)
+    got: list[int] = []
+    with RobotManager.from_file(folder / "robot.yaml") as robot:
+        connection = robot.request("camera", on_message=got.append)
+        wait(lambda: len(got) > 500)
+        kill(robot, "one")
+        wait(lambda: connection.gaps and connection.gaps[-1].after == ("third",))
+        seen = len(got)
+        wait(lambda: len(got) > seen + 500)
+        (tmp_path / "enough").touch()
+        # Only the first one's kill may have come between two writes.
+        wait(lambda: _accounted(robot, got, journal(tmp_path, "source")))
+        assert sum(gap.lost for gap in connection.gaps) > 0

@@ -149,6 +149,8 @@ class RemoteBridge(Bridge):
             opening = _opening(number, channel.counter, endpoint, structure)
             channel.latched = self._ask("source", **opening)
         except BaseException:
+            if self._host.dead and channel.counter is not None and channel.counter.read():
+                return channel  # it emitted: it was open, and died with what was under way
             channel.incoming.close()
             self._drop(number)
             raise
