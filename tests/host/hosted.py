@@ -81,11 +81,15 @@ def grow(value: int) -> int:
     return len(hoard)
 
 def leak(value: int) -> int:
+    global chain
+    chain = ()  # a list could not grow any more, and what finds no place in it would be free again
     while True:
-        try:
-            hoard.append(bytearray(2**value))
-        except MemoryError:
-            value = max(0, value - 1)
+        for size in (*(2**n for n in range(value, 9, -1)), *range(512, 0, -16)):
+            try:
+                while True:
+                    chain = (chain, bytes(size))
+            except MemoryError:
+                pass
 
 def echo(message: dict) -> dict:
     return message
