@@ -244,6 +244,65 @@ def test_it_is_emptied_once_more_for_what_came_since() -> None:
     run(work())
 
 
+def test_data_waits_for_a_client_that_reads_slowly_and_replies_do_not() -> None:
+    async def work() -> None:
+        now = 0.0
+        outbox = Outbox(10_000_000, 10, clock=lambda: now)
+        stream = Lane(QueuePolicy(1000), True, 1.0)
+        outbox.put(stream, b"first")
+        assert outbox.begin_ping() is None  # a client without streams is sent none
+        await outbox.next()
+        answered = outbox.begin_ping()
+        assert answered is not None
+        answered()
+        for _ in range(20):
+            outbox.put(stream, bytes(2**16))
+        now = 0.5  # it has kept up until now
+        await outbox.next(2**16)
+        answered = outbox.begin_ping()
+        assert answered is not None
+        await outbox.next(2**16)
+        now = 1.0
+        answered()  # it reads 128 KiB a second
+        outbox.put(stream, b"last")
+        assert outbox.unread_seconds() == 0
+        assert await outbox.next() == []  # the window is full, and a ping is due
+        answered = outbox.begin_ping()
+        assert answered is not None
+        reading = asyncio.ensure_future(outbox.next())
+        await asyncio.sleep(0)
+        assert not reading.done()
+        outbox.tell(b"reply", text=True)
+        assert await reading == [(b"reply", True)]
+        now = 1.25
+        assert outbox.unread_seconds() == 0.25
+        reading = asyncio.ensure_future(outbox.next())
+        answered()
+        assert len((await reading)[0][0]) == 2**16
+        assert outbox.unread_seconds() == 0
+
+    run(work())
+
+
+def test_what_would_be_too_old_when_it_is_read_makes_way() -> None:
+    async def work() -> None:
+        now = 0.0
+        outbox = Outbox(10_000_000, 10, clock=lambda: now)
+        stream = Lane(QueuePolicy(1000), True, 1.0)
+        for number in range(30):
+            outbox.put(stream, b"%d" % number)
+        await outbox.next()
+        assert outbox.begin_ping() is not None
+        now = 0.5
+        await outbox.next()
+        assert stream.dropped == 0
+        now = 0.6
+        outbox.put(stream, b"new")
+        assert stream.dropped == 13  # all but 16: an answer takes 0.6 s already
+
+    run(work())
+
+
 steps = st.lists(
     st.tuples(st.sampled_from(["put", "next", "reply", "wait", "renew"]), st.integers(1, 400)),
     max_size=60,

@@ -155,13 +155,14 @@ class Client:
     def check(self, now: float) -> None:
         """Cut the client off when it has not read for too long, or left too many replies."""
         since = self._writing_since
+        unread = self.outbox.unread_seconds() if since is None else now - since
         if self.outbox.overflowed:
             self.cut("it does not read its replies")
-        elif since is not None and now - since > self.limits.stall_seconds:
+        elif unread > self.limits.stall_seconds:
             if self.is_kept:
                 self.release()
             else:
-                self.cut(f"it has read nothing for {now - since:.0f} s")
+                self.cut(f"it has read nothing for {unread:.0f} s")
 
     def release(self) -> None:
         """End the connection as if it had dropped."""
@@ -213,9 +214,19 @@ class Client:
             frames = await self.outbox.next(_WRITE_OCTETS)
             self._writing_since = time.monotonic()
             await self._socket.send_frames(frames)
+            answered = self.outbox.begin_ping()
+            if answered is not None:
+                pong = asyncio.ensure_future(await self._socket.ping())
+                pong.add_done_callback(functools.partial(_take_pong, answered))
             self._writing_since = None
             self.sent += len(frames)
             self.sent_bytes += sum(len(frame) for frame, _ in frames)
+
+
+def _take_pong(answered: Callable[[], None], pong: asyncio.Future[float]) -> None:
+    """Have the answer to a ping taken; none comes where the connection has ended."""
+    if not pong.cancelled() and pong.exception() is None:
+        answered()
 
 
 def _is_drop(error: ConnectionClosed) -> bool:

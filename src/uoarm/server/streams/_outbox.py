@@ -8,6 +8,7 @@ import math
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 
 from attrs import define, field
 
@@ -15,10 +16,12 @@ from uoarm._dataplane import Clock
 from uoarm.errors import MessageError
 from uoarm.model import OverflowPolicy, QueuePolicy
 from uoarm.server.streams._memory import Account, Charge, Held, Memory
+from uoarm.server.streams._send_window import SendWindow
 
 __all__ = ["Lane", "Outbox"]
 
 _FRESH = 16
+_BEHIND_SECONDS = 0.25
 
 
 @define(eq=False)
@@ -52,9 +55,14 @@ class Lane:
         """Messages that may wait."""
         return 1 if self.policy.policy is OverflowPolicy.LATEST else self.policy.length
 
-    def is_stale(self, now: float) -> bool:
-        """Say whether the oldest message is too old."""
-        return len(self.waiting) > _FRESH and now - self.waiting[0][0] > self.age
+    @property
+    def is_for_new(self) -> bool:
+        """Whether a client that reads too slowly is to get what is new rather than all."""
+        return self.age < math.inf or self.policy.policy is OverflowPolicy.LATEST
+
+    def is_stale(self, now: float, transit: float) -> bool:
+        """Say whether the oldest message is too old, or will be after this many seconds more."""
+        return len(self.waiting) > _FRESH and now + transit - self.waiting[0][0] > self.age
 
     def refuse(self, error: MessageError) -> bool:
         """Count a message that cannot be written as lost; True: the client is to be notified.
@@ -110,6 +118,9 @@ class Outbox:
         self._emptied = asyncio.Event()
         self.overflowed = False
         self.dropped = 0
+        self._window = SendWindow()
+        self._waits_since = math.inf
+        self._has_streamed = False
 
     @property
     def waiting_bytes(self) -> int:
@@ -166,9 +177,35 @@ class Outbox:
             self._last_bytes += size
             self._add(lane, frames)
 
-    def renew(self) -> None:
-        """Count the age of what waits from now on: its client was away, and came back for it."""
+    def begin_ping(self) -> Callable[[], None] | None:
+        """Begin a ping behind what was written, where one is due: return what takes its answer.
+
+        None where none is due. Clients without streams that are to be new are sent none.
+        """
+        if not self._has_streamed:
+            return None
+        now, window = self._clock(), self._window
+        is_behind = now - self._waits_since > _BEHIND_SECONDS and any(
+            lane.is_for_new for lane in self._turns
+        )
+        if not window.wants_ping(now, is_behind=is_behind):
+            return None
+        window.asked(now)
+
+        def answered() -> None:
+            window.answered(self._clock())
+            self._filled.set()  # there is room again
+
+        return answered
+
+    def unread_seconds(self) -> float:
+        """Return for how long the client has not read what would make room for more."""
         now = self._clock()
+        return self._window.waited(now) if self._window.is_full(now) else 0.0
+
+    def renew(self) -> None:
+        """Take what waits as new: its client was away, and came back for it on another socket."""
+        now, self._window = self._clock(), SendWindow()
         for lane in self._turns:
             lane.waiting = deque((now, frames) for _, frames in lane.waiting)
 
@@ -180,7 +217,7 @@ class Outbox:
             self._turns.remove(lane)
 
     async def next(self, octets: int = 1) -> list[tuple[bytes, bool]]:
-        """Wait for frames to write; returns each and whether it is text.
+        """Wait for frames to write, or until a ping is due; returns each and whether it is text.
 
         One, and those that wait behind it until they are this many octets together. Their memory
         counts as held until the next are asked for: then they have been written.
@@ -188,15 +225,19 @@ class Outbox:
         for held, size in self._written.items():
             _grow(held, -size)
         self._written.clear()
-        while self.empty:
+        while not (self._may_go() or self._window.is_stuck(self._clock())):
             self._filled.clear()
-            self._emptied.set()
+            if self.empty:
+                self._emptied.set()
             await self._filled.wait()
         frames: list[tuple[bytes, bool]] = []
-        while octets > 0 and not self.empty:
+        while octets > 0 and self._may_go():
             frame, text = self._take_frame()
             octets -= len(frame)
+            self._window.sent(len(frame))
             frames.append((frame, text))
+        if not self._turns:
+            self._waits_since = math.inf
         return frames
 
     async def emptied(self) -> None:
@@ -204,6 +245,9 @@ class Outbox:
         if not self.empty:
             self._emptied.clear()
             await self._emptied.wait()
+
+    def _may_go(self) -> bool:
+        return bool(self._replies) or not (self.empty or self._window.is_full(self._clock()))
 
     def _take_frame(self) -> tuple[bytes, bool]:
         held = self._data_held
@@ -239,6 +283,7 @@ class Outbox:
         frames = [(piece, lane.text) for piece in self._take(lane)]
         self._pieces.extendleft(reversed(frames))
         lane.sent += 1
+        self._has_streamed |= lane.is_for_new
         if lane.waiting:
             self._turns.append(lane)
 
@@ -249,7 +294,8 @@ class Outbox:
 
     def _drop_stale(self, lane: Lane) -> None:
         now = self._clock()
-        while lane.is_stale(now):
+        transit = self._window.transit(now)
+        while lane.is_stale(now, transit):
             self._drop(lane)
 
     def _is_over(self) -> bool:
@@ -279,7 +325,9 @@ class Outbox:
     def _add(self, lane: Lane, frames: tuple[bytes, ...]) -> None:
         if not lane.waiting:
             self._turns.append(lane)
-        lane.waiting.append((self._clock(), frames))
+        now = self._clock()
+        self._waits_since = min(self._waits_since, now)
+        lane.waiting.append((now, frames))
         size = _size(frames)
         lane.waiting_bytes += size
         self._bytes += size

@@ -1,0 +1,112 @@
+"""How much may be under way to a client that reads more slowly than messages come."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+__all__ = ["SendWindow"]
+
+_PING_SECONDS = 0.1
+_LOOK_SECONDS = 0.25
+_AIM_SECONDS = 0.4
+_RATE_SECONDS = 0.3
+_KNOWN_SECONDS = 1.0
+_LEAST_OCTETS = 2**16
+_PARTS = 4
+
+
+class SendWindow:
+    """Bounds what is under way by the time that it takes, from answers to pings behind it.
+
+    What the kernels of both ends and the network hold, seconds of small messages, can be dropped by
+    nobody however old it is; what waits for a window can. A ping is answered when the client has
+    read all before it, so answers tell how fast it reads. The window is what it reads in 0.4 s and
+    the quickest round trip, 64 KiB at least, and without a bound where the client keeps up; then
+    pings go four times a second at most, and each that has no answer for as long closes it. The
+    first ping of a connection, before anything waits, tells how quick a round trip can be.
+
+    It knows no socket and no clock: all times are seconds of one clock, sizes are octets.
+    """
+
+    def __init__(self) -> None:
+        self._sent = 0
+        self._octets = math.inf
+        self._asked: tuple[float, float] = (-math.inf, -math.inf)  # the last ping, and what before
+        self._pings: deque[tuple[float, int]] = deque()  # when they were sent, and what before
+        self._answers: deque[tuple[float, int]] = deque()  # when they came, and what was read
+        self._read = 0
+        self._took = 0.0
+        self._least = math.inf
+        self._behind_at = -math.inf
+
+    def sent(self, octets: int) -> None:
+        """Note what was written."""
+        self._sent += octets
+
+    def wants_ping(self, now: float, *, is_behind: bool) -> bool:
+        """Say whether to send a ping, behind what was written; `is_behind`: messages wait.
+
+        Whenever it is stuck.
+        """
+        at, before = self._asked
+        if is_behind or self._is_slow(self.waited(now)):
+            self._behind_at = now
+        elif self._keeps_up(now):
+            self._answers.clear()
+            self._octets = math.inf
+            is_time = now - at >= _LOOK_SECONDS and self._sent - before >= _LEAST_OCTETS
+            return is_time and not self._pings
+        return now - at >= _PING_SECONDS or self._sent - before >= self._octets / _PARTS
+
+    def asked(self, now: float) -> None:
+        """Note a ping that was sent."""
+        self._asked = (now, self._sent)
+        self._pings.append((now, self._sent))
+
+    def answered(self, now: float) -> None:
+        """Note the answer to the oldest ping."""
+        if self.is_full(now):
+            self._behind_at = now
+        at, read = self._pings.popleft()
+        before, self._read = self._read, read
+        self._took = now - at
+        self._least = min(self._least, self._took)
+        if self._keeps_up(at):
+            return
+        if not self._answers:
+            self._answers.append((at, before))
+        self._answers.append((now, read))
+        while now - self._answers[1][0] >= _RATE_SECONDS + self._least:
+            self._answers.popleft()
+        since, start = self._answers[0]
+        rate = (read - start) / max(now - since, 1e-6)
+        self._octets = max(_LEAST_OCTETS, rate * (_AIM_SECONDS + self._least))
+
+    def is_full(self, now: float) -> bool:
+        """Say whether nothing more may go until the next answer."""
+        if self._answers:
+            return self._sent - self._answers[-1][1] >= self._octets
+        return self._is_slow(self.waited(now))
+
+    def is_stuck(self, now: float) -> bool:
+        """Say whether it is full, and a ping has to be sent for an answer to come."""
+        return self.is_full(now) and not self._pings
+
+    def waited(self, now: float) -> float:
+        """Return for how long the answer to a ping has been outstanding; 0 where none is."""
+        return now - self._pings[0][0] if self._pings else 0.0
+
+    def transit(self, now: float) -> float:
+        """Return how long what is written now is under way at least, as far as known lately."""
+        is_known = bool(self._answers) and now - self._answers[-1][0] < _KNOWN_SECONDS + self._least
+        return max(self.waited(now), self._took if is_known else 0.0)
+
+    def _is_slow(self, seconds: float) -> bool:
+        """Say whether an answer that takes so long waited for the client to read."""
+        return seconds > _AIM_SECONDS + self._least
+
+    def _keeps_up(self, now: float) -> bool:
+        """Say whether nothing waited then, and for a while: what is new may just have been sent."""
+        least = 0.0 if self._least == math.inf else self._least
+        return now - self._behind_at > _KNOWN_SECONDS + least
