@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from uoarm.server.streams._send_window import SendWindow
 
@@ -24,7 +26,7 @@ class Link:
         self.now = 0.0
         self.read = 0.0
         self._flood = flood
-        self._round_trip = round_trip
+        self.round_trip = round_trip
         self._may_write = 0.0
         self._written = 0
         self._arriving: deque[tuple[float, int]] = deque()  # what was written by when it arrives
@@ -36,14 +38,14 @@ class Link:
     @property
     def under_way(self) -> float:
         """Seconds until what is written now is read."""
-        return self._round_trip / 2 + (self._written - self.read) / self.rate
+        return self.round_trip / 2 + (self._written - self.read) / self.rate
 
     def ping(self, *, is_behind: bool = True) -> bool:
         wants = self.window.wants_ping(self.now, is_behind=is_behind)
         if wants:
             self.pings += 1
             self.window.asked(self.now)
-            self._pings.append((self.now + self._round_trip / 2, self._written))
+            self._pings.append((self.now + self.round_trip / 2, self._written))
         return wants
 
     def step(self, *, is_behind: bool = True) -> None:
@@ -54,7 +56,7 @@ class Link:
         self.read = min(self.read + self.rate * STEP, self._there)
         while self._pings and self._pings[0][0] <= self.now and self._pings[0][1] <= self.read:
             self._pings.popleft()
-            self._pongs.append(self.now + self._round_trip / 2)
+            self._pongs.append(self.now + self.round_trip / 2)
         while self._pongs and self._pongs[0] <= self.now:
             self._pongs.popleft()
             self.window.answered(self.now)
@@ -64,7 +66,7 @@ class Link:
             self._may_write -= WRITE
             self._written += WRITE
             self.window.sent(WRITE)
-            self._arriving.append((self.now + self._round_trip / 2, self._written))
+            self._arriving.append((self.now + self.round_trip / 2, self._written))
             self.ping(is_behind=is_behind)
 
     def run(self, seconds: float) -> None:
@@ -74,7 +76,7 @@ class Link:
     def begin(self) -> None:
         """Have the first ping answered, before anything is written."""
         assert self.ping(is_behind=False)
-        self.run_idle(self._round_trip + 2 * STEP)
+        self.run_idle(self.round_trip + 2 * STEP)
 
     def run_idle(self, seconds: float) -> None:
         flood, self._flood = self._flood, 0.0
@@ -118,6 +120,58 @@ def test_a_client_that_reads_faster_again_gets_more() -> None:
     read = link.read
     link.run(1)
     assert link.read - read > 0.85e7
+
+
+def test_a_network_that_becomes_slower_for_good_is_not_taken_for_a_slow_client() -> None:
+    link = Link(2e6, 0.02, flood=4e6)
+    link.begin()
+    link.run(5)
+    link.round_trip = 0.8
+    link.run(25)
+    read = link.read
+    link.run(5)
+    assert link.read - read > 0.85 * 5 * 2e6
+    link.round_trip = 0.02
+    link.run(60)
+    assert link.under_way < 0.55
+
+
+@pytest.mark.parametrize(("rate", "round_trip"), [(5e5, 0.01), (2e6, 0.3), (2e7, 1.0)])
+def test_measuring_the_round_trip_costs_little(rate: float, round_trip: float) -> None:
+    link = Link(rate, round_trip, flood=4 * rate)
+    link.begin()
+    link.run(10)
+    read = link.read
+    link.run(120)
+    assert link.read - read > 0.85 * 120 * rate
+
+
+spells = st.lists(
+    st.tuples(
+        st.floats(0.05, 4),
+        st.sampled_from([0.0, 1e5, 1e6, 1e7]),
+        st.sampled_from([0.0, 0.05, 0.5]),
+        st.booleans(),
+    ),
+    max_size=8,
+)
+
+
+@given(spells)
+def test_after_whatever_it_has_seen_it_settles(
+    plan: list[tuple[float, float, float, bool]],
+) -> None:
+    link = Link(1e6, 0.05, flood=4e6)
+    link.begin()
+    for seconds, link.rate, link.round_trip, is_behind in plan:
+        for _ in range(round(seconds / STEP)):
+            link.step(is_behind=is_behind)
+    link.rate, link.round_trip = 1e6, 0.05
+    link.run(60 + link.under_way)
+    read = link.read
+    link.run(10)
+    assert link.under_way < 0.75
+    assert link.read - read > 0.8 * 10 * 1e6
 
 
 def test_what_buffers_take_before_anything_waits_is_noticed() -> None:
@@ -180,9 +234,9 @@ def test_until_two_answers_or_without_any_how_long_it_takes_is_what_was_waited(
     answered: int,
 ) -> None:
     window = met()
+    window.sent(WRITE)
     window.wants_ping(0.0, is_behind=True)
     window.asked(0.0)
-    window.sent(WRITE)
     if answered:
         window.answered(2.0)
         assert window.transit(2.5) == 2.0

@@ -12,6 +12,8 @@ _LOOK_SECONDS = 0.25
 _AIM_SECONDS = 0.4
 _RATE_SECONDS = 0.3
 _KNOWN_SECONDS = 1.0
+_SLOW_SECONDS = 5.0
+_FOUND_SECONDS = 30.0
 _LEAST_OCTETS = 2**16
 _PARTS = 4
 
@@ -26,6 +28,10 @@ class SendWindow:
     pings go four times a second at most, and each that has no answer for as long closes it. The
     first ping of a connection, before anything waits, tells how quick a round trip can be.
 
+    A round trip may become slower for good, which looks like a client that does. Where answers were
+    slow for five seconds, and twice a minute, nothing goes until all is read, and a ping behind
+    nothing tells how quick a round trip can be now.
+
     It knows no socket and no clock: all times are seconds of one clock, sizes are octets.
     """
 
@@ -36,9 +42,13 @@ class SendWindow:
         self._pings: deque[tuple[float, int]] = deque()  # when they were sent, and what before
         self._answers: deque[tuple[float, int]] = deque()  # when they came, and what was read
         self._read = 0
+        self._answered_at = -math.inf
         self._took = 0.0
         self._least = math.inf
         self._behind_at = -math.inf
+        self._quick_at = -math.inf
+        self._found_at = -math.inf
+        self._is_draining = False
 
     def sent(self, octets: int) -> None:
         """Note what was written."""
@@ -55,9 +65,11 @@ class SendWindow:
         elif self._keeps_up(now):
             self._answers.clear()
             self._octets = math.inf
+            self._is_draining = False
             is_time = now - at >= _LOOK_SECONDS and self._sent - before >= _LEAST_OCTETS
             return is_time and not self._pings
-        return now - at >= _PING_SECONDS or self._sent - before >= self._octets / _PARTS
+        is_time = now - at >= _PING_SECONDS or self._sent - before >= self._octets / _PARTS
+        return is_time or self.is_stuck(now)
 
     def asked(self, now: float) -> None:
         """Note a ping that was sent."""
@@ -70,9 +82,18 @@ class SendWindow:
             self._behind_at = now
         at, read = self._pings.popleft()
         before, self._read = self._read, read
+        was_behind_nothing = before == read and at >= self._answered_at
+        self._answered_at = now
         self._took = now - at
-        self._least = min(self._least, self._took)
+        if was_behind_nothing or self._took < self._least:
+            self._least, self._found_at, self._is_draining = self._took, now, False
+        if not self._is_slow(self._took):
+            self._quick_at = now
         if self._keeps_up(at):
+            return
+        if was_behind_nothing and self._answers:
+            # It goes on as before it was drained, and what is sent now is not there at once.
+            self._answers = deque([(now + self._took, read)])
             return
         if not self._answers:
             self._answers.append((at, before))
@@ -80,11 +101,17 @@ class SendWindow:
         while now - self._answers[1][0] >= _RATE_SECONDS + self._least:
             self._answers.popleft()
         since, start = self._answers[0]
-        rate = (read - start) / max(now - since, 1e-6)
+        rate = (read - start) / max(now - since, _PING_SECONDS)
         self._octets = max(_LEAST_OCTETS, rate * (_AIM_SECONDS + self._least))
+        self._is_draining |= (
+            now - self._quick_at > _SLOW_SECONDS + 10 * self._least
+            or now - self._found_at > _FOUND_SECONDS * (1 + self._least)
+        )
 
     def is_full(self, now: float) -> bool:
         """Say whether nothing more may go until the next answer."""
+        if self._is_draining:
+            return True
         if self._answers:
             return self._sent - self._answers[-1][1] >= self._octets
         return self._is_slow(self.waited(now))
