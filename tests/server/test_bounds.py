@@ -16,6 +16,7 @@ from tests.server.conftest import Connect, Hurry, Serve
 from tests.server.robot import script
 from tests.server.talk import BESIDE, Talk, eventually, frame, open_socket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 
 from uoarm import RobotManager
 from uoarm._wire import ASKED
@@ -62,6 +63,34 @@ def test_a_client_that_never_reads_is_cut_off_in_time(serve: Serve, robot: Robot
             return not robot.status().connections
 
         eventually(freed, "freed")
+
+
+def test_a_client_that_answers_no_ping_gets_replies_only_until_it_does(serve: Serve) -> None:
+    """So what is to be new does not wait where nobody can drop it."""
+    for_ever = 100 * patience()
+    server = serve(Limits(stall_seconds=for_ever, ping_seconds=for_ever))
+    picture = {"width": 1, "data": bytes(100_000)}
+    with Talk(url(server), binary=True) as client:
+        connection = client.open("picture", queue={"length": 1, "policy": "latest"})
+        script.put(picture)
+        client.next(connection)
+        send_frame, pongs = client.socket.protocol.send_frame, list[Frame]()
+        client.socket.protocol.send_frame = (  # type: ignore[method-assign]
+            lambda frame: (pongs.append if frame.opcode is Opcode.PONG else send_frame)(frame)
+        )
+
+        def dropped() -> int:
+            script.put(picture)
+            count: int = client.ask("Status")["own"][0]["dropped"]
+            return count
+
+        eventually(lambda: dropped() > 3, "nothing goes to it")
+        before = client.ask("Status")["own"][0]["sent"]
+        with client.socket.protocol_mutex:
+            client.socket.protocol.send_frame = send_frame  # type: ignore[method-assign]
+        for pong in pongs:
+            client.socket.pong(pong.data)
+        eventually(lambda: client.ask("Status")["own"][0]["sent"] > before, "it goes on")
 
 
 def test_a_client_that_leaves_its_replies_is_cut_off(serve: Serve) -> None:

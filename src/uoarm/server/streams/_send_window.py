@@ -85,10 +85,13 @@ class SendWindow:
         was_behind_nothing = before == read and at >= self._answered_at
         self._answered_at = now
         self._took = now - at
+        is_first = self._least == math.inf
         if was_behind_nothing or self._took < self._least:
             self._least, self._found_at, self._is_draining = self._took, now, False
         if not self._is_slow(self._took):
             self._quick_at = now
+        if is_first:
+            self._behind_at = -math.inf  # it took a round trip, as it has to
         if self._keeps_up(at):
             return
         if was_behind_nothing and self._answers:
@@ -129,11 +132,14 @@ class SendWindow:
         is_known = bool(self._answers) and now - self._answers[-1][0] < _KNOWN_SECONDS + self._least
         return max(self.waited(now), self._took if is_known else 0.0)
 
+    @property
+    def _round_trip(self) -> float:
+        return 0.0 if self._least == math.inf else self._least
+
     def _is_slow(self, seconds: float) -> bool:
         """Say whether an answer that takes so long waited for the client to read."""
-        return seconds > _AIM_SECONDS + self._least
+        return seconds > _AIM_SECONDS + self._round_trip
 
     def _keeps_up(self, now: float) -> bool:
         """Say whether nothing waited then, and for a while: what is new may just have been sent."""
-        least = 0.0 if self._least == math.inf else self._least
-        return now - self._behind_at > _KNOWN_SECONDS + least
+        return now - self._behind_at > _KNOWN_SECONDS + self._round_trip
