@@ -121,7 +121,13 @@ class Player(World):
         bridge = self.state.bridges.get(subject, subject)
         component = None if bridge == subject else subject
         event = ev.HealthReported(
-            bridge, Health(health), f"of {part}", component, part, frozenset(map(int, spared))
+            bridge,
+            Health(health),
+            f"of {part}",
+            component,
+            part,
+            frozenset(map(int, spared)),
+            function=f"served by {subject}" if part == "messages" else "",
         )
         self.post(event)
 
