@@ -246,6 +246,19 @@ def test_until_two_answers_or_without_any_how_long_it_takes_is_what_was_waited(
         assert window.waited(2.5) == 2.5
 
 
+def test_each_answer_is_a_sign_of_life_however_late() -> None:
+    window = met()
+    for now in (0.0, 1.0):
+        window.sent(WRITE)
+        window.wants_ping(now, is_behind=True)
+        window.asked(now)
+    assert window.silent(9.0) == 9.0
+    window.answered(9.0)
+    assert (window.silent(12.0), window.waited(12.0)) == (3.0, 11.0)
+    window.answered(12.0)
+    assert window.silent(20.0) == 0
+
+
 def test_a_window_that_is_full_has_a_ping_under_way_or_asks_for_one() -> None:
     window = met()
     assert window.wants_ping(0.0, is_behind=True)

@@ -201,7 +201,7 @@ class Outbox:
     def unread_seconds(self) -> float:
         """Return for how long the client has not read what would make room for more."""
         now = self._clock()
-        return self._window.waited(now) if self._window.is_full(now) else 0.0
+        return self._window.silent(now) if self._window.is_full(now) else 0.0
 
     def renew(self) -> None:
         """Take what waits as new: its client was away, and came back for it on another socket."""

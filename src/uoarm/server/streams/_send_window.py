@@ -127,6 +127,10 @@ class SendWindow:
         """Return for how long the answer to a ping has been outstanding; 0 where none is."""
         return now - self._pings[0][0] if self._pings else 0.0
 
+    def silent(self, now: float) -> float:
+        """Return for how long no answer came although a ping was sent; 0 where none is awaited."""
+        return now - max(self._pings[0][0], self._answered_at) if self._pings else 0.0
+
     def transit(self, now: float) -> float:
         """Return how long what is written now is under way at least, as far as known lately."""
         is_known = bool(self._answers) and now - self._answers[-1][0] < _KNOWN_SECONDS + self._least
