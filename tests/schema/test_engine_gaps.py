@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -78,3 +79,12 @@ def test_a_gap_in_any_place_is_never_taken_for_nothing(
     loose = {"type": place(GAP).get("type", "string")}
     assert not check(loose, place(GAP)).compatible
     assert check(place({"$ref": "tag:nowhere,2026:one"}), place(GAP)).undecided
+
+
+def test_numbers_that_nobody_can_write_are_no_yes_among_hundreds_of_ranges() -> None:
+    """Between neighbours of doubles there are numbers; that none was found proves nothing."""
+    ranges = [{"minimum": n + 0.25, "maximum": n + 0.5} for n in range(2, 400)]
+    between = {"exclusiveMinimum": 1, "exclusiveMaximum": math.nextafter(1, 2)}
+    producer = {"type": "number", "anyOf": [between, *ranges]}
+    assert check(producer, {"anyOf": ranges}).undecided is not None
+    assert check({"type": "number", "anyOf": ranges}, {"anyOf": ranges[::-1]}).compatible
