@@ -62,3 +62,24 @@ def test_what_one_member_cannot_meet_needs_two() -> None:
     demands = [named("a"), {"not": {"propertyNames": {"pattern": "a"}}}]
     assert check({"allOf": [ONE, *demands]}, False).compatible
     assert len(check({"allOf": [{**ONE, "maxProperties": 2}, *demands]}, False).counterexample) == 2
+
+
+@pytest.mark.parametrize(("rest", "left"), [(False, 0), ({"type": "integer"}, "")])
+def test_patterns_of_names_that_a_branch_evaluates_do_so_only_where_it_holds(
+    rest: Any, left: Any
+) -> None:
+    way = {"required": ["k"], "patternProperties": {"^x": True}}
+    consumer = {
+        "type": "object",
+        "properties": {"k": True},
+        "anyOf": [way, True],
+        "unevaluatedProperties": rest,
+    }
+
+    def named(pattern: str, **more: Any) -> dict[str, Any]:
+        return {"type": "object", "propertyNames": {"pattern": pattern}} | more
+
+    assert check(named("^(k|x.*)$", required=["k"]), consumer).compatible
+    assert set(check(named("^(k|y|x.*)$", required=["k"]), consumer).counterexample) == {"k", "y"}
+    refused = check(named("^x", additionalProperties={"const": left}), consumer).counterexample
+    assert list(refused.values()) == [left]
