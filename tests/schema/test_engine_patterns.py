@@ -153,6 +153,9 @@ def test_a_property_holds_its_category(category: str) -> None:
     "pattern",
     [
         r"\p{Script=Greek}",
+        r"[\p{L}-z]",
+        r"[\P{L}-z]",
+        r"[a-\P{L}]",
         r"\p{Nothing}",
         r"(?<=a)b",
         r"(a)\1",
