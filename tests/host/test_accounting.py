@@ -339,4 +339,4 @@ def test_what_a_source_had_sent_before_its_host_said_that_it_is_open_is_received
         (tmp_path / "enough").touch()
         # Only the first one's kill may have come between two writes.
         wait(lambda: _accounted(robot, got, journal(tmp_path, "source")))
-        assert sum(gap.lost for gap in connection.gaps) > 0
+        assert losses(robot.status())["lost"] >= 5  # those that cannot be written

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uoarm._host.transport import liveness
-from uoarm._host.transport.liveness import Heartbeat, Silence
-from uoarm._host.transport.transport import Transport
-from uoarm.errors import BridgeError
+from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor, Silence
+from uoarm._host.transport.transport import LinkLostError, Transport
+from uoarm.errors import BridgeError, FailureReason
 from uoarm.testing import patience
 
 INTERVAL = liveness._INTERVAL_SECONDS
@@ -81,6 +81,49 @@ class LateTransport:
             self.enough.set()
         if self.late is None and self.asked % 2:
             raise BridgeError("the link is closed")
+
+
+class Answers:
+    """A transport over which every question is answered with one error."""
+
+    def __init__(self, error: BridgeError) -> None:
+        self.error = error
+
+    def ask(self, key: str, request: object, *, timeout: float) -> object:
+        raise self.error
+
+
+class Patient:
+    """A condition that notes that somebody waited."""
+
+    def __init__(self) -> None:
+        self.waited = False
+
+    def __enter__(self) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
+    def notify_all(self) -> None: ...
+
+    def wait_for(self, predicate: Callable[[], bool], timeout: float) -> bool:
+        self.waited = True
+        return predicate()
+
+
+@pytest.mark.parametrize(
+    ("error", "waits"),
+    [
+        (BridgeError("the node is not there", FailureReason.UNAVAILABLE), False),
+        (LinkLostError("the link is closed"), True),
+    ],
+)
+def test_why_a_host_died_is_waited_for_only_where_the_link_is_lost(
+    error: BridgeError, waits: bool
+) -> None:
+    monitor = LivenessMonitor("far", lambda *_: None, lambda _: None)
+    monitor._news = news = Patient()  # type: ignore[assignment] # all that it is asked for
+    with pytest.raises(BridgeError) as caught:
+        monitor.ask(cast(Transport, Answers(error)), "describe", {})
+    assert caught.value is error
+    assert news.waited is waits
 
 
 def heart(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pytest
+
 from uoarm import RobotManager
 from uoarm._control.live.component import LiveComponent
 from uoarm._control.live.emergency_stop import EmergencyStop
@@ -10,6 +14,7 @@ from uoarm._control.live.losses import LossAccount
 from uoarm._dataplane import Outlet, Route
 from uoarm.bridge import Bridge, Sink, Source
 from uoarm.config import loads
+from uoarm.errors import BridgeError
 from uoarm.model import Deliver, Endpoint, FailureLimits, MessageStructure, RouteStatus, Step
 from uoarm.testing import ManualClock, MemoryBridge, losses
 
@@ -44,6 +49,24 @@ class Calls(Bridge):
 
     def _close(self) -> None:
         pass
+
+
+class Hasty(Calls):
+    """A framework that is gone when a source of it, which lost three, has opened."""
+
+    while_opening: Callable[[], None]
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        self.while_opening()
+        self.close()
+        return LostThree(endpoint, lambda: deliver("after the close"))
+
+
+class LostThree(Source):
+    def facts(self) -> dict[str, object]:
+        return {"lost_on_link": 3}
 
 
 class Ended:
@@ -83,6 +106,16 @@ def test_what_comes_after_a_component_was_let_go_is_lost_with_it() -> None:
         account.settle((), (Ended(),))
     assert account.lost == 1
     bridge.close()
+
+
+def test_what_a_source_had_lost_when_its_bridge_was_closed_as_it_opened_is_counted() -> None:
+    bridge, account = Hasty(), LossAccount()
+    live = finder(bridge)
+    # Who replaces what died does not wait until it has opened.
+    bridge.while_opening = lambda: account.settle(account.close([live]), ())
+    with pytest.raises(BridgeError, match="was closed"):
+        live.open_output("default")
+    assert account.lost == 3 + 1
 
 
 def test_an_input_is_closed_first_so_that_what_comes_of_its_messages_is_counted() -> None:

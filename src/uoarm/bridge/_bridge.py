@@ -12,6 +12,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import TypeVar, final
 
 from uoarm import _bounded
@@ -120,11 +121,20 @@ class Bridge(ABC):
         deliver: Deliver,
         *,
         timeout: float = 5.0,
+        on_late: Callable[[Channel], object] | None = None,
     ) -> Source:
         """Open an output of a component; its messages go to `deliver`.
 
         `deliver` is called in the bridge's thread, for one channel one message at a time. None
         begins after `close` has returned, or after this has raised.
+
+        Args:
+            endpoint: of the output.
+            structure: of its messages, as `describe` or the configuration gave it.
+            deliver: takes the messages.
+            timeout: in seconds.
+            on_late: told of a source that opened when this had been given up, or the bridge been
+                closed: it is closed by then, and may have lost messages; for the core.
 
         Raises:
             BridgeError: the framework refused or failed; nothing stays open.
@@ -138,6 +148,7 @@ class Bridge(ABC):
                 timeout,
                 lambda: self._open_source(endpoint, structure, gate.give),
                 gate,
+                on_late,
             )
         except BaseException:
             gate.shut()
@@ -263,7 +274,7 @@ class Bridge(ABC):
             return None
         step = f"linking {source} to {sink}"
         channel = self._step(step, timeout, lambda: self._link(source, sink), on_late=_put_away)
-        return None if channel is None else self._adopt(Channel, "_link", channel)
+        return None if channel is None else self._adopt(Channel, "_link", channel, _put_away)
 
     @final
     def watch(self, listener: Callable[[HealthEvent], None] | None) -> None:
@@ -445,11 +456,20 @@ class Bridge(ABC):
         timeout: float,
         action: Callable[[], C],
         gate: Gate | None = None,
+        on_late: Callable[[Channel], object] | None = None,
     ) -> C:
-        channel = self._step(what, timeout, action, on_late=_put_away)
-        return self._adopt(kind, what, channel, gate)
+        put_away: Callable[[Channel], None] = partial(_put_away, gate=gate, on_late=on_late)
+        channel = self._step(what, timeout, action, on_late=put_away)
+        return self._adopt(kind, what, channel, put_away, gate)
 
-    def _adopt(self, kind: type[C], what: str, channel: C, gate: Gate | None = None) -> C:
+    def _adopt(
+        self,
+        kind: type[C],
+        what: str,
+        channel: C,
+        put_away: Callable[[Channel], None],
+        gate: Gate | None = None,
+    ) -> C:
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
         with self._lock:
@@ -459,7 +479,7 @@ class Bridge(ABC):
                 channel._when_closed = self._forget  # noqa: SLF001 - a channel's one owner
                 channel._gate = gate  # noqa: SLF001
         if not keep:
-            _put_away(channel)
+            put_away(channel)
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)
         return channel
 
@@ -480,11 +500,18 @@ class Bridge(ABC):
         return BridgeError(text, FailureReason.CONTRACT)
 
 
-def _put_away(channel: Channel | None) -> None:
-    """Close a channel that nobody waits for any more."""
+def _put_away(
+    channel: Channel | None,
+    gate: Gate | None = None,
+    on_late: Callable[[Channel], object] | None = None,
+) -> None:
+    """Close a channel that nobody waits for any more, then tell of it."""
     if not isinstance(channel, Channel):
         return
+    channel._gate = gate  # noqa: SLF001 - a channel's one owner
     try:
         channel.close()
     except BridgeError:
         _log.warning("a channel that came too late could not be closed", exc_info=True)
+    if on_late is not None:
+        on_late(channel)

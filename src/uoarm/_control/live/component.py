@@ -130,6 +130,7 @@ class LiveComponent:
                     self.structures[f"output.{name}"],
                     self.outlets[name].deliver,
                     timeout=_OPEN_SECONDS,
+                    on_late=self._closed.append,
                 )
                 self.outlets[name].retain(source.latched)
         finally:

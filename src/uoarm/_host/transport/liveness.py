@@ -14,13 +14,13 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from uoarm._host.transport import keys
-from uoarm._host.transport.transport import ANSWER_SECONDS, Transport
+from uoarm._host.transport.transport import ANSWER_SECONDS, LinkLostError, Transport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
 
 __all__ = ["Heartbeat", "LivenessMonitor", "Silence"]
 
 _MARGIN_SECONDS = 0.5
-_NEWS_SECONDS = 0.3
+_NEWS_SECONDS = 2.0
 _LEAST_SECONDS = 0.1
 _INTERVAL_SECONDS = 0.5
 _DOUBT = 1 / 3
@@ -113,10 +113,8 @@ class LivenessMonitor:
             limit = min(limit, values["timeout"] + _MARGIN_SECONDS)
         try:
             return transport.ask(keys.ASK, {"op": operation, **values}, timeout=limit)
-        except BridgeError as error:
-            if error.reason is not FailureReason.UNAVAILABLE:
-                raise
-            with self._news:
+        except LinkLostError as error:
+            with self._news:  # why it died is found out in another thread
                 self._news.wait_for(lambda: bool(self.dead), _NEWS_SECONDS)
             self._refuse_dead(operation, error)
             raise

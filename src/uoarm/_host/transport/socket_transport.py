@@ -20,6 +20,7 @@ from uoarm._host.transport.codec import Frame, pack
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
 from uoarm._host.transport.transport import (
     ANSWER_SECONDS,
+    LinkLostError,
     Reply,
     Transport,
     answer_of,
@@ -176,7 +177,7 @@ class SocketTransport(Transport):
 
         Raises:
             BridgeTimeoutError: the link was full for so long, and none of it was written.
-            BridgeError: the link is closed.
+            LinkLostError: the link is closed.
         """
         if threading.current_thread() is self._thread:
             seconds = _FULL_SECONDS  # it must go on reading, or both ends might wait for each other
@@ -267,5 +268,5 @@ class _Ring:
         self._frames.put(None)
 
 
-def _closed(step: str) -> BridgeError:
-    return BridgeError(f"{step} failed: the link is closed", FailureReason.UNAVAILABLE)
+def _closed(step: str) -> LinkLostError:
+    return LinkLostError(f"{step} failed: the link is closed")

@@ -14,13 +14,28 @@ from uoarm._host.transport.codec import Frame, from_failure, pack, to_failure, u
 from uoarm.bridge import boot_seconds
 from uoarm.errors import BridgeError, FailureReason, MessageError
 
-__all__ = ["ANSWER_SECONDS", "Reply", "Transport", "answer_of", "answer_to", "read_answer"]
+__all__ = [
+    "ANSWER_SECONDS",
+    "LinkLostError",
+    "Reply",
+    "Transport",
+    "answer_of",
+    "answer_to",
+    "read_answer",
+]
 
 ANSWER_SECONDS = 120.0
 """A request that nothing else limits is given up after this time."""
 
 Reply = Callable[[Any], None]
 """Takes the value to answer with, or the exception to answer with; from any thread, once."""
+
+
+class LinkLostError(BridgeError):
+    """The other end is gone, or the link to it. What it answers itself is never this error."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text, FailureReason.UNAVAILABLE)
 
 
 class Transport(ABC):
@@ -42,7 +57,7 @@ class Transport(ABC):
 
         Raises:
             UoarmError: what the other end answered with.
-            BridgeError: UNAVAILABLE when nobody answers.
+            LinkLostError: nobody answers.
             BridgeTimeoutError: no answer in time.
         """
 
@@ -55,7 +70,7 @@ class Transport(ABC):
         An error, or no answer within `timeout` seconds, is told to nobody. `take` must not block.
 
         Raises:
-            BridgeError: the link is closed.
+            LinkLostError: the link is closed.
         """
 
     @abstractmethod
@@ -74,7 +89,7 @@ class Transport(ABC):
         With `must_arrive` it waits longer, and a link that stays full for 5 s is an error.
 
         Raises:
-            BridgeError: the link is closed.
+            LinkLostError: the link is closed.
         """
 
     @abstractmethod

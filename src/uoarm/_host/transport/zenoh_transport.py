@@ -20,13 +20,14 @@ import zenoh
 from uoarm._host.transport.codec import Frame, pack
 from uoarm._host.transport.transport import (
     ANSWER_SECONDS,
+    LinkLostError,
     Reply,
     Transport,
     answer_of,
     answer_to,
     read_answer,
 )
-from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmError
+from uoarm.errors import BridgeTimeoutError, UoarmError
 
 __all__ = ["NO_MORE", "ZenohTransport", "configuration"]
 
@@ -93,7 +94,7 @@ class ZenohTransport(Transport):
         if late and (not replies or replies[0].ok is None):
             raise BridgeTimeoutError(f"no answer at {key} within {timeout:g} s")
         if not replies:
-            raise BridgeError(f"nobody answers at {key}", FailureReason.UNAVAILABLE)
+            raise LinkLostError(f"nobody answers at {key}")
         return _answer_in(replies[0], key)
 
     def ask_later(
@@ -226,7 +227,7 @@ def _answer_in(reply: zenoh.Reply, key: str) -> Any:
     """Return what the other end answered at a key, or raise what it answered with."""
     if reply.err is not None:
         text = reply.err.payload.to_string()
-        raise BridgeError(f"asking {key}: {text}", FailureReason.UNAVAILABLE)
+        raise LinkLostError(f"asking {key}: {text}")
     assert reply.ok is not None, "a reply that is no error holds a sample"
     return read_answer(reply.ok.payload.to_bytes(), key)
 
@@ -245,7 +246,7 @@ def _reply_to(query: zenoh.Query) -> Reply:
 
 
 class _wrapped:  # noqa: N801 - as those of contextlib; each message enters one
-    """Raises as a BridgeError what Zenoh raises in a step, which the text names."""
+    """Raises as a LinkLostError what Zenoh raises in a step, which the text names."""
 
     __slots__ = ("_step",)
 
@@ -264,7 +265,7 @@ class _wrapped:  # noqa: N801 - as those of contextlib; each message enters one
         if isinstance(error, zenoh.ZError):
             text = _PLACE_IN_ZENOH.sub("", str(error)).rstrip(".")
             text = f"{self._step} failed: {text}"
-            raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+            raise LinkLostError(text) from error
 
 
 def configuration(
