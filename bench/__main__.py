@@ -27,6 +27,9 @@ def main() -> int:
         for path in HERE.glob("*.py")
         if path.stem not in OTHER and not path.stem.startswith("_")
     )
+    if unknown := sorted(set(wanted) - set(names)):
+        print(f"no benchmark is named {', '.join(unknown)}: {', '.join(names)}", file=sys.stderr)
+        return 2
     failed = 0
     for name in names:
         if wanted and name not in wanted:
