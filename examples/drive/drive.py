@@ -39,16 +39,21 @@ def main() -> int:
     parser.add_argument("--page-port", type=int, default=9081)
     options = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    pages = ThreadingHTTPServer(
-        ("127.0.0.1", options.page_port), partial(Pages, directory=str(HERE))
-    )
+    try:
+        pages = ThreadingHTTPServer(
+            ("127.0.0.1", options.page_port), partial(Pages, directory=str(HERE))
+        )
+    except OSError as error:
+        told = f"cannot listen on 127.0.0.1:{options.page_port}: {error.strerror}"
+        print(f"{told}; --page-port takes another", file=sys.stderr)
+        return 2
     page = f"http://127.0.0.1:{pages.server_port}"
     serve = [sys.executable, "-m", "uoarm", "serve", str(HERE / "robot.yaml"), "--origin", page]
     parts = {
         "base.py": subprocess.Popen([sys.executable, str(HERE / "base.py")]),
         "uoarm serve": subprocess.Popen([*serve, "--port", str(options.robot_port)]),
     }
-    print(f"open {page}/?robot=ws://127.0.0.1:{options.robot_port}/", flush=True)
+    print(f"open {page}/?robot=ws://127.0.0.1:{options.robot_port}/ to drive; Ctrl-C ends", flush=True)
     with pages:
         threading.Thread(target=pages.serve_forever, daemon=True).start()
         try:

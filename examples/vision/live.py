@@ -78,8 +78,9 @@ def serve(port: int, console: Console) -> None:
 
 
 def tell(console: Console, server: Server) -> None:
-    """Say where the dashboard is."""
-    console.print(f"open http://127.0.0.1:{server.ports[0]}/")
+    """Say where the pictures are: the dashboard shows them once they are asked for."""
+    page = f"http://127.0.0.1:{server.ports[0]}/#/graph/function/faceRecognition/use"
+    console.print(f"open {page}", "and press Watch; Ctrl-C ends", sep="\n", soft_wrap=True)
 
 
 def ignore(message: Message) -> None:

@@ -6,6 +6,7 @@ import socket
 import sys
 from itertools import islice
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import live
@@ -40,6 +41,14 @@ def test_a_port_that_is_taken_is_told_before_anything_is_fetched(
         with pytest.raises(OSError, match=f"port {port} is in use.*PORT="):
             live.serve(port, Console())
     assert not (tmp_path / "cache").exists()
+
+
+def test_the_address_that_it_prints_shows_the_pictures() -> None:
+    console = Console(record=True, width=40)
+    live.tell(console, Mock(ports=(9080,)))
+    told = console.export_text()
+    assert "http://127.0.0.1:9080/#/graph/function/faceRecognition/use\n" in told
+    assert "press Watch" in told
 
 
 def test_its_recordings_play_again_and_again(

@@ -6,10 +6,11 @@ import shutil
 import subprocess
 from collections.abc import Callable
 from importlib.util import find_spec
+from typing import Final
 
 from attrs import frozen
 
-__all__ = ["NEEDS", "Need", "chromium", "missing", "node"]
+__all__ = ["MODULES", "NEEDS", "Need", "chromium", "missing", "node"]
 
 _NODE = (20, 10)
 _SECONDS = 10.0
@@ -73,12 +74,12 @@ def _package(module: str, install: str, without: str, *, vital: bool = True) -> 
 _ALL = "`make healthbot` installs it"
 _NOTHING = "the scene does not start"
 
-_MODULES = ("cv2", "omniORB", "uoarm_rtm", "uoarm_rocos", "serial", "zenoh", "websockets",
+MODULES: Final = ("cv2", "omniORB", "uoarm_rtm", "uoarm_rocos", "serial", "msgpack", "websockets",
             "httpx", "starlette", "sqlalchemy", "uvicorn")  # fmt: skip
 
 NEEDS = (
     _package("rclpy", _ALL + ", or source a ROS 2 installation first", _NOTHING),
-    *(_package(module, _ALL, _NOTHING) for module in _MODULES),
+    *(_package(module, _ALL, _NOTHING) for module in MODULES),
     _package("dlib", _ALL, "the lighter recogniser goes on, which mixes people up", vital=False),
     _package("espeakng_loader", _ALL, "what is said is shown, not spoken", vital=False),
     Need(

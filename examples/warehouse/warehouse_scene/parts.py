@@ -14,17 +14,26 @@ from attrs import frozen
 from healthbot_scene.crew import Part, environment_of, fill_in_robot
 from vision_demo.ports import free_domain, free_ports, listens
 
-__all__ = ["EXAMPLE", "NEWCOMER_HOME", "Places", "make_places", "missing", "newcomer", "parts_of"]
+__all__ = [
+    "EXAMPLE",
+    "NEEDS",
+    "NEWCOMER_HOME",
+    "Places",
+    "make_places",
+    "missing",
+    "newcomer",
+    "parts_of",
+]
 
 NEWCOMER_HOME: Final = "home4"
 
 EXAMPLE: Final = Path(__file__).resolve().parents[1]
 _PYTHON: Final = sys.executable
-_NEEDS: Final = {
+NEEDS: Final = {
     "rclpy": "ROS 2", "test_msgs": "ROS 2", "omniORB": "OpenRTM", "uoarm_ros2": "ROS 2",
     "uoarm_rtm": "OpenRTM", "uoarm_rocos": "the station", "uoarm_vda5050": "VDA 5050",
     "websockets": "the server",
-    "zenoh": "hosts",
+    "msgpack": "hosts",
 }  # fmt: skip
 
 
@@ -99,7 +108,7 @@ def missing() -> list[str]:
     """Return what is not here, and how to get it."""
     lacking = [
         f"the Python module {module} ({what}) is not here: `make warehouse` installs it"
-        for module, what in _NEEDS.items()
+        for module, what in NEEDS.items()
         if find_spec(module) is None
     ]
     if _mosquitto() is None:
