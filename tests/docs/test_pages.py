@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -100,7 +102,7 @@ def test_what_a_page_installs_of_ours_comes_from_the_checkout(page: Path) -> Non
 
 
 def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
-    install, components, robot, commands, printed, program = (
+    install, components, robot, commands, printed, program, other, line = (
         one.text for one in blocks(ROOT / "docs" / "first-steps.md")
     )
     assert "pip install ." in install
@@ -112,15 +114,19 @@ def test_the_first_steps_work_as_written(tmp_path: Path) -> None:
     assert "infrared" in outputs[1]
     assert outputs[2] == printed
     assert run(["program.py"], tmp_path) == "fire! 91.5\n"
-    (tmp_path / "kitchen.py").write_text(
-        components.replace("(reading: Reading", "(reading: Fahrenheit").replace(
-            "def too_hot", "class Fahrenheit(TypedDict):\n    fahrenheit: float\n\n\ndef too_hot"
-        )
-    )
+    before, _, _ = components.partition("def too_hot")
+    (tmp_path / "kitchen.py").write_text(before + other)
     refused = run(["-m", "uoarm", "request", "fireAlarm"], tmp_path, code=1)
-    line = "map: {fahrenheit: {from: celsius, scale: 1.8, offset: 32}}"
     # As the page says: with the extra of units. Without it no field is offered for the other.
-    assert line in refused if find_spec("pint") else "map:" not in refused
+    shown = textwrap.indent(line, " " * 12)
+    assert shown in refused if find_spec("pint") else "map:" not in refused
+    mended = robot.replace(
+        "from: temperature,", f"from: temperature, {line.splitlines()[1].strip()},"
+    )
+    (tmp_path / "robot.yaml").write_text(mended)
+    if find_spec("pint"):
+        told = run(["-m", "uoarm", "request", "fireAlarm", "--count", "3"], tmp_path)
+        assert [json.loads(one)["hot"] for one in told.splitlines()] == [False, False, True]
 
 
 def test_a_component_works_as_written(tmp_path: Path) -> None:
