@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import getpass
+import os
 import shutil
 import sys
 from collections.abc import Callable
@@ -124,12 +124,14 @@ def _mosquitto() -> str | None:
 def _broker(places: Places) -> tuple[str, ...]:
     """Return the broker on loopback, which keeps nothing.
 
-    It stays the user who starts it: one that becomes another is not ended with its parent.
+    It stays the user who starts it, which root has to say, whatever USER says: one that becomes
+    another is not ended with its parent.
     """
+    user = "user root\n" if os.geteuid() == 0 else ""
     file = places.run / "mosquitto.conf"
     file.write_text(
         f"listener {places.broker} 127.0.0.1\nallow_anonymous true\npersistence false\n"
-        f"set_tcp_nodelay true\nuser {getpass.getuser()}\n"
+        f"set_tcp_nodelay true\n{user}"
     )
     return (_mosquitto() or "mosquitto", "-c", str(file))
 
