@@ -53,7 +53,8 @@ def main() -> int:
         "base.py": subprocess.Popen([sys.executable, str(HERE / "base.py")]),
         "uoarm serve": subprocess.Popen([*serve, "--port", str(options.robot_port)]),
     }
-    print(f"open {page}/?robot=ws://127.0.0.1:{options.robot_port}/ to drive; Ctrl-C ends", flush=True)
+    drive = f"{page}/?robot=ws://127.0.0.1:{options.robot_port}/"
+    print(f"open {drive} to drive; Ctrl-C ends", flush=True)
     with pages:
         threading.Thread(target=pages.serve_forever, daemon=True).start()
         try:
