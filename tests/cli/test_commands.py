@@ -315,3 +315,32 @@ def test_a_command_whose_extra_is_not_installed_says_which(
     result = run(*command)
     assert result.exit_code == 4
     assert install_command("uoarm", extra) in result.stderr
+
+
+def test_check_warns_of_what_the_file_names_and_is_not_here(tmp_path: Path) -> None:
+    (tmp_path / "kitchen.py").write_text("def stove() -> int:\n    return 1\n")
+    (tmp_path / "licensed.py").write_text("raise RuntimeError('the licence has ended')\n")
+    (tmp_path / "robot.yaml").write_text("""\
+version: 1
+bridges: {python: {}, away: {plugin: absent}, there: {plugin: absent, host: {environment: x}}}
+functions:
+  heat:
+    components:
+      - {name: here, bridge: python, priority: 6, service: {endpoint: ["kitchen:stove"]}}
+      - {name: mistyped, bridge: python, priority: 5, service: {endpoint: ["kitchn:stove"]}}
+      - {name: misnamed, bridge: python, priority: 4, service: {endpoint: ["kitchen:stve"]}}
+      - {name: raising, bridge: python, priority: 3, service: {endpoint: ["licensed:stove"]}}
+      - {name: far, bridge: away, priority: 2, service: {endpoint: [a]}}
+      - {name: farther, bridge: there, priority: 1, service: {endpoint: [a]}}
+""")
+    done = CliRunner().invoke(main, ["check", str(tmp_path / "robot.yaml"), "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert told["problems"] == []
+    at = {(one["place"]["line"], one["sentence"].partition(":")[0]) for one in told["warnings"]}
+    assert at == {(2, "it was not checked")} | {(n, "it cannot be had here") for n in (7, 8, 9)}
+    texts = " ".join(one["sentence"] for one in told["warnings"])
+    assert "no module 'kitchn'" in texts
+    assert "did you mean 'stove'" in texts
+    assert "RuntimeError: the licence has ended" in texts
+    assert "there is no plugin 'absent'" in texts

@@ -74,10 +74,12 @@ def main(context: click.Context) -> None:
 def check(file: str, *, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE.
 
-    Python components that run in this environment are imported, to check their parameters.
+    Python components that run in this environment are imported, to check their parameters. What is
+    not here, a module or a plugin, is a warning: the file may be for another machine.
     """
     _say_that_it_takes_a_while(file)
-    report = inspect(file, Registry().types, parameters=True)
+    registry = Registry()
+    report = inspect(file, registry.types, parameters=True, missing=registry.missing)
     if as_json:
         print_json({"problems": report.problems, "warnings": report.warnings})
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -85,7 +85,11 @@ def loads(text: str, origin: str = "", types: Types = _NO_TYPES) -> Robot:
 
 
 def inspect(
-    path: str | PathLike[str], types: Types = _NO_TYPES, *, parameters: bool = False
+    path: str | PathLike[str],
+    types: Types = _NO_TYPES,
+    *,
+    parameters: bool = False,
+    missing: Callable[[str], str] | None = None,
 ) -> Report:
     """Read a configuration file and report on it without raising.
 
@@ -94,11 +98,21 @@ def inspect(
         types: bridge types, to check options and endpoints with.
         parameters: whether parameters are checked with the components, too. That imports Python
             components that run in this environment, each within ten seconds.
+        missing: says of a plugin that `types` has not why, as `Registry.missing` does: then what
+            the file names and is not here is among the warnings.
     """
-    return _report(read_file(Path(path)), str(path), types, parameters=parameters)
+    document = read_file(Path(path))
+    return _report(document, str(path), types, parameters=parameters, missing=missing)
 
 
-def _report(document: Document, file: str, types: Types, *, parameters: bool = False) -> Report:
+def _report(
+    document: Document,
+    file: str,
+    types: Types,
+    *,
+    parameters: bool = False,
+    missing: Callable[[str], str] | None = None,
+) -> Report:
     if not document.whole:
         return Report(None, _sorted(document.problems))
     if document.value is None and not document.problems:
@@ -106,10 +120,17 @@ def _report(document: Document, file: str, types: Types, *, parameters: bool = F
         return Report(
             None, (Problem(place=_START, path="$", sentence=sentence, hint=hint, file=file),)
         )
-    return _judge(document, file, types, parameters=parameters)
+    return _judge(document, file, types, parameters=parameters, missing=missing)
 
 
-def _judge(document: Document, file: str, types: Types, *, parameters: bool) -> Report:
+def _judge(
+    document: Document,
+    file: str,
+    types: Types,
+    *,
+    parameters: bool,
+    missing: Callable[[str], str] | None,
+) -> Report:
     speller = Speller()
     shape = ShapeChecker(document, file, speller)
     meaning = MeaningChecker(document, file, speller)
@@ -122,7 +143,8 @@ def _judge(document: Document, file: str, types: Types, *, parameters: bool) -> 
         found.extend(shape.structure_problems(structure, path))
     told = {problem.place for problem in document.problems}
     problems = [*document.problems, *(one for one in found if one.place not in told)]
-    warnings = _sorted([*meaning.warnings, *plugins.warnings()])
+    absent = () if missing is None else plugins.absences(missing)
+    warnings = _sorted([*meaning.warnings, *plugins.warnings(), *absent])
     if problems:
         return Report(None, _sorted(problems), warnings)
     assert isinstance(document.value, dict), "the shape was checked"

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from uoarm import _bounded
 from uoarm._mistakes import mistakes
+from uoarm._raised import text_of
 from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
@@ -15,6 +16,7 @@ from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options
 from uoarm.config._loops import Topic, feedback_loops
 from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components, offers
+from uoarm.errors import UoarmError
 
 __all__ = ["PluginChecker"]
 
@@ -24,8 +26,8 @@ _PARAMETER_SECONDS = 10.0
 class PluginChecker:
     """Asks the installed bridge types about what is written for them.
 
-    A bridge whose plugin is not installed is passed over: the same file may serve machines with
-    different frameworks.
+    A bridge whose plugin is not installed is passed over, and so is a component that is not here:
+    the same file may serve machines with different frameworks. `absences` tells of both.
     """
 
     def __init__(
@@ -36,12 +38,16 @@ class PluginChecker:
         self._speller = speller
         self._bridges: dict[str, tuple[BridgeType, Any]] = {}
         self._hosts: dict[str, Any] = {}
+        self._unknown: dict[str, str] = {}
+        self._absent: list[Problem] = []
         for name, written in bridge_names(document.value).items():
             settings = written if isinstance(written, dict) else {}
-            kind = types.get(str(settings.get("plugin", name)))
-            if kind is not None:
+            self._hosts[name] = settings.get("host")
+            plugin = str(settings.get("plugin", name))
+            if (kind := types.get(plugin)) is None:
+                self._unknown[name] = plugin
+            else:
                 self._bridges[name] = kind, settings.get("options", {})
-                self._hosts[name] = settings.get("host")
 
     def problems(self) -> Iterator[Problem]:
         """Yield every mistake in options and endpoints."""
@@ -64,8 +70,7 @@ class PluginChecker:
     def parameter_problems(self) -> Iterator[Problem]:
         """Yield every mistake in the parameters of components that run in this environment.
 
-        Imports those of Python, each within ten seconds. What cannot be asked is passed over, as
-        it is for a bridge whose plugin is not installed.
+        Imports those of Python, each within ten seconds. Which cannot be asked, `absences` tells.
         """
         for component in components(self._document.value):
             bridge, given = component.text("bridge"), component.value.get("parameters", {})
@@ -78,7 +83,13 @@ class PluginChecker:
                 continue
             if not isinstance(options, dict):
                 continue
-            wrong = self._wrong(kind, tuple(map(str, address)), given, options)
+            try:
+                wrong = self._wrong(kind, tuple(map(str, address)), given, options)
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - a component may raise anything
+                sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
+                told = f"it cannot be had here: {sentence}"
+                self._absent.append(self._problem(component.path, told))
+                continue
             for name, sentence in wrong.items():
                 is_written = name in given
                 path = (*component.path, "parameters", name) if is_written else component.path
@@ -98,14 +109,25 @@ class PluginChecker:
     ) -> Mapping[str, str]:
         assert kind.check_parameters is not None, "the caller looked"
         check, known = kind.check_parameters, bridge_options(kind.name, options, self._file)
-        try:
-            return _bounded.run(
-                f"looking at the parameters of {address}",
-                _PARAMETER_SECONDS,
-                lambda: check(address, given, known),
-            )
-        except (Exception, SystemExit):  # noqa: BLE001 - a component may raise anything
-            return {}
+        return _bounded.run(
+            f"looking at the parameters of {address}",
+            _PARAMETER_SECONDS,
+            lambda: check(address, given, known),
+        )
+
+    def absences(self, missing: Callable[[str], str]) -> Iterator[Problem]:
+        """Yield which bridges are not here, and which components `parameter_problems` did not find.
+
+        A bridge in an environment of its own, or on another machine, is asked for there.
+
+        Args:
+            missing: says of a plugin's name why there is none.
+        """
+        for name, plugin in self._unknown.items():
+            if installation(self._hosts[name]) == installation(None):
+                told = f"it was not checked: {missing(plugin)}"
+                yield self._problem(("bridges", name), told, at_key=True)
+        yield from self._absent
 
     def warnings(self) -> Iterator[Problem]:
         """Yield what the file may hold and should not."""
