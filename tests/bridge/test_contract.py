@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from attrs import evolve
 
 from uoarm import _bounded
 from uoarm.bridge import (
@@ -24,7 +25,15 @@ from uoarm.bridge import (
     Source,
 )
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, PluginError
-from uoarm.model import BridgeSpec, Deliver, Endpoint, Message, MessageStructure, Role
+from uoarm.model import (
+    BridgeSpec,
+    CommandPolicy,
+    Deliver,
+    Endpoint,
+    Message,
+    MessageStructure,
+    Role,
+)
 from uoarm.testing import Background, Collector, lying, patience
 
 ROOT = Path(__file__).parents[2]
@@ -338,6 +347,39 @@ def test_a_call_that_keeps_its_time_stays_in_the_thread_of_the_caller(component:
     bridge.close()
     with pytest.raises(BridgeError, match="is closed"):
         bridge.call(endpoint, "request")
+
+
+class Quick(Puppet):
+    """Opens and closes in the caller's thread where the endpoint is of the component `quick`."""
+
+    def _is_quick(self, endpoint: Endpoint) -> bool:
+        return endpoint.component == "quick"
+
+
+@pytest.mark.parametrize("component", ["quick", "other"])
+def test_what_is_quick_opens_and_closes_in_the_thread_of_the_caller(component: str) -> None:
+    bridge, endpoint = Quick(), Endpoint("b", component, Role.OUTPUT, ("x",))
+    threads: list[threading.Thread] = []
+    bridge.step = bridge.closing = lambda: threads.append(threading.current_thread())
+    bridge.open_source(endpoint, ANY, lambda _: None).close()
+    assert [one is threading.current_thread() for one in threads] == 2 * [component == "quick"]
+    bridge.step = bridge.closing = fail
+    with pytest.raises(BridgeError, match=r"opening .*native trouble"):
+        bridge.open_source(endpoint, ANY, lambda _: None)
+    bridge.step = lambda: None
+    channel = bridge.open_source(endpoint, ANY, lambda _: None)
+    with pytest.raises(BridgeError, match=r"closing .*native trouble"):
+        channel.close()
+    assert bridge.open_channels == 0
+
+
+def test_what_moves_something_is_not_quick_as_its_stop_is_sent_when_it_closes() -> None:
+    bridge = Quick()
+    endpoint = Endpoint("b", "quick", Role.INPUT, ("x",))
+    assert bridge.is_quick(endpoint)
+    assert not bridge.is_quick(evolve(endpoint, command=CommandPolicy()))
+    bridge.close()
+    assert not bridge.is_quick(endpoint)
 
 
 def test_calls_and_served_functions_are_given_their_structures() -> None:

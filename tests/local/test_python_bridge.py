@@ -125,6 +125,40 @@ def test_a_bad_address_is_one_clear_error(address: str, reason: FailureReason, p
     assert caught.value.reason is reason
 
 
+def prepared() -> Iterator[Inner]:
+    return source()
+
+
+class Eye:
+    def __iter__(self) -> Iterator[Inner]:
+        return source()
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "parameters", "is_quick"),
+    [
+        ("source", Role.OUTPUT, {}, True),
+        ("change", Role.INPUT, {}, True),
+        ("change", Role.OUTPUT, {}, True),
+        ("change", Role.INPUT, {"factor": 2}, False),  # made by what its hint says
+        ("prepared", Role.OUTPUT, {}, False),  # called when it opens
+        ("Eye", Role.OUTPUT, {}, False),  # built when it opens
+    ],
+)
+def test_what_runs_code_of_the_component_as_it_opens_is_not_quick(
+    name: str,
+    role: Role,
+    parameters: dict[str, int],
+    is_quick: bool,
+) -> None:
+    bridge = PythonBridge("python", {})
+    endpoint = Endpoint("python", "c", role, (f"{HERE}:{name}",), parameters=parameters)
+    assert not bridge.is_quick(endpoint), "importing it may take long"
+    bridge.describe(endpoint)
+    assert bridge.is_quick(endpoint) is is_quick
+    bridge.close()
+
+
 def test_a_missing_package_makes_a_component_unavailable(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,9 +21,10 @@ from uoarm import (
     StatusEvent,
     UsageError,
 )
-from uoarm.bridge import Bridge
-from uoarm.model import ConnectionState, StatusMap
-from uoarm.testing import patience, wait
+from uoarm.bridge import Bridge, Capabilities, Source
+from uoarm.config import loads
+from uoarm.model import ConnectionState, Deliver, Endpoint, MessageStructure, StatusMap
+from uoarm.testing import MemoryBridge, patience, wait
 
 Make = Callable[[str], RobotManager]
 HEAD = "version: 1\nbridges: {python: {}}\nfunctions:\n"
@@ -156,6 +157,54 @@ def test_a_bridge_that_hangs_while_opening_is_given_up_and_named(make_robot: Mak
     with robot.request("narrow") as other:
         stage.script.put({"value": 5})
         assert other.get(patience()) == {"value": 5}
+
+
+class Watching(MemoryBridge):
+    """Keeps whether it opened in the thread of the test; says whether all of it is quick."""
+
+    def __init__(self, name: str, *, is_quick: bool, links: bool = False) -> None:
+        super().__init__(name)
+        self.capabilities = Capabilities(link=links)
+        self.said = is_quick
+        self.here: list[bool] = []
+        self._test = threading.current_thread()
+
+    def _is_quick(self, endpoint: Endpoint) -> bool:
+        return self.said
+
+    def _open_source(
+        self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
+    ) -> Source:
+        self.here.append(threading.current_thread() is self._test)
+        return super()._open_source(endpoint, structure, deliver)
+
+
+@pytest.mark.parametrize(
+    ("is_quick", "links", "is_here"),
+    [(True, False, True), (False, False, False), (True, True, False)],
+)
+def test_a_request_stays_in_its_thread_where_every_bridge_of_it_is_quick(
+    *, is_quick: bool, links: bool, is_here: bool
+) -> None:
+    """A plan that has to be sought first is not, nor one of which two ends may be linked."""
+    text = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera: {components: [{name: eye, bridge: one, output: {endpoint: [eye]}}]}
+  face:
+    components:
+      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+"""
+    one, two = Watching("one", is_quick=True), Watching("two", is_quick=is_quick, links=links)
+    one.emitter("eye", {"type": "integer"})
+    two.loop("finder", {"type": "integer"})
+    with RobotManager(loads(text), bridges={"one": one, "two": two}) as robot:
+        robot.request("face").kill()
+        assert one.here + two.here == [False, False]
+        robot.request("face").kill()
+        assert one.here + two.here == [False, is_here, False, is_here]
 
 
 def test_the_status_can_be_asked_for_before_anything_of_a_connection_is_open(

@@ -49,7 +49,7 @@ class Bridge(ABC):
     exceptions and remember what is open; a bridge supplies the steps that begin with `_`.
     Every public method may be called from any thread, several at a time, and so may every step:
     each runs in a thread of the core, or in that of the step which it is part of, or, where
-    `_keeps_time` says so, in that of the caller.
+    `_keeps_time` or `_is_quick` says so, in that of the caller.
 
     A step must end: one that takes longer than its limit is given up, and what it returns later
     is closed. It may raise anything; what is no UoarmError becomes a BridgeError with RAISED.
@@ -88,6 +88,14 @@ class Bridge(ABC):
     def process_id(self) -> int | None:
         """The id of the process in which the framework's side runs; None on another machine."""
         return os.getpid()
+
+    @final
+    def is_quick(self, endpoint: Endpoint) -> bool:
+        """Say whether an endpoint opens and closes in the thread that asks for it; for the core.
+
+        One with a command policy does not: as it closes, its stop message may be sent.
+        """
+        return endpoint.command is None and not self._is_closed and self._is_quick(endpoint)
 
     @final
     def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:
@@ -149,6 +157,7 @@ class Bridge(ABC):
                 lambda: self._open_source(endpoint, structure, gate.give),
                 gate,
                 on_late,
+                is_quick=self.is_quick(endpoint),
             )
         except BaseException:
             gate.shut()
@@ -165,7 +174,11 @@ class Bridge(ABC):
             BridgeTimeoutError: not open within `timeout` seconds; what opens later is closed.
         """
         sink = self._opened(
-            Sink, f"opening {endpoint}", timeout, lambda: self._open_sink(endpoint, structure)
+            Sink,
+            f"opening {endpoint}",
+            timeout,
+            lambda: self._open_sink(endpoint, structure),
+            is_quick=self.is_quick(endpoint),
         )
         if endpoint.command is not None and self._is_last_hop:
 
@@ -408,6 +421,17 @@ class Bridge(ABC):
         del endpoint
         return False
 
+    def _is_quick(self, endpoint: Endpoint) -> bool:
+        """Say whether `_open_source` or `_open_sink` of this endpoint, and its close, end at once.
+
+        May be overridden. Both are then done in the caller's thread, which saves changes of thread,
+        and nobody gives them up: nothing in them may wait for the framework, nor for a lock that
+        somebody holds who does, nor run foreign code that may hang. They may still raise. Must
+        itself return at once.
+        """
+        del endpoint
+        return False
+
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
     ) -> Channel:
@@ -457,10 +481,12 @@ class Bridge(ABC):
         action: Callable[[], C],
         gate: Gate | None = None,
         on_late: Callable[[Channel], object] | None = None,
+        *,
+        is_quick: bool = False,
     ) -> C:
         put_away: Callable[[Channel], None] = partial(_put_away, gate=gate, on_late=on_late)
-        channel = self._step(what, timeout, action, on_late=put_away)
-        return self._adopt(kind, what, channel, put_away, gate)
+        channel = self._step(what, timeout, action, on_late=put_away, keeps_time=is_quick)
+        return self._adopt(kind, what, channel, put_away, gate, is_quick=is_quick)
 
     def _adopt(
         self,
@@ -469,6 +495,8 @@ class Bridge(ABC):
         channel: C,
         put_away: Callable[[Channel], None],
         gate: Gate | None = None,
+        *,
+        is_quick: bool = False,
     ) -> C:
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
@@ -478,6 +506,7 @@ class Bridge(ABC):
                 self._open.add(channel)
                 channel._when_closed = self._forget  # noqa: SLF001 - a channel's one owner
                 channel._gate = gate  # noqa: SLF001
+                channel._is_quick = is_quick  # noqa: SLF001
         if not keep:
             put_away(channel)
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)

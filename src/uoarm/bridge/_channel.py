@@ -44,6 +44,7 @@ class Channel:
         self._let_go = False
         self._when_closed: Callable[[Channel], None] | None = None
         self._gate: Gate | None = None
+        self._is_quick = False
 
     @final
     @property
@@ -79,7 +80,7 @@ class Channel:
             self._gate.shut()
         step = f"bridge {self.endpoint.bridge!r}: closing {self.endpoint}"
         with translated(step):
-            _bounded.run(step, timeout, self._close_native)
+            _bounded.run(step, timeout, self._close_native, keeps_time=self._is_quick)
 
     def _overrides(self, step: str, base: type[Channel]) -> bool:
         return getattr(type(self), step) is not getattr(base, step)

@@ -141,6 +141,10 @@ class PythonBridge(Bridge):
             raise
         return Sink(endpoint, take, lambda: self._leave(endpoint))
 
+    def _is_quick(self, endpoint: Endpoint) -> bool:
+        target = self._targets.get(endpoint.address)
+        return target is not None and target.is_quick(endpoint)
+
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:

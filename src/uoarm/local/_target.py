@@ -150,6 +150,20 @@ class Target:
 
         return self._made("takes", endpoint, judge)
 
+    def is_quick(self, endpoint: Endpoint) -> bool:
+        """Say whether opening and closing a port runs no code of the component.
+
+        That is so for a function that takes messages and for a generator function. A class is
+        built and closed, another callable is called to be iterated over, and parameters are made
+        by what their hints say.
+        """
+
+        def judge() -> bool:
+            is_source = inspect.isgeneratorfunction(self.value)
+            return inspect.isfunction(self.value) and (is_source or self.takes_messages(endpoint))
+
+        return not endpoint.parameters and self._made("quick", endpoint, judge)
+
     def waits(self, endpoint: Endpoint, handler: Callable[..., Any]) -> Waits:
         """Say what calling the handler of a port, or the object that it is, gives to wait for."""
 

@@ -101,6 +101,10 @@ class BridgeSet:
             self._listener(HealthEvent(name, Health.OK, "it was started again"))
         return bridge
 
+    def running(self, name: str) -> Bridge | None:
+        """Return the bridge of this name; None where it would have to be started."""
+        return self._bridges.get(name)
+
     def is_in_use(self, bridge: Bridge) -> bool:
         """Say whether a bridge is the one that bears its name now."""
         return self._bridges.get(bridge.name) is bridge

@@ -23,6 +23,7 @@ from uoarm._control.live.losses import Counting
 from uoarm._control.reconciler.actions import Open
 from uoarm._control.reconciler.draft import strictest
 from uoarm._control.reconciler.state import (
+    PORTS,
     ComponentRecord,
     EdgeRecord,
     Kind,
@@ -34,7 +35,7 @@ from uoarm._control.reconciler.state import (
 from uoarm._dataplane import Clock
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
-from uoarm.model import Health, ValidationMode
+from uoarm.model import Component, Health, ValidationMode
 
 __all__ = ["Ending", "LiveParts"]
 
@@ -141,6 +142,27 @@ class LiveParts:
             placed_components,
             dead,
             runtime,
+        )
+
+    def is_quick(self, action: Open) -> bool:
+        """Say whether parts open at once, as none needs a call into a bridge that may hang.
+
+        Bridges are asked: not for the thread that owns the state.
+        """
+        plan = action.placement.plan
+        if all(part.kind in PORTS for part in action.parts) and all(
+            port.source is not None for port in plan.provider.component.inputs
+        ):
+            return True
+        return all(self._opens_at_once(step.component) for step in plan.steps)
+
+    def _opens_at_once(self, component: Component) -> bool:
+        bridge = self._bridges.running(component.bridge)
+        return (
+            bridge is not None
+            and not bridge.capabilities.link
+            and all(bridge.is_quick(port.endpoint) for port in component.inputs)
+            and all(bridge.is_quick(port.endpoint) for port in component.outputs)
         )
 
     def open(self, action: Open, state: State, done: list[Part], cancelled: set[int]) -> None:

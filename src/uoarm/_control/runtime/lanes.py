@@ -23,12 +23,17 @@ class _Done:
 
 @define(eq=False)
 class _Lane:
-    """Jobs, and whether somebody is doing them or waits for them."""
+    """Jobs, and whether somebody is doing them or waits for them.
+
+    Attributes:
+        are_quick: says of each job whether it is quick.
+        is_waited_for: whether nothing is to be done in it yet.
+    """
 
     jobs: SimpleQueue[Job | _Done] = field(factory=SimpleQueue)
     is_driven: bool = False
     has_begun: bool = False
-    is_quick: bool = True
+    are_quick: tuple[Callable[[], bool], ...] = ()
     is_waited_for: bool = True
 
 
@@ -49,20 +54,20 @@ class Lanes:
         with self._lock:
             self._lanes[name] = _Lane(is_driven=True)
 
-    def put(self, name: str, job: Job, *, is_quick: bool = False) -> None:
+    def put(self, name: str, job: Job, *, is_quick: Callable[[], bool] | None = None) -> None:
         """Have a job done after the others of its lane. Waits for nothing.
 
         Args:
             name: of the lane.
             job: to be done; it raises nothing.
-            is_quick: whether it calls no bridge.
+            is_quick: says whether it calls nothing that may hang; None: it may.
         """
         with self._lock:
             lane = self._lanes.get(name)
             if lane is None:
                 lane = self._lanes[name] = _Lane()
             lane.jobs.put(job)
-            lane.is_quick = lane.is_quick and is_quick
+            lane.are_quick = (*lane.are_quick, is_quick or _never)
             lane.is_waited_for = False
             if lane.is_driven:
                 return
@@ -81,7 +86,8 @@ class Lanes:
         """Say whether `drive` needs no time limit: there is something to do, all of it quick."""
         with self._lock:
             lane = self._lanes.get(name)
-            return lane is not None and lane.is_quick and not lane.is_waited_for
+            are_quick = () if lane is None or lane.is_waited_for else lane.are_quick
+        return bool(are_quick) and all(is_quick() for is_quick in are_quick)
 
     def drive(self, name: str) -> None:
         """Do the jobs of a lane that was reserved, in this thread, until the reply.
@@ -126,3 +132,7 @@ class Lanes:
                 continue
             if not isinstance(job, _Done):
                 job()
+
+
+def _never() -> bool:
+    return False

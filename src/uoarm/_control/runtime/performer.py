@@ -23,7 +23,7 @@ from uoarm._control.live.connection_runtime import ConnectionRuntime
 from uoarm._control.live.parts import LiveParts
 from uoarm._control.reconciler import actions as act
 from uoarm._control.reconciler import events as ev
-from uoarm._control.reconciler.state import PORTS, Part, State, names
+from uoarm._control.reconciler.state import Part, State, names
 from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.lanes import Lanes
 from uoarm._control.runtime.revisions import Revisions
@@ -119,7 +119,7 @@ class Performer:
         action: act.CallAction,
         call: Callable[[], ev.Event | None],
         *,
-        is_quick: bool = False,
+        is_quick: Callable[[], bool] | None = None,
     ) -> None:
         """Have a call made in the action's lane, and its result posted."""
 
@@ -231,12 +231,12 @@ class Performer:
         self._call(action, drain)
 
     def _open(self, action: act.Open) -> None:
-        fed = action.placement.plan.provider.component.inputs
-        is_quick = all(part.kind in PORTS for part in action.parts) and all(
-            port.source is not None for port in fed
-        )
         state = self._state()
-        self._call(action, lambda: self._open_batch(action, state), is_quick=is_quick)
+        self._call(
+            action,
+            lambda: self._open_batch(action, state),
+            is_quick=lambda: self._live.is_quick(action),
+        )
 
     def _open_batch(self, action: act.Open, state: State) -> ev.Event:
         """Open a batch; the time limit of a first plan is that of its request."""
