@@ -116,8 +116,8 @@ def set_users(
     change: Callable[[Mapping[str, ValidationMode]], Mapping[str, ValidationMode]],
 ) -> None:
     executor = robot._executor
-    edges = {n: evolve(one, users=change(one.users)) for n, one in executor.state.edges.items()}
-    executor.state = evolve(executor.state, edges=edges)
+    edges = {n: one._replace(users=change(one.users)) for n, one in executor.state.edges.items()}
+    executor.state = executor.state._replace(edges=edges)
 
 
 def test_a_component_in_the_middle_is_fed_by_the_better_one_again(stage: Stage) -> None:

@@ -117,10 +117,10 @@ class Outlet:
         """
         turn = _Turn(route)
         with self._lock:
-            self._routes = (*(other for other in self._routes if not other.closed), route)
+            kept = [other for other in self._routes if not other.closed]
+            self._routes = (*kept, route)
             if self._retains is not False:
-                kept = {other: self._turns[other] for other in self._routes[:-1]}
-                self._turns = {**kept, route: turn}
+                self._turns = {**{other: self._turns[other] for other in kept}, route: turn}
             last = self._last
         if self._retains:
             turn.deliver_again(*last)

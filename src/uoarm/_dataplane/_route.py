@@ -77,6 +77,7 @@ class Route:
         "_loss",
         "_losses",
         "_queue",
+        "_queue_policy",
         "_records",
         "_taken_back",
         "_transfer",
@@ -132,12 +133,10 @@ class Route:
         self._window_start = clock()
         self._window_count = 0
         self._window_rate: float | None = None
-        self._queue: BoundedQueue[Message] | None = None
+        self._queue_policy = queue
+        self._queue: BoundedQueue[Message] | None = None  # from the first message on
         self._worker: threading.Thread | None = None
-        self._give: Deliver = self._hand_over
-        if queue is not None:
-            self._queue = BoundedQueue(queue, self.drop)
-            self._give = self._queue_first
+        self._give: Deliver = self._hand_over if queue is None else self._queue_first
 
     def deliver(self, message: Message) -> None:
         """Take one message, in the thread in which it arrived. Never raises."""
@@ -213,10 +212,11 @@ class Route:
         )
 
     def _queue_first(self, message: Message) -> None:
-        """Start the worker with the first message: opening a route starts no thread."""
-        assert self._queue is not None, "only a route with a queue comes here"
+        """Make the queue and start its worker with the first message: opening should be quick."""
+        assert self._queue_policy is not None, "only a route with a queue comes here"
         with self._dropping:
-            if self._worker is None and not self._closed:
+            if self._queue is None and not self._closed:
+                self._queue = BoundedQueue(self._queue_policy, self.drop)
                 self._worker = threading.Thread(
                     target=self._work,
                     args=(self._queue,),
@@ -224,6 +224,9 @@ class Route:
                     daemon=True,
                 )
                 self._worker.start()
+        if self._queue is None:
+            self.drop("closed")
+            return
         self._give = self._queue.put
         self._queue.put(message)
 

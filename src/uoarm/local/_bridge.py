@@ -98,7 +98,7 @@ class PythonBridge(Bridge):
         self._counting = threading.Lock()
 
     def _describe(self, endpoint: Endpoint) -> Description:
-        return self._target(endpoint).describe(endpoint)
+        return self._of_address(endpoint.address).describe(endpoint)
 
     def _discover(self) -> tuple[Discovered, ...]:
         return tuple(listed(self.name, self._listing, self._of_address))
@@ -107,10 +107,11 @@ class PythonBridge(Bridge):
         self, endpoint: Endpoint, structure: MessageStructure, deliver: Deliver
     ) -> Source:
         del structure
-        target = self._target(endpoint)
+        target = self._of_address(endpoint.address)
         instance = self._enter(endpoint, target)
         try:
-            source = None if target.takes_messages(endpoint) else instance.source(endpoint)
+            is_fed = target.port(endpoint).takes_messages
+            source = None if is_fed else instance.source(endpoint)
         except BaseException:
             self._leave(endpoint)
             raise
@@ -133,7 +134,7 @@ class PythonBridge(Bridge):
 
     def _open_sink(self, endpoint: Endpoint, structure: MessageStructure) -> Sink:
         del structure
-        instance = self._enter(endpoint, self._target(endpoint))
+        instance = self._enter(endpoint, self._of_address(endpoint.address))
         try:
             take = instance.feed(endpoint)
         except BaseException:
@@ -143,13 +144,13 @@ class PythonBridge(Bridge):
 
     def _is_quick(self, endpoint: Endpoint) -> bool:
         target = self._targets.get(endpoint.address)
-        return target is not None and target.is_quick(endpoint)
+        return target is not None and target.port(endpoint).is_quick
 
     def _call(
         self, endpoint: Endpoint, structures: ServiceStructures, message: Message, timeout: float
     ) -> Message:
         del structures
-        instance = self._enter(endpoint, self._target(endpoint))
+        instance = self._enter(endpoint, self._of_address(endpoint.address))
         key = _key(endpoint)
         with self._counting:
             is_first = key not in self._services
@@ -176,9 +177,6 @@ class PythonBridge(Bridge):
             pause.wait(_GLANCE_SECONDS)
         self._loop.close()
         self._modules.close()
-
-    def _target(self, endpoint: Endpoint) -> Target:
-        return self._of_address(endpoint.address)
 
     def _of_address(self, address: tuple[str, ...]) -> Target:
         target = self._targets.get(address)

@@ -13,7 +13,7 @@ from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local._loop import Coroutines
 from uoarm.local._source import Source
-from uoarm.local._target import Emit, Target, Waits
+from uoarm.local._target import Emit, Port, Target, Waits
 from uoarm.model import Deliver, Endpoint, Message, Options
 
 __all__ = ["Instance"]
@@ -55,7 +55,7 @@ class Instance:
             HintError: the hint of its messages cannot be converted.
         """
         if self._source is None:
-            write = self._target.writer(endpoint)
+            write = self._target.port(endpoint).writer
             name = f"uoarm-{self._target.name}"
             emitter = partial(self._emitter, write)
             self._source = Source(self._iterator, emitter, name, self._workers)
@@ -75,10 +75,9 @@ class Instance:
         Raises:
             HintError: a hint cannot be converted.
         """
-        target, handler = self._target, self._handler(endpoint)
-        read = target.reader(endpoint)
-        write = target.writer(endpoint)
-        kept = self._awaiting(endpoint, handler)
+        port = self._target.port(endpoint)
+        read, write = port.reader, port.writer
+        kept = self._awaiting(port, self._handler(endpoint))
         call = kept if read is None else lambda message: kept(read(message))
 
         def take(message: Message) -> None:
@@ -112,15 +111,14 @@ class Instance:
                 self._coroutines.run(f"closing {self._target.name}", closing)
 
     def _service(self, endpoint: Endpoint) -> Callable[[Message, float], Message]:
-        target, handler = self._target, self._handler(endpoint)
-        read = target.reader(endpoint)
-        write = target.writer(endpoint) or plain
-        is_coroutine = target.waits(endpoint, handler) is Waits.REPLY
+        port, handler = self._target.port(endpoint), self._handler(endpoint)
+        name, read, write = self._target.name, port.reader, port.writer or plain
+        is_coroutine = port.waits(handler) is Waits.REPLY
 
         def answer(message: Message, timeout: float) -> Message:
             reply = handler(message if read is None else read(message))
             if is_coroutine:
-                reply = self._coroutines.run(target.name, reply, timeout)
+                reply = self._coroutines.run(name, reply, timeout)
             return write(reply)
 
         return answer
@@ -137,9 +135,9 @@ class Instance:
         after = {name: one for name, one in self._parameters.items() if name not in before}
         return partial(self._object, *(self._parameters[name] for name in before), **after)
 
-    def _awaiting(self, endpoint: Endpoint, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    def _awaiting(self, port: Port, handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """Return a handler that waits in its caller's thread for what is asynchronous."""
-        name, waits = self._target.name, self._target.waits(endpoint, handler)
+        name, waits = self._target.name, port.waits(handler)
         if waits is Waits.REPLY:
             return lambda value: self._coroutines.run(name, handler(value))
         if waits is Waits.MESSAGES:

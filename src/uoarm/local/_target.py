@@ -6,6 +6,7 @@ import difflib
 import inspect
 from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
 from enum import Enum
+from functools import cached_property
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -21,10 +22,9 @@ from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
 
-__all__ = ["Emit", "Target", "Waits", "find", "structure"]
+__all__ = ["Emit", "Port", "Target", "Waits", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-T = TypeVar("T")
 _DECLARED = "__uoarm_structures__"
 _NOTHING = inspect.Parameter.empty
 
@@ -80,7 +80,8 @@ class Target:
     _parameters_of: dict[Any, list[inspect.Parameter]] = field(
         factory=dict, init=False, eq=False, repr=False
     )
-    _converters: dict[Hashable, Any] = field(factory=dict, init=False, eq=False, repr=False)
+    _ports: dict[Hashable, Port] = field(factory=dict, init=False, eq=False, repr=False)
+    _checked: list[Options] = field(factory=list, init=False, eq=False, repr=False)
 
     @is_class.default
     def _is_class(self) -> bool:
@@ -140,75 +141,18 @@ class Target:
             return Description(read("input"))
         return Description(read("output") if endpoint.port == "default" else None)
 
-    def takes_messages(self, endpoint: Endpoint) -> bool:
-        """Say whether the callable behind a port is called with messages, or is a source."""
-
-        def judge() -> bool:
-            if self.is_class and endpoint.role is Role.OUTPUT:
-                return self.source_name() is None
-            return self.first_unfilled(self.method(endpoint), endpoint.parameters) is not None
-
-        return self._made("takes", endpoint, judge)
-
-    def is_quick(self, endpoint: Endpoint) -> bool:
-        """Say whether opening and closing a port runs no code of the component.
-
-        That is so for a function that takes messages and for a generator function. A class is
-        built and closed, another callable is called to be iterated over, and parameters are made
-        by what their hints say.
-        """
-
-        def judge() -> bool:
-            is_source = inspect.isgeneratorfunction(self.value)
-            return inspect.isfunction(self.value) and (is_source or self.takes_messages(endpoint))
-
-        return not endpoint.parameters and self._made("quick", endpoint, judge)
-
-    def waits(self, endpoint: Endpoint, handler: Callable[..., Any]) -> Waits:
-        """Say what calling the handler of a port, or the object that it is, gives to wait for."""
-
-        def judge() -> Waits:
-            for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
-                if inspect.iscoroutinefunction(asked):
-                    return Waits.REPLY
-                if inspect.isasyncgenfunction(asked):
-                    return Waits.MESSAGES
-            return Waits.NOTHING
-
-        return self._made("waits", endpoint, judge)
-
-    def reader(self, endpoint: Endpoint) -> Callable[[Message], Any] | None:
-        """Return what makes the value that a port takes of a message; None: the message is that.
-
-        Raises:
-            HintError: its hint cannot be converted.
-        """
-
-        def make() -> Callable[[Message], Any] | None:
-            name = self._message_parameter(endpoint)
-            hint = self._hints(self.method(endpoint)).get(name, _NOTHING)
-            return reader(hint, self.name)
-
-        return self._made("reader", endpoint, make)
-
-    def writer(self, endpoint: Endpoint) -> Callable[[Any], Message] | None:
-        """Return what makes a message of what a port gives, or of what answers what it takes.
-
-        Raises:
-            HintError: its hint cannot be converted.
-        """
-
-        def make() -> Callable[[Any], Message] | None:
-            method = self.method(endpoint)
-            hint = _NOTHING if method is None else _return_hint(self._hints(method), endpoint.role)
-            return writer(hint, self.name)
-
-        return self._made("writer", endpoint, make)
+    def port(self, endpoint: Endpoint) -> Port:
+        """Return what is made once for a port, with these parameters: they fill others."""
+        key = endpoint.role, endpoint.port, frozenset(endpoint.parameters)
+        found = self._ports.get(key)
+        if found is None:
+            found = self._ports[key] = Port(self, endpoint)
+        return found
 
     def before_message(self, endpoint: Endpoint) -> tuple[str, ...]:
         """Return the names of the parameters of a function that come before the message's."""
         names = [one.name for one in self._parameters(self.method(endpoint))]
-        return tuple(names[: names.index(self._message_parameter(endpoint))])
+        return tuple(names[: names.index(self.message_parameter(endpoint))])
 
     def parameter_mistakes(self, given: Options) -> dict[str, str]:
         """Return what is wrong with a component's parameters, by name."""
@@ -221,14 +165,14 @@ class Target:
         Raises:
             BridgeError: with BAD_ENDPOINT; the text names each of them.
         """
-        if not given and "parameters" in self._converters:  # none were right before
+        if not given and self._checked:  # none were right before
             return
         wrong = self.parameter_mistakes(given)
         if wrong:
             told = "; ".join(f"parameter {name!r}: {what}" for name, what in wrong.items())
             raise BridgeError(f"{self.name}: {told}", FailureReason.BAD_ENDPOINT)
         if not given:
-            self._converters["parameters"] = None
+            self._checked.append(given)
 
     def build_parameters(self, given: Options) -> dict[str, Any]:
         """Return parameters as the values that their hints say.
@@ -247,8 +191,8 @@ class Target:
             return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}
         if not self.is_class:
             accepted.pop(self.first_unfilled(self.value, given) or "", None)
-            return accepted, self._hints(self.value)
-        return accepted, self._hints(self.value.__init__)
+            return accepted, self.hints(self.value)
+        return accepted, self.hints(self.value.__init__)
 
     def own(self, name: str) -> Any:
         """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
@@ -260,7 +204,7 @@ class Target:
         self, part: str, endpoint: Endpoint, hints: Mapping[str, Any]
     ) -> MessageStructure | None:
         if part in {"input", "request"}:
-            hint = hints.get(self._message_parameter(endpoint), _NOTHING)
+            hint = hints.get(self.message_parameter(endpoint), _NOTHING)
         else:
             hint = _return_hint(hints, endpoint.role)
         if hint is _NOTHING:
@@ -270,15 +214,12 @@ class Target:
         except HintError as error:
             raise HintError(f"{self.name}: {error}") from error
 
-    def _made(self, kind: str, endpoint: Endpoint, make: Callable[[], T]) -> T:
-        """Return a converter of a port, made once for these parameters: they fill others."""
-        key = kind, endpoint.role, endpoint.port, frozenset(endpoint.parameters)
-        if key not in self._converters:
-            self._converters[key] = make()
-        found: T = self._converters[key]
-        return found
+    def message_parameter(self, endpoint: Endpoint) -> str:
+        """Return the name of the parameter that takes the message.
 
-    def _message_parameter(self, endpoint: Endpoint) -> str:
+        Raises:
+            BridgeError: every one has a value.
+        """
         name = self.first_unfilled(self.method(endpoint), endpoint.parameters)
         if name is None:
             text = f"{self.name} takes no message: every parameter has a value"
@@ -313,12 +254,87 @@ class Target:
             found = self._hints_of[told] = get_type_hints(told, include_extras=True)
         return found
 
-    def _hints(self, method: Any) -> dict[str, Any]:
+    def hints(self, method: Any) -> dict[str, Any]:
         """Return the hints of a callable; none where one cannot be read, for what is declared."""
         try:
             return self._type_hints(method)
         except (NameError, TypeError, AttributeError):
             return {}
+
+
+class Port:
+    """What is known of a port and what converts its messages, each made when it is first needed.
+
+    Args:
+        target: whose port it is.
+        endpoint: of the port.
+    """
+
+    def __init__(self, target: Target, endpoint: Endpoint) -> None:
+        self._target = target
+        self._endpoint = endpoint
+        self._waits: Waits | None = None
+
+    @cached_property
+    def takes_messages(self) -> bool:
+        """Whether the callable behind it is called with messages, or is a source."""
+        target, endpoint = self._target, self._endpoint
+        if target.is_class and endpoint.role is Role.OUTPUT:
+            return target.source_name() is None
+        return target.first_unfilled(target.method(endpoint), endpoint.parameters) is not None
+
+    @cached_property
+    def is_quick(self) -> bool:
+        """Whether opening and closing it runs no code of the component.
+
+        That is so for a function that takes messages and for a generator function. A class is
+        built and closed, another callable is called to be iterated over, and parameters are made
+        by what their hints say.
+        """
+        value = self._target.value
+        return (
+            not self._endpoint.parameters
+            and inspect.isfunction(value)
+            and (inspect.isgeneratorfunction(value) or self.takes_messages)
+        )
+
+    @cached_property
+    def reader(self) -> Callable[[Message], Any] | None:
+        """What makes the value that it takes of a message; None: the message is that.
+
+        Raises:
+            HintError: its hint cannot be converted.
+        """
+        target, endpoint = self._target, self._endpoint
+        name = target.message_parameter(endpoint)
+        return reader(target.hints(target.method(endpoint)).get(name, _NOTHING), target.name)
+
+    @cached_property
+    def writer(self) -> Callable[[Any], Message] | None:
+        """What makes a message of what it gives, or of what answers what it takes.
+
+        Raises:
+            HintError: its hint cannot be converted.
+        """
+        target, role = self._target, self._endpoint.role
+        method = target.method(self._endpoint)
+        hint = _NOTHING if method is None else _return_hint(target.hints(method), role)
+        return writer(hint, target.name)
+
+    def waits(self, handler: Callable[..., Any]) -> Waits:
+        """Say what calling its handler, or the object that it is, gives to wait for."""
+        if self._waits is None:
+            self._waits = _waits(handler)
+        return self._waits
+
+
+def _waits(handler: Callable[..., Any]) -> Waits:
+    for asked in (handler, getattr(handler, "__call__", None)):  # noqa: B004 - the method
+        if inspect.iscoroutinefunction(asked):
+            return Waits.REPLY
+        if inspect.isasyncgenfunction(asked):
+            return Waits.MESSAGES
+    return Waits.NOTHING
 
 
 def find(address: Sequence[str], modules: Modules) -> Target:

@@ -202,7 +202,26 @@ class Component:
         if port is None and len(self.outputs) == 1:
             return self.outputs[0]
         wanted = port or "default"
-        return next((output for output in self.outputs if output.name == wanted), None)
+        for output in self.outputs:
+            if output.name == wanted:
+                return output
+        return None
+
+    def input(self, port: str) -> Input:
+        """Return the named input.
+
+        Raises:
+            KeyError: there is none.
+        """
+        for one in self.inputs:
+            if one.name == port:
+                return one
+        raise KeyError(port)
+
+    @property
+    def ports(self) -> tuple[Input | Output, ...]:
+        """Its inputs and its outputs."""
+        return (*self.inputs, *self.outputs)
 
 
 @frozen

@@ -133,7 +133,7 @@ class Sender:
     def __init__(
         self, live: LiveComponent, name: str, user: str, validate: ValidationMode, clock: Clock
     ) -> None:
-        port = next(one for one in live.component.inputs if one.name == name)
+        port = live.component.input(name)
         self._policy = policy = port.endpoint.command
         self.lifetime = None if policy is None else policy.lifetime
         self._live = live

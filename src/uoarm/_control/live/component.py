@@ -156,9 +156,10 @@ class LiveComponent:
         self._take_turn()
         try:
             if name not in self._sinks:
-                endpoint = next(i.endpoint for i in self.component.inputs if i.name == name)
                 sink = self._sinks[name] = self.bridge.open_sink(
-                    endpoint, self.structures[f"input.{name}"], timeout=_OPEN_SECONDS
+                    self.component.input(name).endpoint,
+                    self.structures[f"input.{name}"],
+                    timeout=_OPEN_SECONDS,
                 )
                 self._emergency_stop.enter(sink, self.component.function)
                 watch = self._watches[name]

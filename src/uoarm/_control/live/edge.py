@@ -41,8 +41,13 @@ class LiveEdge:
     held: bool = False
     route: Route | None = field(default=None, init=False)
     link: Channel | None = field(default=None, init=False)
+    _input: Input = field(init=False)
     _ready: threading.Lock = field(factory=threading.Lock, init=False)
     _checking: threading.Lock = field(factory=threading.Lock, init=False)
+
+    @_input.default
+    def _find_input(self) -> Input:
+        return self.consumer.component.input(self.edge.input)
 
     @property
     def key(self) -> tuple[str, str]:
@@ -160,7 +165,3 @@ class LiveEdge:
             watch=self.consumer.watch(self.edge.input),
         )
         self.producer.outlets[self.edge.output].attach(route)
-
-    @property
-    def _input(self) -> Input:
-        return next(one for one in self.consumer.component.inputs if one.name == self.edge.input)

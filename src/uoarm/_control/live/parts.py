@@ -161,8 +161,7 @@ class LiveParts:
         return (
             bridge is not None
             and not bridge.capabilities.link
-            and all(bridge.is_quick(port.endpoint) for port in component.inputs)
-            and all(bridge.is_quick(port.endpoint) for port in component.outputs)
+            and all(bridge.is_quick(port.endpoint) for port in component.ports)
         )
 
     def open(self, action: Open, state: State, done: list[Part], cancelled: set[int]) -> None:
@@ -178,12 +177,13 @@ class LiveParts:
             UoarmError: the next one could not be opened.
             ConnectionClosedError: the batch was cancelled.
         """
+        replaced = self._replaced_by(action)
         for part in action.parts:
             if action.batch in cancelled:
                 raise ConnectionClosedError(f"{action.connection} was given up")
             try:
                 if part.kind is Kind.COMPONENT:
-                    self._enter(state.components[part.id], self._replaced_by(action, part.id))
+                    self._enter(state.components[part.id], replaced)
                 elif part.kind is Kind.OUTPUT:
                     self._open_output(part)
                 elif part.kind is Kind.EDGE:
@@ -257,23 +257,22 @@ class LiveParts:
             for joined in _there(self.edges, (edge,)):
                 joined.release(self._clock)
 
-    def _replaced_by(self, action: Open, number: int) -> tuple[LiveComponent, ...]:
-        """Return what of a connection's running plan an instance is to do from now on."""
+    def _replaced_by(self, action: Open) -> list[LiveComponent]:
+        """Return the components of a connection's running plan, where another is being opened."""
         runtime = self.runtimes.get(action.connection)
         record = None if runtime is None else runtime.record
         if record is None or record.current is None:
-            return ()
+            return []
         if record.current.user == action.placement.user:  # this is what it runs, or its first plan
-            return ()
-        function = self._state().components[number].step.component.function
-        return tuple(
-            live
-            for live in _there(self.components, record.current.components.values())
-            if live.component.function == function
-        )
+            return []
+        return _there(self.components, record.current.components.values())
 
-    def _enter(self, record: ComponentRecord, replaced: tuple[LiveComponent, ...]) -> None:
+    def _enter(self, record: ComponentRecord, replaced: list[LiveComponent]) -> None:
         """Make an instance of a component; nothing of it is opened yet.
+
+        Args:
+            record: of the instance.
+            replaced: what runs now; it does from now on what those of its function did.
 
         Raises:
             BridgeError: its bridge does not start, or threads of earlier connections hang in it,
@@ -291,7 +290,7 @@ class LiveParts:
             failures,
             self.emergency_stop,
             lambda told: self._announce(subject, "leased", told, function),
-            replaced,
+            tuple(live for live in replaced if live.component.function == function),
         )
 
     def _open_output(self, part: Part) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
+from itertools import chain
 from typing import Any
-
-from attrs import evolve
 
 from uoarm._control.reconciler.actions import (
     Action,
@@ -32,7 +31,7 @@ from uoarm._control.reconciler.state import (
     recently,
 )
 from uoarm.errors import ResolutionError
-from uoarm.model import ConnectionState, Edge, Plan, Step, ValidationMode
+from uoarm.model import Edge, Plan, Step, ValidationMode
 
 __all__ = ["Draft", "InputInUseError", "connection_of", "strictest"]
 
@@ -167,31 +166,30 @@ class Draft:
         Raises:
             InputInUseError: an input is in use, fed by another component. Nothing has changed.
         """
+        into: dict[str, list[Edge]] = {}
         for edge in plan.edges:
             self._require_free(edge, beside=beside)
+            into.setdefault(edge.consumer, []).append(edge)
         ids = {step.component.name: self._use(step, user) for step in reversed(plan.steps)}
-        provider = ids[plan.provider.component.name]
+        provider = plan.provider.component.name
         so_far = record.current
-        stays = so_far is not None and so_far.provider == provider
+        stays = so_far is not None and so_far.provider == ids[provider]
         ports = so_far.ports if so_far is not None and stays else self.new_id()
         parts = [Part(Kind.COMPONENT, one) for one in ids.values()]
-        wanted: dict[str, set[str]] = {name: set() for name in ids}
+        outputs: dict[str, set[str]] = {}
         if record.output is not None:
             parts.append(Part(Kind.RECEIVE, ports))
-            wanted[plan.provider.component.name].add(record.output)
-        edges: dict[str, list[int]] = {name: [] for name in ids}
-        for step in reversed(plan.steps):
-            name = step.component.name
-            parts += [Part(Kind.OUTPUT, ids[name], port) for port in sorted(wanted[name])]
-            for edge in plan.edges:
-                if edge.consumer == name:
-                    wanted[edge.producer].add(edge.output)
-                    joined = self._join(edge, ids, user, record.validate)
-                    parts.append(Part(Kind.EDGE, joined))
-                    edges[edge.producer].append(joined)
+            outputs[provider] = {record.output}
+        edges: dict[str, list[int]] = {name: [] for name in reversed(ids)}  # producers first
+        for name, one in ids.items():
+            parts += [Part(Kind.OUTPUT, one, port) for port in sorted(outputs.get(name, ()))]
+            for edge in into.get(name, ()):
+                outputs.setdefault(edge.producer, set()).add(edge.output)
+                joined = self._join(edge, ids, user, record.validate)
+                parts.append(Part(Kind.EDGE, joined))
+                edges[edge.producer].append(joined)
         parts.append(Part(Kind.SEND, ports))
-        downstream = tuple(one for step in plan.steps for one in edges[step.component.name])
-        return Placement(user, plan, ids, downstream, ports, tuple(parts))
+        return Placement(user, plan, ids, tuple(chain(*edges.values())), ports, tuple(parts))
 
     def unplace(self, placement: Placement, *, ports: bool = True) -> Parts:
         """Use the parts of a plan no more; return those that nobody uses now.
@@ -200,8 +198,8 @@ class Draft:
             placement: the plan.
             ports: whether the application ports end with it.
         """
-        if placement.batch:
-            self.actions.append(CancelBatch(placement.batch))
+        opening = (n for n, one in self.batches.items() if one.user == placement.user)
+        self.actions += map(CancelBatch, opening)
         edges = [one for one in placement.edges if self._part_edge(one, placement.user)]
         components = [
             one
@@ -218,7 +216,7 @@ class Draft:
         dead = frozenset(lost)
         for one in dead:
             record = self.components[one]
-            self.components[one] = evolve(record, is_lost=True)
+            self.components[one] = record._replace(is_lost=True)
             if self.serving.get(record.name) == one:
                 del self.serving[record.name]
         ended = [one for one in self.edges.values() if dead & {one.producer, one.consumer}]
@@ -240,54 +238,52 @@ class Draft:
             one = self.serving.pop(name, None)
             if one is None:
                 continue
-            self.components[one] = evolve(self.components[one], is_superseded=True)
+            self.components[one] = self.components[one]._replace(is_superseded=True)
             for joined in self.edges.values():
                 if joined.consumer == one:
                     self._unlist(joined)
 
     def open(
         self, record: ConnectionRecord, placement: Placement, lane: str, *, is_heard: bool
-    ) -> tuple[Placement, bool]:
-        """Have what is missing of a plan opened, unless somebody else is opening some of it.
+    ) -> bool:
+        """Have what is missing of a plan opened, unless some of it is being opened already.
 
-        Who waits for the batch of somebody else looks again when that is over.
-
-        Returns:
-            The plan with its batch, and whether all of it is open already.
+        Who waits for a batch, its own or that of somebody else, looks again when that is over.
+        Returns whether all of it is open.
         """
         missing = [part for part in placement.parts if self.parts.get(part) != OPEN]
-        if placement.batch or not missing or not self.parts.keys().isdisjoint(missing):
-            return placement, not missing
-        batch = self.new_id()
-        for part in missing:
-            self.parts[part] = batch
-        self.batches[batch] = Batch(record.id, tuple(missing))
-        placement = placement.opened_by(batch)
-        self.actions.append(
-            Open(lane, batch, record.id, placement, tuple(missing), is_heard=is_heard)
-        )
-        return placement, False
+        if missing and self.parts.keys().isdisjoint(missing):
+            batch = self.new_id()
+            parts = tuple(missing)
+            self.parts.update(dict.fromkeys(parts, batch))
+            self.batches[batch] = Batch(placement.user, parts)
+            self.actions.append(Open(lane, batch, record.id, placement, parts, is_heard=is_heard))
+        return not missing
 
-    def settle(self, number: int, done: Iterable[Part]) -> Parts:
-        """Note what became of a batch; return what was opened for nobody."""
-        opened = frozenset(done)
-        components: list[int] = []
-        edges: list[int] = []
-        ports: set[int] = set()
-        batch = self.batches.pop(number)
+    def settle(self, batch: Batch, done: Iterable[Part]) -> Parts:
+        """Note what became of a batch that is over; return what was opened for nobody."""
         for part in batch.parts:
             del self.parts[part]
-            if part not in opened:
-                continue
-            if self._is_used(part, batch.connection):
+        record = self.connections.get(connection_of(batch.user))
+        ports = () if record is None else record.ports
+        used: dict[Kind, Container[int]] = {
+            Kind.COMPONENT: self.components,
+            Kind.OUTPUT: self.components,
+            Kind.EDGE: self.edges,
+            Kind.RECEIVE: ports,
+            Kind.SEND: ports,
+        }
+        vain: list[Part] = []
+        for part in done:
+            if part.id in used[part.kind]:
                 self.parts[part] = OPEN
-            elif part.kind is Kind.COMPONENT:
-                components.append(part.id)
-            elif part.kind is Kind.EDGE:
-                edges.append(part.id)
-            elif part.kind in PORTS:
-                ports.add(part.id)
-        return Parts(tuple(components), tuple(edges), tuple(ports))
+            else:
+                vain.append(part)
+        return Parts(
+            tuple(part.id for part in vain if part.kind is Kind.COMPONENT),
+            tuple(part.id for part in vain if part.kind is Kind.EDGE),
+            tuple({part.id for part in vain if part.kind in PORTS}),
+        )
 
     def rivals(self, plan: Plan) -> set[str]:
         """Return the connections with edges that feed what a plan would feed from elsewhere."""
@@ -317,7 +313,7 @@ class Draft:
         for joined, _ in pairs:
             del self.beside[joined.key]
             self.feeding[joined.key] = joined.id
-            self.edges[joined.id] = evolve(joined, is_held=False)
+            self.edges[joined.id] = joined._replace(is_held=False)
         return tuple((joined.id, other) for joined, other in pairs)
 
     def _require_free(self, edge: Edge, *, beside: bool) -> None:
@@ -352,7 +348,7 @@ class Draft:
             self.components[found] = ComponentRecord(found, step, (user,))
         else:
             record = self.components[found]
-            self.components[found] = record.used_by((*record.users, user))
+            self.components[found] = record._replace(users=(*record.users, user))
         return found
 
     def _join(self, edge: Edge, ids: Mapping[str, int], user: str, validate: ValidationMode) -> int:
@@ -372,7 +368,7 @@ class Draft:
 
     def _check_for(self, edge: int, users: Mapping[str, ValidationMode]) -> None:
         record = self.edges[edge]
-        self.edges[edge] = record.used_by(users)
+        self.edges[edge] = record._replace(users=users)
         if strictest(users) is not strictest(record.users):
             self.actions.append(SetCheck(edge))
 
@@ -397,7 +393,7 @@ class Draft:
         record = self.components[component]
         users = tuple(other for other in record.users if other != user)
         if users:
-            self.components[component] = record.used_by(users)
+            self.components[component] = record._replace(users=users)
             return False
         del self.components[component]
         if self.serving.get(record.name) == component:
@@ -413,17 +409,6 @@ class Draft:
             return False
         del self.parts[part]
         return True
-
-    def _is_used(self, part: Part, connection: str) -> bool:
-        if part.kind is Kind.EDGE:
-            return part.id in self.edges
-        if part.kind in _OF_COMPONENTS:
-            return part.id in self.components
-        record = self.connections.get(connection)
-        if record is None or record.state is ConnectionState.CLOSING:
-            return False
-        plans = (record.current, record.next)
-        return any(plan is not None and plan.ports == part.id for plan in plans)
 
 
 def connection_of(user: str) -> str:

@@ -100,7 +100,7 @@ def _note(draft: Draft, record: ComponentRecord, event: HealthReported) -> Compo
     if health.is_news(record.health, event.health, event.cause):
         subject, function = f"component {record.name}", record.step.component.function
         draft.actions.append(Announce(subject, health.health.value, health.cause, function))
-    record = draft.components[record.id] = evolve(record, health=health)
+    record = draft.components[record.id] = record._replace(health=health)
     return record
 
 
@@ -256,8 +256,7 @@ def look_again(draft: Draft, record: ConnectionRecord) -> None:
 def advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what is missing of the next plan opened; hand over when all of it is open."""
     assert record.next is not None, "there is a plan to open"
-    placement, is_open = draft.open(record, record.next, record.next.user, is_heard=True)
-    record = draft.put(record, next=placement)
+    is_open = draft.open(record, record.next, record.next.user, is_heard=True)
     failure = record.failure
     if failure is not None and is_open:
         hand_over(draft, record, failure.time, failure.cause)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import Enum
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
-from attrs import field, frozen
+from attrs import frozen
 
 from uoarm._control.reconciler.component_health import ComponentHealth
 from uoarm.model import (
@@ -43,6 +44,7 @@ __all__ = [
 
 _REMEMBERED_SECONDS = 300.0
 _WELL = ComponentHealth()
+_NOTHING: Mapping[Any, Any] = MappingProxyType({})
 OPEN = 0
 """In `State.parts`: the part is open. Any other number is the batch that is opening it."""
 
@@ -95,8 +97,7 @@ class Parts:
         return bool(self.components or self.edges or self.ports)
 
 
-@frozen
-class ComponentRecord:
+class ComponentRecord(NamedTuple):
     """One instance of a component, open or on the way there.
 
     Attributes:
@@ -119,15 +120,8 @@ class ComponentRecord:
         """The component's name in the configuration."""
         return self.step.component.name
 
-    def used_by(self, users: tuple[str, ...]) -> ComponentRecord:
-        """Return it with other users; built directly, as sharing does little else."""
-        return ComponentRecord(
-            self.id, self.step, users, self.health, self.is_lost, self.is_superseded
-        )
 
-
-@frozen
-class EdgeRecord:
+class EdgeRecord(NamedTuple):
     """One edge between two instances, with what each of its users wishes to be checked.
 
     Attributes:
@@ -151,13 +145,8 @@ class EdgeRecord:
         """The output that feeds it."""
         return self.edge.producer, self.edge.output
 
-    def used_by(self, users: Mapping[str, ValidationMode]) -> EdgeRecord:
-        """Return it with other users."""
-        return EdgeRecord(self.id, self.edge, self.producer, self.consumer, users, self.is_held)
 
-
-@frozen
-class Placement:
+class Placement(NamedTuple):
     """A plan, and the parts that serve it.
 
     Attributes:
@@ -166,7 +155,6 @@ class Placement:
         edges: ids, those of the first producers first.
         ports: id of the application ports.
         parts: everything it needs, in the order in which that opens.
-        batch: number of the batch that is opening parts for it; 0: none.
     """
 
     user: str
@@ -175,25 +163,22 @@ class Placement:
     edges: tuple[int, ...]
     ports: int
     parts: tuple[Part, ...]
-    batch: int = 0
 
     @property
     def provider(self) -> int:
         """Id of the component that the application asked for."""
         return self.components[self.plan.provider.component.name]
 
-    def opened_by(self, batch: int) -> Placement:
-        """Return it with another batch; built directly, as each request does it twice."""
-        return Placement(
-            self.user, self.plan, self.components, self.edges, self.ports, self.parts, batch
-        )
 
+class Batch(NamedTuple):
+    """Parts that are being opened for a placement.
 
-@frozen
-class Batch:
-    """Parts that are being opened for a connection."""
+    Attributes:
+        user: of the placement.
+        parts: in their order.
+    """
 
-    connection: str
+    user: str
     parts: tuple[Part, ...]
 
 
@@ -279,6 +264,13 @@ class ConnectionRecord(NamedTuple):
         return self.state in {ConnectionState.RUNNING, ConnectionState.WAITING}
 
     @property
+    def ports(self) -> tuple[int, ...]:
+        """Ids of its application ports; none when it ends."""
+        if self.state is ConnectionState.CLOSING:
+            return ()
+        return tuple(one.ports for one in (self.current, self.next) if one is not None)
+
+    @property
     def placement(self) -> Placement:
         """The plan that runs, with its parts."""
         assert self.current is not None, "only a request that is being resolved has no plan"
@@ -313,8 +305,7 @@ class Switchover:
     is_reconfiguration: bool = False
 
 
-@frozen
-class State:
+class State(NamedTuple):
     """Everything. Mappings are never changed in place.
 
     Attributes:
@@ -340,17 +331,17 @@ class State:
 
     policy: FailoverPolicy
     bridges: Mapping[str, str]
-    connections: Mapping[str, ConnectionRecord] = field(factory=dict)
-    components: Mapping[int, ComponentRecord] = field(factory=dict)
-    edges: Mapping[int, EdgeRecord] = field(factory=dict)
-    parts: Mapping[Part, int] = field(factory=dict)
-    serving: Mapping[str, int] = field(factory=dict)
-    feeding: Mapping[tuple[str, str], int] = field(factory=dict)
-    beside: Mapping[tuple[str, str], int] = field(factory=dict)
-    batches: Mapping[int, Batch] = field(factory=dict)
-    switchovers: Mapping[int, Switchover] = field(factory=dict)
-    failed: Mapping[str, float] = field(factory=dict)
-    avoided: Mapping[str, float] = field(factory=dict)
+    connections: Mapping[str, ConnectionRecord] = _NOTHING
+    components: Mapping[int, ComponentRecord] = _NOTHING
+    edges: Mapping[int, EdgeRecord] = _NOTHING
+    parts: Mapping[Part, int] = _NOTHING
+    serving: Mapping[str, int] = _NOTHING
+    feeding: Mapping[tuple[str, str], int] = _NOTHING
+    beside: Mapping[tuple[str, str], int] = _NOTHING
+    batches: Mapping[int, Batch] = _NOTHING
+    switchovers: Mapping[int, Switchover] = _NOTHING
+    failed: Mapping[str, float] = _NOTHING
+    avoided: Mapping[str, float] = _NOTHING
     number: int = 0
     is_closing: bool = False
     closers: tuple[str, ...] = ()

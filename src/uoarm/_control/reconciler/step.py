@@ -12,7 +12,7 @@ from typing import Any
 
 from uoarm._control.reconciler import failback, failover, reconfiguration, switchover
 from uoarm._control.reconciler.actions import Action, Close, Forget, Reply
-from uoarm._control.reconciler.draft import Draft, InputInUseError
+from uoarm._control.reconciler.draft import Draft, InputInUseError, connection_of
 from uoarm._control.reconciler.endings import end, finish_if_asked
 from uoarm._control.reconciler.events import (
     CandidatesChanged,
@@ -134,10 +134,7 @@ def _output(plan: Plan, wanted: PortRef) -> str | None:
 def _advance(draft: Draft, record: ConnectionRecord) -> None:
     """Have what a connection still needs opened; go on where that is all there."""
     if record.state is ConnectionState.OPENING and record.current is not None:
-        placement, is_open = draft.open(record, record.current, record.waiter, is_heard=True)
-        if placement is not record.current:
-            draft.put(record, current=placement)
-        elif is_open and not placement.batch:
+        if draft.open(record, record.current, record.waiter, is_heard=True):
             _run(draft, record)
     elif record.next is not None and record.switchover:
         switchover.advance(draft, draft.switchovers[record.switchover])
@@ -154,31 +151,25 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
 
 
 def _opened(draft: Draft, event: Opened) -> None:
-    record = draft.connections.get(draft.batches[event.batch].connection)
-    late = draft.settle(event.batch, event.done)
+    batch = draft.batches.pop(event.batch)
+    late = draft.settle(batch, event.done)
     if late:
         draft.actions.append(Close(f"late {event.batch}", "", late))
-    if record is not None:
-        _batch_over(draft, record, event)
+    record = draft.connections.get(connection_of(batch.user))
+    if event.error is not None and record is not None:
+        _failed_to_open(draft, record, batch.user, event.error)
     for identity in tuple(draft.connections):  # also those that waited for this batch
         record = draft.connections[identity]
         if record.state is ConnectionState.OPENING or record.next is not None:
             _advance(draft, record)
 
 
-def _batch_over(draft: Draft, record: ConnectionRecord, event: Opened) -> None:
-    """Note that nothing is opened any more for the plan that the batch was for."""
-    if record.current is not None and record.current.batch == event.batch:
-        record = draft.put(record, current=record.current.opened_by(0))
-    elif record.next is not None and record.next.batch == event.batch:
-        record = draft.put(record, next=record.next.opened_by(0))
-    else:
+def _failed_to_open(
+    draft: Draft, record: ConnectionRecord, user: str, error: BaseException
+) -> None:
+    """Do without the plan that could not be opened, unless the connection has left it already."""
+    if user not in {one.user for one in (record.current, record.next) if one is not None}:
         return
-    if event.error is not None:
-        _failed_to_open(draft, record, event.error)
-
-
-def _failed_to_open(draft: Draft, record: ConnectionRecord, error: BaseException) -> None:
     if record.state is ConnectionState.OPENING:
         draft.actions.append(Forget(names(record.placement.plan)))
         record = draft.put(record, error=error)

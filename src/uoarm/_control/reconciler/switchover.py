@@ -123,10 +123,8 @@ def advance(draft: Draft, group: Switchover) -> None:
         if record.next is None:
             return
         lane = f"switchover {group.id}"
-        placement, is_all = draft.open(record, record.next, lane, is_heard=False)
-        draft.put(record, next=placement)
-        is_open = is_open and is_all
-        edges += placement.edges
+        is_open = draft.open(record, record.next, lane, is_heard=False) and is_open
+        edges += record.next.edges
     if not is_open:
         return
     try:
