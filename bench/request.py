@@ -37,7 +37,7 @@ functions:
 
 def main() -> None:
     """Print the table of requests."""
-    here, hosted = _robot("false"), _robot("true")
+    here, hosted = chain(), chain("true")
     with uoarm.RobotManager(here) as near, uoarm.RobotManager(hosted) as far:
         rows = [
             _row(
@@ -61,7 +61,8 @@ def main() -> None:
     print_table("The paper's request", head, rows)
 
 
-def _robot(host: str) -> Robot:
+def chain(host: str = "false") -> Robot:
+    """Return the robot; `host` is what its bridges say of theirs."""
     return loads(ROBOT.format(BRIDGE.format(Path(__file__).parent, host)))
 
 
