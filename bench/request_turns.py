@@ -1,11 +1,12 @@
 """The warm request in turns with another state of uoarm, so that both see the same neighbours.
 
-`python -m bench.request_turns FOLDER [ROUNDS] [COUNT]`: FOLDER is a checkout of the other state,
-whose `src` is used with this folder's benchmark; without it only this state is measured.
+`python -m bench.request_turns FOLDER`: FOLDER is a checkout of the other state, whose `src` is
+used with this folder's benchmark; without it only this state is measured.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -13,19 +14,25 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from bench.request import GOAL, chain
 from bench.tables import at, print_table
 
+T = TypeVar("T")
+
 HERE = Path(__file__).parents[1]
-_ROUNDS, _COUNT = 5, 400
 _WARM_UP = 20
 
 
 def main() -> None:
     """Print the table, from the samples of all rounds."""
-    other = sys.argv[1] if len(sys.argv) > 1 else ""
-    rounds, count = (int(one) for one in (*sys.argv[2:4], _ROUNDS, _COUNT)[:2])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", help="a checkout of the other state")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--count", type=int, default=400, help="requests in each round")
+    asked = parser.parse_args()
+    other, rounds, count = asked.folder, asked.rounds, asked.count
     states = {"now": HERE, **({"before": Path(other)} if other else {})}
     found: dict[tuple[str, str], list[list[float]]] = {}
     loads = []
@@ -80,7 +87,7 @@ def measure(count: int) -> None:
     print(json.dumps({**found, "of what is open": shared, "first of a manager": first}))
 
 
-def _timed(action: Callable[[], object]) -> tuple[float, object]:
+def _timed(action: Callable[[], T]) -> tuple[float, T]:
     begun = time.perf_counter_ns()
     result = action()
     return (time.perf_counter_ns() - begun) / 1000, result
