@@ -93,11 +93,13 @@ def _decoded(octets: bytes) -> dict[str, Any]:
 
 
 def _no_json(file: Path, error: json.JSONDecodeError, release: Release) -> str:
-    before = error.doc[: error.pos].rstrip()
-    here = error.doc[error.pos : error.pos + 1]
     line, what = error.lineno, error.msg
-    if before.endswith(",") and here in {"}", "]"}:
-        line, what = before.count("\n") + 1, f"the comma before {here!r} must go"
+    # CPython finds fault with what comes behind the last comma; from 3.13 on with the comma.
+    comma = error.doc.rfind(",", 0, error.pos + 1)
+    behind = error.doc[comma + 1 :].lstrip()
+    if comma >= 0 and error.pos <= len(error.doc) - len(behind) and behind[:1] in {"}", "]"}:
+        line = error.doc.count("\n", 0, comma) + 1
+        what = f"the comma before {behind[0]!r} must go"
     told = f"schemas: {file}, line {line}: no JSON: {what}."
     if release.name == "3.0":
         told += (
