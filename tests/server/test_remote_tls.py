@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,11 +11,14 @@ from click.testing import CliRunner
 from tests.server.authority import Authority
 from tests.server.conftest import Serve
 
+import uoarm
 from uoarm.cli import main
 from uoarm.client import trust_fingerprint
 from uoarm.errors import UsageError
 from uoarm.server import Server, fingerprint_of, hash_token
+from uoarm.testing import patience
 
+CLIENT = Path(uoarm.__file__).parent / "server" / "static" / "uoarm.js"
 ACCESS = """
 version: 1
 roles:
@@ -59,6 +64,41 @@ def test_its_own_certificate_is_known_by_its_fingerprint(
     assert (code, "without a token" in told) == (4, True)
     code, told = ask("status", url.replace("wss", "ws"))
     assert (code, "with TLS it is wss://" in told) == (4, True)
+
+
+@pytest.mark.needs("node")
+def test_the_javascript_client_trusts_what_node_is_told_to_trust(
+    serve: Serve, access: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    url = url_of(serve(own_certificate=True, access=access))
+    pem = (tmp_path / "uoarm" / "tls" / "server.pem").read_text()
+    (tmp_path / "robot.pem").write_text("-----BEGIN CERT" + pem.partition("-----BEGIN CERT")[2])
+    program = tmp_path / "app.mjs"
+    program.write_text(f"""
+import {{ connect }} from "{CLIENT.as_uri()}";
+const [url, token, seconds] = process.argv.slice(2);
+const robot = await connect(url, {{ token, timeout: Number(seconds) }});
+console.log(robot.hello.role);
+await robot.close();
+""")
+
+    def run(token: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        flags = ["--experimental-websocket", "--no-warnings"]
+        return subprocess.run(
+            ["node", *flags, str(program), url, token, str(patience())],
+            env={**os.environ, **variables},
+            capture_output=True,
+            text=True,
+            timeout=2 * patience(),
+            check=False,
+        )
+
+    trusting = {"NODE_EXTRA_CA_CERTS": str(tmp_path / "robot.pem")}
+    assert run("tablet", **trusting).stdout == "driver\n"
+    for refused in (run("tablet"), run("other", **trusting)):
+        assert refused.returncode == 1
+        assert f"{url}: nothing listens there, its certificate is not trusted" in refused.stderr
 
 
 def test_an_authority_is_trusted_and_a_certificate_is_shown(

@@ -6,6 +6,9 @@ const RESUME = "resume";
 const MOST_WAITING = 4096;
 const FIRST_PAUSE = 50;
 const LONGEST_PAUSE = 5000;
+// A WebSocket does not say which of these it was.
+const REFUSED =
+  "nothing listens there, its certificate is not trusted, or it refused the token or the origin";
 
 /** What the server refused, or why the connection ended; `code` is that of the protocol. */
 export class UoarmError extends Error {
@@ -91,10 +94,10 @@ export class Link {
           else fail(new UoarmError("unknown", told.jsonMessage.text));
         } else if (state !== "failed") this.#hear(told);
       };
-      socket.onerror = () => fail(new UoarmError("closed", "the server refused, or is not there"));
+      socket.onerror = () => fail(new UoarmError("closed", REFUSED));
       socket.onclose = (event) => {
         if (state === "greeted") this.#closed(event);
-        else fail(new UoarmError("closed", event.reason || "the server refused, or is not there"));
+        else fail(new UoarmError("closed", event.reason || REFUSED));
       };
     });
   }

@@ -5,6 +5,9 @@ import { Link, UoarmError } from "./uoarm-link.js";
 export { UoarmError };
 
 const HELD = 1024;
+const NO_SOCKET =
+  "there is no WebSocket here: Node.js has it from version 22 on, from 20.10 on with " +
+  "--experimental-websocket; or give connect a class, { WebSocket }";
 const FORMS = {
   json: { protocol: "uoarm.v1.json", read: JSON.parse, write: JSON.stringify },
   cbor: { protocol: "uoarm.v1.cbor", read: decode, write: encode },
@@ -329,7 +332,7 @@ export async function connect(
   url, { token, binary = false, timeout = 10, resume = true, WebSocket } = {},
 ) {
   const Socket = WebSocket ?? globalThis.WebSocket;
-  if (!Socket) throw new UoarmError("usage", "there is no WebSocket here: hand one over");
+  if (!Socket) throw new UoarmError("usage", NO_SOCKET);
   const form = binary ? FORMS.cbor : FORMS.json;
   const protocols = [form.protocol];
   if (token !== undefined) protocols.push(`uoarm.token.${token}`);
