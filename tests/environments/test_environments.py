@@ -230,6 +230,51 @@ def test_the_doctor_tells_what_is_missing(tmp_path: Path, home: Path) -> None:
     assert "cut short" in found["cut"].problem
 
 
+def test_a_version_that_an_installed_plugin_has_not_is_refused_before_anything_is_made(
+    tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "uoarm_wheels-1.dist-info"
+    info.mkdir()
+    extras = "Provides-Extra: jazzy\nProvides-Extra: dev\n"
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: uoarm-wheels\nVersion: 1\n{extras}"
+    )
+    (info / "entry_points.txt").write_text("[uoarm.bridges]\nwheels = uoarm_wheels\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert environments.requirements("wheels", "jazzy")[1] == "uoarm-wheels[jazzy]==1"
+    made = CliRunner().invoke(
+        main, ["env", "create", "x", "--plugin", "wheels", "--distribution", "jazy"]
+    )
+    assert made.exit_code == 4
+    assert "uoarm-wheels has no distribution 'jazy': there are jazzy" in made.stderr
+    assert not home.exists()
+
+
+def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = json.dumps({"uoarm": {"version": "1"}, "python": {"usable": "no: it has no camera"}})
+    script = tmp_path / "interpreter"
+    _executable(
+        script,
+        f"""
+if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{told}'; else exec {sys.executable} "$@"; fi""",
+    )
+    text = f"""
+if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {script} "$4/bin/python"; fi"""
+    monkeypatch.setenv("PATH", str(_executable(tmp_path / "uv", text).parent), prepend=":")
+    run = CliRunner().invoke
+    made = run(main, ["env", "create", "mine", "--plugin", "python"])
+    assert made.exit_code == 0, made.output
+    assert "warning: the plugin python cannot be used in it yet" in made.stderr
+    assert made.stderr.endswith(": it has no camera\n")
+    examined = run(main, ["env", "doctor"])
+    assert examined.exit_code == 0
+    assert examined.stderr == (
+        "warning: mine: the plugin python cannot be used in it: it has no camera\n"
+    )
+
+
 def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
     _fake_uv(tmp_path, "")

@@ -7,7 +7,7 @@ import sys
 import click
 
 from uoarm import environments
-from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
+from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting, tell_warning
 
 __all__ = ["env"]
 
@@ -44,7 +44,13 @@ def create(
         made = environments.create(
             name, wanted, python=python, tell=click.echo, uv="" if no_uv else None
         )
+        [found] = (environments.examine(one) for one in environments.listed() if one.name == name)
     click.echo(f"environment {name} is ready: {made}")
+    if plugin in found.unusable:
+        hint = "--distribution names the middleware to install with it"
+        tell_warning(
+            f"the plugin {plugin} cannot be used in it yet ({hint}): {found.unusable[plugin]}"
+        )
 
 
 @env.command("list")
@@ -87,5 +93,7 @@ def doctor(*, as_json: bool) -> None:
         for one in found:
             facts = ", ".join(f"{key} {value}" for key, value in one.facts.items())
             click.echo(f"{one.name}: {one.problem or facts}")
+            for plugin, cause in one.unusable.items():
+                tell_warning(f"{one.name}: the plugin {plugin} cannot be used in it: {cause}")
     if any(one.problem for one in found):
         sys.exit(BRIDGE)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import subprocess
+from pathlib import Path
 
-from attrs import frozen
+from attrs import field, frozen
 
 from uoarm._version import __version__
 from uoarm.environments._place import Environment, environment_python
@@ -32,15 +33,18 @@ class Finding:
         name: of the environment.
         facts: what it has, name to value.
         problem: why a host in it would not start; empty when it would.
+        unusable: plugins that lack something there, such as their middleware, name to what. It may
+            be what `host: {variables: ...}` names.
     """
 
     name: str
     facts: dict[str, str]
     problem: str = ""
+    unusable: dict[str, str] = field(factory=dict)
 
 
 def examine(environment: Environment) -> Finding:
-    """Ask an environment's interpreter what it has; waits a minute at most."""
+    """Ask an environment's interpreter what it has; waits two minutes at most."""
     name = environment.name
     if not environment.is_whole:
         return Finding(name, {}, f"its making was cut short: uoarm env remove {name}")
@@ -64,4 +68,33 @@ def examine(environment: Environment) -> Finding:
     problem = ""
     if theirs != __version__:
         problem = f"it has uoarm {theirs}, this is {__version__}: make it anew"
-    return Finding(name, facts, problem)
+    return Finding(name, facts, problem, {} if problem else _unusable(environment_python(name)))
+
+
+def _unusable(interpreter: Path) -> dict[str, str]:
+    """Return what the plugins of an environment lack, as hosts that this shell starts would."""
+    try:
+        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
+            [str(interpreter), "-m", "uoarm", "doctor", "--json"],
+            capture_output=True,
+            text=True,
+            timeout=_SECONDS,
+            check=False,
+        )
+        told = json.loads(done.stdout)
+        found = {name: str(of["usable"]) for name, of in told.items() if "usable" in of}
+    except (
+        OSError,
+        subprocess.TimeoutExpired,
+        ValueError,
+        RecursionError,
+        AttributeError,
+        LookupError,
+        TypeError,
+    ):
+        return {}
+    return {
+        name: usable.removeprefix("no: ")
+        for name, usable in found.items()
+        if usable.startswith("no: ")
+    }

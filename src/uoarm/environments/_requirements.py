@@ -8,6 +8,7 @@ from pathlib import Path
 
 from uoarm._origin import installed, origin_of
 from uoarm.environments._repack import repack
+from uoarm.errors import PluginError
 
 __all__ = ["handed_on", "requirements"]
 
@@ -26,12 +27,17 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
         plugin: name of the bridge type, `ros2`.
         version: version of its middleware, `jazzy`: an extra of the plugin's distribution.
         more: requirements to add, as pip reads them; a path of a project stands for itself.
+
+    Raises:
+        PluginError: the plugin is installed here, and says that it has no such version.
     """
     ours = _requirement(installed(_CORE), _CORE, "hosts")
     point = next((one for one in entry_points(group=_GROUP) if one.name == plugin), None)
     provider = None if point is None else point.dist
     if provider is not None and provider.name == _CORE:
         return (ours, *more)
+    if provider is not None and version is not None:
+        _require_extra(provider, version)
     if provider is None and any(_names(one, f"uoarm-{plugin}") for one in more):
         return (ours, *more)
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
@@ -52,6 +58,14 @@ def handed_on(requirement: str, folder: Path) -> str:
         return requirement
     wheel = repack(found, folder)
     return requirement if wheel is None else f"{pinned[1]}{pinned[2] or ''} @ {wheel.as_uri()}"
+
+
+def _require_extra(provider: Distribution, extra: str) -> None:
+    """Pip only warns of an extra that a distribution has not."""
+    known = [one for one in provider.metadata.get_all("Provides-Extra") or () if one != "dev"]
+    if extra not in known:
+        there = f"there are {', '.join(known)}" if known else "there are none"
+        raise PluginError(f"{provider.name} has no distribution {extra!r}: {there}")
 
 
 def _is_ours(found: Distribution) -> bool:
