@@ -40,11 +40,12 @@ def test_a_plain_python_picture_serialised(enter: Enter, robot: RobotManager) ->
     before = time.time()
     client.send(op="subscribe", topic="/uoarm/picture", compression="cbor-raw")
     opened(robot, 1)
-    for size in (3, 5000):
-        script.put({"width": -2, "data": bytes(range(1, 4)) if size == 3 else bytes(size)})
-    small, large = client.messages(2)
+    for data in (b"\1\2\3", bytes(5000), bytes(200_000)):
+        script.put({"width": -2, "data": data})
+    small, *large = client.messages(3)
     assert small["bytes"] == HEADER + struct.pack("=qI3B", -2, 3, 1, 2, 3)
-    assert large["bytes"] == HEADER + struct.pack("=qI", -2, 5000) + bytes(5000)
+    for told, size in zip(large, (5000, 200_000), strict=True):
+        assert told["bytes"] == HEADER + struct.pack("=qI", -2, size) + bytes(size)
     assert before - 1 <= small["secs"] + small["nsecs"] / 1e9 <= time.time() + 1
     assert set(small) == {"secs", "nsecs", "bytes"}
 
@@ -110,7 +111,7 @@ def test_alignment_is_counted_from_after_the_header() -> None:
     expected = struct.pack("=?7xd", True, 0.5)
     expected += struct.pack("=I3sxhxx", 3, b"\xc3\xa9\0", -2)
     expected += struct.pack("=IdIB", 1, 1.5, 0, 9)
-    assert serialiser(structure(**kinds))(message) == HEADER + expected
+    assert b"".join(serialiser(structure(**kinds))(message)) == HEADER + expected
 
 
 def test_what_is_packed_together_is_aligned_as_one_by_one() -> None:
@@ -133,14 +134,14 @@ def test_what_is_packed_together_is_aligned_as_one_by_one() -> None:
     }  # fmt: skip
     expected = struct.pack("=Bxh4xd", 1, 2, 2.5) + struct.pack("=Bx2hxxd", 0, 3, 4, 6.5)
     expected += struct.pack("=Ihxxdh6xdh", 2, 2, 2.5, 2, 2.5, 7)
-    assert serialiser(structure(**kinds))(message) == HEADER + expected
+    assert b"".join(serialiser(structure(**kinds))(message)) == HEADER + expected
 
 
 def test_fields_keep_their_order_on_the_way_from_a_host() -> None:
     made = structure(zebra=BYTE, ape={"type": "boolean"})
     sent = json.dumps(to_json(made))
     back = from_json(json.loads(sent), MessageStructure)
-    assert serialiser(back)({"ape": True, "zebra": 7}) == HEADER + b"\7\1"
+    assert b"".join(serialiser(back)({"ape": True, "zebra": 7})) == HEADER + b"\7\1"
 
 
 @pytest.mark.parametrize(
@@ -158,7 +159,25 @@ def test_fields_keep_their_order_on_the_way_from_a_host() -> None:
 )
 def test_numbers_come_in_any_buffer(given: object) -> None:
     serialise = serialiser(structure(values=numbers("int32")))
-    assert serialise({"values": given}) == HEADER + struct.pack("=I3i", 3, 1, 2, 3)
+    assert b"".join(serialise({"values": given})) == HEADER + struct.pack("=I3i", 3, 1, 2, 3)
+
+
+def test_long_arrays_are_not_copied_and_what_follows_is_aligned() -> None:
+    kinds = {
+        "flag": {"type": "boolean"},
+        "pixels": {"type": "array", "items": BYTE},
+        "wide": {"type": "number"},
+        "points": numbers("float64"),
+        "last": numbers("int32"),
+    }
+    pixels, points = bytearray(100_001), array("d", [0.5] * 10_000)
+    message = {"flag": True, "pixels": pixels, "wide": 1.5, "points": points, "last": [7]}
+    parts = serialiser(structure(**kinds))(message)
+    expected = struct.pack("=?3xI", True, 100_001) + bytes(100_001) + bytes(7)
+    expected += struct.pack("=dI4x", 1.5, 10_000) + points.tobytes() + struct.pack("=Ii", 1, 7)
+    assert b"".join(parts) == HEADER + expected
+    whose = [part.obj for part in parts if isinstance(part, memoryview)]
+    assert all(one is given for one, given in zip(whose, (pixels, points), strict=True))
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
 """Messages as ROS 2 serialises them: CDR, version 1 of its plain encoding, in this machine's order.
 
 The layout is read from a structure once, by the same rules by which rosapi describes the type, and
-compiled: what is next to one another and of known size is packed with one `struct`. An octet string
-as in an image is copied once. Source: the Common Data Representation of CORBA 3.3,
+compiled: what is next to one another and of known size is packed with one `struct`. A long array of
+numbers, as in an image, is not copied. Source: the Common Data Representation of CORBA 3.3,
 part 2, section 9.3, and the encapsulation header of DDSI-RTPS 2.3, section 10; that a text counts
 its closing zero, that a wide character takes four octets and that a type without fields has one
 octet of zero is what Fast CDR and rosidl do.
@@ -23,18 +23,46 @@ from uoarm_rosbridge._basic import BASIC, basic_type
 
 __all__ = ["serialiser"]
 
-Put: TypeAlias = "Callable[[bytearray, Any], None]"
+Part: TypeAlias = "bytes | bytearray | memoryview"
+Put: TypeAlias = "Callable[[_Out, Any], None]"
 _HEADER = b"\0\1\0\0" if sys.byteorder == "little" else b"\0\0\0\0"
 _MAX_DEPTH = 64
 _GREATEST = 8
+_LONG = 65_536  # octets from which on an array is a part of its own
 _UNFIT = (struct.error, ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 _count = struct.Struct("=I").pack
 
 
-def serialiser(structure: MessageStructure) -> Callable[[Message], bytearray]:
+class _Out(bytearray):
+    """What is serialised of a message, behind the parts that are complete.
+
+    A long array is a part as it is. To append it here would copy it into memory that grows, and
+    which the system gives and takes back for each message: ten times what one join of all costs.
+
+    Attributes:
+        parts: what stands before, in order.
+        before: how many octets they have.
+    """
+
+    __slots__ = ("before", "parts")
+
+    def __init__(self, octets: bytes) -> None:
+        super().__init__(octets)
+        self.parts: list[Part] = []
+        self.before = 0
+
+    def add_part(self, octets: memoryview | bytes) -> None:
+        """Append a long array as it is; nobody changes it before the parts are joined."""
+        self.parts += (bytes(self), octets)
+        self.before += len(self) + memoryview(octets).nbytes
+        self.clear()
+
+
+def serialiser(structure: MessageStructure) -> Callable[[Message], list[Part]]:
     """Return the function that serialises messages of a structure, encapsulation header first.
 
-    It raises MessageError for a message that does not fit.
+    What it returns is to be joined at once: parts may be the message's own memory. It raises
+    MessageError for a message that does not fit.
 
     Raises:
         MessageError: the structure has no fixed layout; the text names the field.
@@ -43,13 +71,13 @@ def serialiser(structure: MessageStructure) -> Callable[[Message], bytearray]:
     writing.record(structure.schema, "v", "the message", 0)
     put = writing.function()
 
-    def serialise(message: Message) -> bytearray:
-        out = bytearray(_HEADER)
+    def serialise(message: Message) -> list[Part]:
+        out = _Out(_HEADER)
         try:
             put(out, message)
         except _UNFIT as error:
             raise MessageError(f"the message does not fit its structure: {error}") from error
-        return out
+        return [*out.parts, out]
 
     return serialise
 
@@ -159,7 +187,7 @@ def _listing(schema: Mapping[str, Any], where: str, depth: int) -> tuple[Put, in
         writing.value(items, "v", f"{where}[]", depth + 1)
         elements = _each(writing.function())
 
-    def put(out: bytearray, value: Any) -> None:
+    def put(out: _Out, value: Any) -> None:
         if fixed is None:
             _align(out, 4)
             out += _count(len(value))
@@ -172,7 +200,7 @@ def _listing(schema: Mapping[str, Any], where: str, depth: int) -> tuple[Put, in
 
 
 def _each(put: Put) -> Put:
-    def put_all(out: bytearray, values: Any) -> None:
+    def put_all(out: _Out, values: Any) -> None:
         for value in values:
             put(out, value)
 
@@ -183,13 +211,16 @@ def _block(code: str) -> Put:
     """Return what puts an array of numbers: a buffer of theirs as it is, others one by one."""
     size = struct.calcsize(f"={code}")
 
-    def put(out: bytearray, values: Any) -> None:
+    def put(out: _Out, values: Any) -> None:
         _align(out, size)
         octets = _octets(values, code, size)
         if octets is None:
             listed = values.tolist() if hasattr(values, "tolist") else list(values)
             octets = struct.pack(f"={len(listed)}{code}", *listed)
-        out += octets
+        if memoryview(octets).nbytes >= _LONG:
+            out.add_part(octets)
+        else:
+            out += octets
 
     return put
 
@@ -211,7 +242,7 @@ def _kind(code: str) -> str:
     return next((kinds for kinds in ("bhilqn", "BHILQN", "fd") if code in kinds), code)
 
 
-def _put_text(out: bytearray, value: Any) -> None:
+def _put_text(out: _Out, value: Any) -> None:
     octets = value.encode()
     _align(out, 4)
     out += _count(len(octets) + 1)
@@ -219,16 +250,16 @@ def _put_text(out: bytearray, value: Any) -> None:
     out.append(0)
 
 
-def _put_wide_text(out: bytearray, value: Any) -> None:
+def _put_wide_text(out: _Out, value: Any) -> None:
     units = array("H", value.encode("utf-16-le" if sys.byteorder == "little" else "utf-16-be"))
     _align(out, 4)
     out += _count(len(units))
     out += array("I", units).tobytes()
 
 
-def _align(out: bytearray, size: int) -> None:
+def _align(out: _Out, size: int) -> None:
     """Fill up to a multiple of a size, counted from after the header."""
-    gap = (len(_HEADER) - len(out)) % size
+    gap = (len(_HEADER) - out.before - len(out)) % size
     if gap:
         out += bytes(gap)
 

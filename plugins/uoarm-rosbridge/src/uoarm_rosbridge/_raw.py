@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 
 from uoarm.model import Message, MessageStructure
 from uoarm.server.front_end import write_binary
-from uoarm_rosbridge._cdr import serialiser
+from uoarm_rosbridge._cdr import Part, serialiser
 from uoarm_rosbridge._wire import clock_now
 
 __all__ = ["RawWriter"]
+
+_head = struct.Struct(">BI").pack
+_BYTE_STRING = 0x5A  # of CBOR, behind which its length is told in four octets
 
 
 class RawWriter:
@@ -24,7 +28,7 @@ class RawWriter:
         self._topic = topic
         self._structure = structure
         self._known: MessageStructure | None = None
-        self._serialise: Callable[[Message], bytearray] | None = None
+        self._serialise: Callable[[Message], list[Part]] | None = None
 
     def __call__(self, message: Message) -> bytes:
         """Return a publish message.
@@ -33,10 +37,13 @@ class RawWriter:
             MessageError: the message does not fit, or its structure has no fixed layout.
         """
         seconds, nanoseconds = clock_now()
-        raw = {"secs": seconds, "nsecs": nanoseconds, "bytes": self.prepare()(message)}
-        return write_binary({"op": "publish", "topic": self._topic, "msg": raw})
+        parts = self.prepare()(message)
+        raw = {"secs": seconds, "nsecs": nanoseconds, "bytes": b""}
+        before = write_binary({"op": "publish", "topic": self._topic, "msg": raw})
+        length = sum(memoryview(part).nbytes for part in parts)
+        return b"".join((before[:-1], _head(_BYTE_STRING, length), *parts))
 
-    def prepare(self) -> Callable[[Message], bytearray]:
+    def prepare(self) -> Callable[[Message], list[Part]]:
         """Read the structure, unless it is known, and return what serialises its messages.
 
         Raises:
