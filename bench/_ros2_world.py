@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-HERTZ = {"hz100": 100, "hz4000": 4000, "flood": 10_000}
+HERTZ = {"hz100": 100, "hz1000": 1000, "hz4000": 4000, "flood": 10_000}
 PICTURES_HERTZ = 600
 WIDTH, HEIGHT = 640, 480
 _DEPTH = 1000

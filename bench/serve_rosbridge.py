@@ -24,18 +24,19 @@ from typing import Any
 from attrs import frozen
 from websockets.asyncio.client import ClientConnection, connect
 
-from bench.serve_clients import resident, serving, timed
+from bench.serve_clients import busy_seconds, resident, serving, timed
 from bench.tables import at, print_table
 
 SECONDS = 4.0
 SETTLE_SECONDS = 1.0
-CLIENTS = 50
+CLIENTS = (1, 50, 100)
 CONFIGURATION = """
 version: 1
 bridges:
   ros: {{plugin: ros2, options: {{domain_id: {domain}}}}}
 functions:
   hz100: {{components: [{{name: hz100, bridge: ros, output: {{endpoint: [/bench/hz100]}}}}]}}
+  hz1000: {{components: [{{name: hz1000, bridge: ros, output: {{endpoint: [/bench/hz1000]}}}}]}}
   hz4000: {{components: [{{name: hz4000, bridge: ros, output: {{endpoint: [/bench/hz4000]}}}}]}}
   flood: {{components: [{{name: flood, bridge: ros, output: {{endpoint: [/bench/flood]}}}}]}}
   pictures:
@@ -118,15 +119,16 @@ async def service_call(peer: Peer) -> list[float]:
         return sorted([await timed(call()) for _ in range(1000)][50:])
 
 
-async def flow(peer: Peer, source: str) -> tuple[float, float]:
+async def flow(peer: Peer, source: str) -> str:
     """Return messages of 1 KB a second, and the share that did not come."""
     async with client(peer) as reader:
         await reader.send("subscribe", source, type="std_msgs/String")
         first = number = _stamp(await reader.receive())[0]
-        start, count = time.perf_counter(), 0
+        busy, start, count = _busy(peer), time.perf_counter(), 0
         while time.perf_counter() - start < SECONDS:
             number, count = _stamp(await reader.receive())[0], count + 1
-        return count / (time.perf_counter() - start), 1 - count / (number - first)
+        rate, lost = count / (time.perf_counter() - start), 1 - count / (number - first)
+        return f"{rate:,.0f}, {lost:.1%} lost, {_each(peer, busy, count)}"
 
 
 def _stamp(told: Any) -> tuple[int, int]:
@@ -134,7 +136,7 @@ def _stamp(told: Any) -> tuple[int, int]:
     return int(number), int(moment)
 
 
-async def pictures(peer: Peer, compression: str) -> float:
+async def pictures(peer: Peer, compression: str) -> str:
     """Return pictures a second; not decoded or parsed, which would measure the client."""
     async with client(peer) as reader:
         kind = {"type": "sensor_msgs/Image", "compression": compression}
@@ -142,15 +144,16 @@ async def pictures(peer: Peer, compression: str) -> float:
         frame = await asyncio.wait_for(reader.socket.recv(), 20)
         assert len(frame) > 900_000, frame[:300]
         assert isinstance(frame, str) == (compression == "none")
-        start, count = time.perf_counter(), 0
+        busy, start, count = _busy(peer), time.perf_counter(), 0
         while time.perf_counter() - start < SECONDS:
             await asyncio.wait_for(reader.socket.recv(decode=False), 20)
             count += 1
-        return count / (time.perf_counter() - start)
+        rate = count / (time.perf_counter() - start)
+        return f"{rate:,.1f}, {_each(peer, busy, count)}"
 
 
-async def many(peer: Peer) -> list[float]:
-    """Return sorted microseconds from source to program, for clients that each get 100 Hz."""
+async def many(peer: Peer, clients: int) -> str:
+    """Return how long messages take from source to program, for clients that each get 100 Hz."""
     latencies: list[float] = []
 
     async def one() -> None:
@@ -163,8 +166,9 @@ async def many(peer: Peer) -> list[float]:
                 if now > begin:
                     latencies.append((time.monotonic_ns() - moment) / 1000)
 
-    await asyncio.gather(*(one() for _ in range(CLIENTS)))
-    return sorted(latencies)
+    await asyncio.gather(*(one() for _ in range(clients)))
+    spread = sorted(latencies)
+    return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms, {len(spread) / SECONDS:,.0f} a second"
 
 
 async def never_reading(peer: Peer) -> str:
@@ -195,6 +199,15 @@ async def bare() -> str:
     return f"{float(told):,.0f}"
 
 
+def _busy(peer: Peer) -> float:
+    return float("nan") if peer.process is None else busy_seconds(peer.process)
+
+
+def _each(peer: Peer, before: float, count: int) -> str:
+    """Return the processor time of the server for each message since it had had `before`."""
+    return f"{(_busy(peer) - before) / count * 1e6:,.0f} us CPU each"
+
+
 def _memory(peer: Peer) -> float:
     return float("nan") if peer.process is None else resident(peer.process)
 
@@ -202,20 +215,13 @@ def _memory(peer: Peer) -> float:
 async def measure(peer: Peer) -> list[str]:
     """Return one column of the table."""
     trips, calls = await round_trip(peer), await service_call(peer)
-    flood, _ = await flow(peer, "flood")
-    steady, lost = await flow(peer, "hz4000")
-    text, octets = await pictures(peer, "none"), await pictures(peer, "cbor")
-    spread = await many(peer)
-    stuck = await never_reading(peer)
     return [
         f"{_ms(trips, 0.5)} / {_ms(trips, 0.99)} ms",
         f"{_ms(calls, 0.5)} / {_ms(calls, 0.99)} ms",
-        f"{flood:,.0f}",
-        f"{steady:,.0f}, {lost:.1%} lost",
-        f"{text:,.1f}",
-        f"{octets:,.1f}",
-        f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms, {len(spread) / SECONDS:,.0f} a second",
-        stuck,
+        *[await flow(peer, source) for source in ("flood", "hz4000", "hz1000")],
+        *[await pictures(peer, compression) for compression in ("none", "cbor", "cbor-raw")],
+        *[await many(peer, clients) for clients in CLIENTS],
+        await never_reading(peer),
     ]
 
 
@@ -228,9 +234,11 @@ WHAT = (
     "service call, median / p99",
     "1 KB messages a second to one client from a source of 10,000 Hz",
     "from a source of 4,000 Hz",
+    "from a source of 1,000 Hz",
     "pictures of 921,600 B a second, of 600, JSON",
     "pictures of 921,600 B a second, of 600, CBOR",
-    f"{CLIENTS} clients at 100 Hz, 1 KB, median / p99",
+    "pictures of 921,600 B a second, of 600, cbor-raw",
+    *(f"clients at 100 Hz, 1 KB: {clients}, median / p99" for clients in CLIENTS),
     "memory beside a client that never reads pictures; another one at 100 Hz",
 )
 
