@@ -42,15 +42,28 @@ _CHAINS = {
 }
 
 
+@frozen
+class Loop:
+    """A loop of another process.
+
+    Attributes:
+        line: what it printed.
+        process: its id.
+    """
+
+    line: str
+    process: int
+
+
 @contextmanager
-def loop(*arguments: str) -> Iterator[str]:
-    """Run a loop of another process; yields the line that it prints."""
+def loop(*arguments: str) -> Iterator[Loop]:
+    """Run a loop of another process."""
     command = [sys.executable, str(_LOOPS), *arguments]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
         assert process.stdout is not None
         try:
-            yield process.stdout.readline().strip()
+            yield Loop(process.stdout.readline().strip(), process.pid)
         finally:
             process.communicate(timeout=_LIMIT)
 
@@ -194,7 +207,7 @@ def main() -> None:
     figures = list(floors(options.count))
     with NameServer() as names, loop("rtm", names.address) as _, loop("rocos") as device:
         for where, hosted in (("hosts", True), ("one process", False)):
-            text = configuration(names.address, device, domain, hosted=hosted)
+            text = configuration(names.address, device.line, domain, hosted=hosted)
             with RobotManager(loads(text)) as robot:
                 figures += hops(robot, where, options.count)
                 for name in _CHAINS:
