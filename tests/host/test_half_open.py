@@ -98,10 +98,9 @@ def test_a_link_that_carries_nothing_is_given_up_and_what_it_held_is_counted(
     middlemen[0].stall()
     for number in range(5):
         sink.send(number)
-    under_way = source.facts()["under_way"]
-    assert isinstance(under_way, int)
-    # Nothing of what it goes on to send arrives, and its count crosses in shared memory.
-    wait(lambda: source.facts()["under_way"] > under_way + 10)  # type: ignore[operator] # an int
+    # Nothing of what it goes on to send arrives, and its count crosses in shared memory. It stops
+    # at a full window, where it may have been since before this is looked at.
+    wait(lambda: source.facts()["under_way"] > 10)  # type: ignore[operator] # an int
     hosted.hasten(bridge, slowness())
     wait(lambda: any(one.health is Health.LOST for one in events.all))
     assert "has not answered" in events.all[-1].cause
