@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypedDict
 
@@ -10,8 +11,9 @@ from typing_extensions import NotRequired
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm.local import HintError, Octets, PythonBridge, Range, UInt8, schema_of
+from uoarm.local._target import Target
 from uoarm.model import Endpoint, Role
-from uoarm.testing import patience
+from uoarm.testing import Background, patience
 
 HERE = "tests.local.test_python_bridge"
 
@@ -157,6 +159,26 @@ def test_what_runs_code_of_the_component_as_it_opens_is_not_quick(
     bridge.describe(endpoint)
     assert bridge.is_quick(endpoint) is is_quick
     bridge.close()
+
+
+def test_a_hint_that_takes_long_to_read_holds_up_no_other_port(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reading, gate = threading.Event(), threading.Event()
+
+    def read(hint: Any, place: str) -> None:
+        if place == "slow":
+            reading.set()
+            assert gate.wait(patience())
+
+    monkeypatch.setattr("uoarm.local._target.reader", read)
+    endpoint = Endpoint("python", "c", Role.INPUT, ("x",))
+    slow = Background(lambda: Target("slow", change).port(endpoint).reader)
+    assert reading.wait(patience())
+    quick = Background(lambda: Target("quick", change).port(endpoint).reader)
+    quick.result()
+    gate.set()
+    slow.result()
 
 
 def test_a_missing_package_makes_a_component_unavailable(

@@ -6,9 +6,8 @@ import difflib
 import inspect
 from collections.abc import AsyncIterator, Callable, Hashable, Iterator, Mapping, Sequence
 from enum import Enum
-from functools import cached_property
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import attrs
 from attrs import field, frozen
@@ -25,6 +24,7 @@ from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Sche
 __all__ = ["Emit", "Port", "Target", "Waits", "find", "structure"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 _DECLARED = "__uoarm_structures__"
 _NOTHING = inspect.Parameter.empty
 
@@ -262,6 +262,24 @@ class Target:
             return {}
 
 
+class _made_once(Generic[T]):  # noqa: N801 - read as a property is
+    """What is made when it is first needed; perhaps by two threads, of which the last one counts.
+
+    Not `functools.cached_property`: before CPython 3.12 all objects of a class share its lock, so
+    that a hint that takes long to read would hold up every other port.
+    """
+
+    def __init__(self, make: Callable[[Any], T]) -> None:
+        self._make = make
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, port: Port, owner: type) -> T:
+        made = vars(port)[self._name] = self._make(port)
+        return made
+
+
 class Port:
     """What is known of a port and what converts its messages, each made when it is first needed.
 
@@ -275,7 +293,7 @@ class Port:
         self._endpoint = endpoint
         self._waits: Waits | None = None
 
-    @cached_property
+    @_made_once
     def takes_messages(self) -> bool:
         """Whether the callable behind it is called with messages, or is a source."""
         target, endpoint = self._target, self._endpoint
@@ -283,7 +301,7 @@ class Port:
             return target.source_name() is None
         return target.first_unfilled(target.method(endpoint), endpoint.parameters) is not None
 
-    @cached_property
+    @_made_once
     def is_quick(self) -> bool:
         """Whether opening and closing it runs no code of the component.
 
@@ -298,7 +316,7 @@ class Port:
             and (inspect.isgeneratorfunction(value) or self.takes_messages)
         )
 
-    @cached_property
+    @_made_once
     def reader(self) -> Callable[[Message], Any] | None:
         """What makes the value that it takes of a message; None: the message is that.
 
@@ -309,7 +327,7 @@ class Port:
         name = target.message_parameter(endpoint)
         return reader(target.hints(target.method(endpoint)).get(name, _NOTHING), target.name)
 
-    @cached_property
+    @_made_once
     def writer(self) -> Callable[[Any], Message] | None:
         """What makes a message of what it gives, or of what answers what it takes.
 
