@@ -20,7 +20,10 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
     """Runs a command; returns its status, its output (of --json as values), its errors."""
 
     def run_it(*words: str) -> tuple[int, Any, str]:
-        status = main(list(words))
+        try:
+            status = main(list(words))
+        except SystemExit as ended:  # as argparse does
+            status = int(ended.code or 0)
         told = capsys.readouterr()
         is_json = "--json" in words and not status
         return status, json.loads(told.out) if is_json else told.out, told.err
@@ -56,6 +59,9 @@ def test_what_is_installed_is_listed_without_a_graph(run: Run) -> None:
     [
         (("echo-structure", "/nowhere"), 4, "topic /nowhere is not on the graph"),
         (("echo-structure", "/x", "std_msgs/Int64"), 2, "did you mean 'std_msgs/msg/Int64'"),
+        (("list", "--domain", "500"), 2, "argument --domain: expected 0 to 232, got 500"),
+        (("list", "--domain", "-1"), 2, "argument --domain: expected 0 to 232, got -1"),
+        (("list", "--domain", "x"), 2, "argument --domain: invalid"),
     ],
 )
 def test_what_cannot_be_shown_says_why(
@@ -64,3 +70,11 @@ def test_what_cannot_be_shown_says_why(
     got, _, told = run(*words)
     assert got == status
     assert text in told
+
+
+def test_a_domain_of_the_environment_that_is_none_is_an_error_of_the_command(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "lab")
+    status, _, told = run("list")
+    assert (status, told) == (4, "the environment says ROS_DOMAIN_ID='lab', expected 0 to 232\n")

@@ -7,9 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from peers import DOMAIN
 from uoarm_ros2 import uoarm_bridge_types
-from uoarm_ros2._installation import Wheel, installation, wheels
+from uoarm_ros2._installation import Wheel, absent_middleware, installation, wheels
 
 from uoarm.bridge import install_command
 from uoarm.config import assign
@@ -73,6 +74,50 @@ def test_a_missing_rclpy_names_what_to_install() -> None:
     missing, raised = output(code).splitlines()
     assert install_command("uoarm-ros2", "jazzy") in missing
     assert raised.startswith("PluginError bridge 'ros': rclpy cannot be imported")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "words"),
+    [
+        ("ROS_DOMAIN_ID", "500", "BridgeError the environment says ROS_DOMAIN_ID='500', expected"),
+        ("ROS_DOMAIN_ID", "lab", "BridgeError the environment says ROS_DOMAIN_ID='lab', expected"),
+        ("RMW_IMPLEMENTATION", "rmw_none_cpp", "PluginError bridge 'ros': the environment says"),
+    ],
+)
+def test_an_environment_that_would_end_the_process_is_an_error(
+    variable: str, value: str, words: str
+) -> None:
+    """Fast DDS calls exit() for such a domain, ROS 2 for a middleware that is not there."""
+    code = (
+        "from uoarm.bridge import Registry\n"
+        "from uoarm.model import BridgeSpec\n"
+        "try: Registry().create(BridgeSpec('ros', 'ros2', {}))\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    assert output(code, **{variable: value}).startswith(words)
+
+
+def test_a_middleware_that_is_not_there_is_told_with_those_that_are() -> None:
+    code = (
+        "from uoarm_ros2 import uoarm_bridge_types\n"
+        "try: uoarm_bridge_types()[0].doctor()\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    told = output(code, RMW_IMPLEMENTATION="rmw_none_cpp")
+    assert told.startswith("PluginError the environment says RMW_IMPLEMENTATION=rmw_none_cpp")
+    assert "only rmw_fastrtps_cpp: unset the variable" in told
+    assert output(code, RMW_IMPLEMENTATION="rmw_fastrtps_cpp") == ""
+
+
+def test_where_libraries_are_nobody_knows_no_middleware_is_missing(tmp_path: Path) -> None:
+    environment = {"RMW_IMPLEMENTATION": "rmw_none_cpp", "LD_LIBRARY_PATH": f"{tmp_path}"}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "prefix", str(tmp_path))
+        assert absent_middleware(environment) == ""
+        (tmp_path / "librcl.so").touch()
+        assert "only none" in absent_middleware(environment)
+        (tmp_path / "librmw_none_cpp.so").touch()
+        assert absent_middleware(environment) == ""
 
 
 def test_importing_the_plugin_imports_no_middleware() -> None:

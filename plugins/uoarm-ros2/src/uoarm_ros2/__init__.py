@@ -5,9 +5,15 @@ Importing this package imports no middleware; making a bridge does.
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from typing import Any
+
 from uoarm.bridge import Bridge, BridgeType, hookimpl, install_command
 from uoarm.errors import PluginError
 from uoarm.model import Options
+from uoarm_ros2._installation import absent_middleware
 from uoarm_ros2._parameters import mistakes
 from uoarm_ros2._settings import BRIDGE_OPTIONS, mistake, topic_name
 
@@ -34,10 +40,11 @@ def uoarm_bridge_types() -> list[BridgeType]:
 
 def _create(name: str, options: Options) -> Bridge:
     try:
-        from uoarm_ros2._bridge import Ros2Bridge  # noqa: PLC0415 - imports the middleware
-    except ImportError as error:
-        raise PluginError(f"bridge {name!r}: {missing(error)}") from error
-    return Ros2Bridge(name, options)
+        module = import_with_middleware("uoarm_ros2._bridge")
+    except PluginError as error:
+        raise PluginError(f"bridge {name!r}: {error}") from error
+    made: Bridge = module.Ros2Bridge(name, options)
+    return made
 
 
 def _check_parameters(
@@ -48,17 +55,25 @@ def _check_parameters(
 
 
 def _doctor() -> dict[str, str]:
+    found: dict[str, str] = import_with_middleware("uoarm_ros2._middleware").environment()
+    return found
+
+
+def import_with_middleware(module: str) -> Any:
+    """Import a module of this plugin that imports rclpy.
+
+    Raises:
+        PluginError: there is no rclpy, or not the middleware that the environment asks for; says
+            how to get it.
+    """
+    absent = absent_middleware(os.environ)
+    if absent and "rclpy" not in sys.modules:
+        raise PluginError(absent)
     try:
-        from uoarm_ros2._middleware import environment  # noqa: PLC0415 - imports the middleware
+        return importlib.import_module(module)
     except ImportError as error:
-        raise PluginError(missing(error)) from error
-    return environment()
-
-
-def missing(error: ImportError) -> str:
-    """Return the sentence that says how to get the rclpy that cannot be imported."""
-    command = install_command("uoarm-ros2", "jazzy")
-    return (
-        f"rclpy cannot be imported: install it with {command} (or [kilted]), or source the ROS 2 "
-        f"installation before starting Python ({error})"
-    )
+        command = install_command("uoarm-ros2", "jazzy")
+        raise PluginError(
+            f"rclpy cannot be imported: install it with {command} (or [kilted]), or source the "
+            f"ROS 2 installation before starting Python ({error})"
+        ) from error

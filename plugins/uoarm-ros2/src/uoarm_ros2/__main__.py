@@ -9,9 +9,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from uoarm.errors import ConfigurationError, PluginError, UoarmError
+from uoarm.errors import ConfigurationError, UoarmError
 from uoarm.plugins import Command, hookimpl
-from uoarm_ros2 import missing
+from uoarm_ros2 import import_with_middleware
+from uoarm_ros2._settings import HIGHEST_DOMAIN
 from uoarm_ros2._types import type_mistake
 
 __all__ = ["main", "uoarm_commands"]
@@ -50,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     printing = argparse.ArgumentParser(add_help=False)
     printing.add_argument("--json", action="store_true", help="print JSON")
     asking = argparse.ArgumentParser(add_help=False, parents=[printing])
-    asking.add_argument("--domain", type=int, help="default: ROS_DOMAIN_ID, else 0")
+    asking.add_argument("--domain", type=_domain, help="default: ROS_DOMAIN_ID, else 0")
     commands.add_parser("list", parents=[asking], help="list nodes with what they offer and take")
     commands.add_parser("types", parents=[asking], help="list the types that nodes talk")
     commands.add_parser("interfaces", parents=[printing], help="list the types that are installed")
@@ -71,6 +72,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _domain(text: str) -> int:
+    number = int(text)
+    if not 0 <= number <= HIGHEST_DOMAIN:
+        raise argparse.ArgumentTypeError(f"expected 0 to {HIGHEST_DOMAIN}, got {text}")
+    return number
+
+
 def _build(given: argparse.Namespace) -> int:
     from uoarm_ros2._interfaces import build_wheels  # noqa: PLC0415 - other commands do not need it
 
@@ -83,19 +91,16 @@ def _build(given: argparse.Namespace) -> int:
 
 
 def _show(given: argparse.Namespace) -> int:
-    try:
-        from uoarm_ros2 import _commands  # noqa: PLC0415 - imports the middleware
-    except ImportError as error:
-        raise PluginError(missing(error)) from error
+    commands = import_with_middleware("uoarm_ros2._commands")
     if given.command == "interfaces":
-        return _print(given, _commands.installed(), lambda names: names)
+        return _print(given, commands.installed(), lambda names: names)
     options = {} if given.domain is None else {"domain_id": given.domain}
-    with _commands.seen(options) as bridge:
+    with commands.seen(options) as bridge:
         if given.command == "list":
-            return _print(given, _commands.graph(bridge), _node_lines)
+            return _print(given, commands.graph(bridge), _node_lines)
         if given.command == "types":
-            return _print(given, _commands.types(bridge), _type_lines)
-        found = _commands.structure(bridge, given.name, given.type)
+            return _print(given, commands.types(bridge), _type_lines)
+        found = commands.structure(bridge, given.name, given.type)
         return _print(given, found, lambda each: [json.dumps(each, indent=2)])
 
 

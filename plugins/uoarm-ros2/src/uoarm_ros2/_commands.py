@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from uoarm.bridge import Bridge
-from uoarm.model import Endpoint, Options, Role
-from uoarm_ros2._bridge import Ros2Bridge
+from uoarm.bridge import Bridge, Registry
+from uoarm.model import BridgeSpec, Endpoint, Options, Role
 from uoarm_ros2._types import import_type, kind_of, type_mistake
 
 __all__ = ["graph", "installed", "seen", "structure", "types"]
@@ -27,7 +26,7 @@ def seen(options: Options) -> Iterator[Bridge]:
     Raises:
         BridgeError: it cannot be made.
     """
-    bridge = Ros2Bridge("ros2_command", options)
+    bridge = Registry().create(BridgeSpec("ros2_command", "ros2", options))
     try:
         yield bridge
     finally:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable, Mapping
 from importlib.metadata import distributions
 from pathlib import Path
 
 from attrs import frozen
 
-__all__ = ["Installation", "Wheel", "installation", "wheels"]
+__all__ = ["Installation", "Wheel", "absent_middleware", "installation", "wheels"]
 
 _NAME_PARTS = 3
 
@@ -63,6 +64,26 @@ def installation(
         return Installation(sourced, "a ROS 2 installation that was sourced", _mixed(rclpy, beside))
     both = f"wheels of {' and '.join(here)} share {rclpy.parent} and overwrite each other"
     return Installation(", ".join(here), "wheels", both if len(here) > 1 else _mixed(rclpy, beside))
+
+
+def absent_middleware(environment: Mapping[str, str]) -> str:
+    """Say that `RMW_IMPLEMENTATION` names a middleware that is not there; empty: nothing is wrong.
+
+    ROS 2 looks when its library is loaded, and then ends the whole process.
+    """
+    wanted = environment.get("RMW_IMPLEMENTATION", "")
+    path = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
+    folders = [Path(each) for each in (*path, f"{sys.prefix}/lib") if each]
+    has_ros = any((folder / "librcl.so").is_file() for folder in folders)
+    there = any((folder / f"lib{wanted}.so").is_file() for folder in folders)
+    if not wanted or there or not has_ros:
+        return ""
+    found = {each.name[3:-3] for folder in folders for each in folder.glob("librmw_*_cpp.so")}
+    known = ", ".join(sorted(each for each in found if "__" not in each and "shared" not in each))
+    return (
+        f"the environment says RMW_IMPLEMENTATION={wanted}, and there is no such middleware, only "
+        f"{known or 'none'}: unset the variable, or install the other"
+    )
 
 
 def _on_library_path(wheel: Wheel, environment: Mapping[str, str]) -> bool:

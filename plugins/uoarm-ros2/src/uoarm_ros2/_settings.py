@@ -14,6 +14,7 @@ from uoarm_ros2._types import ACTION, MESSAGE, SERVICE, kind_of, type_mistake
 
 __all__ = [
     "BRIDGE_OPTIONS",
+    "HIGHEST_DOMAIN",
     "LOOKUP",
     "TF_MESSAGE",
     "Address",
@@ -35,6 +36,7 @@ _PARTS = {
 _WAIT_SECONDS = 3.5
 _SETTLE_SECONDS = 0.05
 _MOST_AT_ONCE = 64
+HIGHEST_DOMAIN = 232  # from there on the ports that DDS computes do not exist
 TF_MESSAGE, LOOKUP = "tf2_msgs/msg/TFMessage", "lookup"
 _AFTERWARDS = ("deactivate", "cleanup", "leave")
 
@@ -46,7 +48,7 @@ BRIDGE_OPTIONS: Schema = {
         "domain_id": {
             "type": "integer",
             "minimum": 0,
-            "maximum": 232,
+            "maximum": HIGHEST_DOMAIN,
             # 102 to 214 lie in the ephemeral ports of Linux; small numbers are people's own.
             "x-uoarm-assign": {"from": 64, "to": 101, "except_variable": "ROS_DOMAIN_ID"},
             "description": "DDS domain; default: ROS_DOMAIN_ID of the environment, else 0",

@@ -13,10 +13,12 @@ from rclpy.context import Context
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._station import Station
+from uoarm_ros2._settings import HIGHEST_DOMAIN
 
 __all__ = ["Participant"]
 
 _EXIT_SECONDS = 2.0
+_DOMAIN = "ROS_DOMAIN_ID"
 _TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 _setting = threading.Lock()  # what is set is the environment of the whole process
@@ -32,13 +34,15 @@ class Participant:
             middleware's own.
 
     Raises:
-        BridgeError: the environment says what does not go with `shared_memory`.
+        BridgeError: the environment says what does not go with `shared_memory`, or names no domain.
     """
 
     def __init__(
         self, domain_id: int | None, namespace: str, shared_memory: int | None = None
     ) -> None:
         _check_transports(shared_memory)
+        if domain_id is None:
+            _check_domain(os.environ.get(_DOMAIN, ""))
         self._shared_memory = shared_memory
         self._namespace = namespace
         self._lock = threading.Lock()
@@ -112,6 +116,13 @@ class Participant:
         if last:
             self._context.try_shutdown()
             self._context.destroy()
+
+
+def _check_domain(told: str) -> None:
+    """Raise BridgeError for what is no domain: Fast DDS ends the process for one too high."""
+    if told and not (told.isascii() and told.isdigit() and int(told) <= HIGHEST_DOMAIN):
+        text = f"the environment says {_DOMAIN}={told!r:.40}, expected 0 to {HIGHEST_DOMAIN}"
+        raise BridgeError(text, FailureReason.UNSUPPORTED)
 
 
 def _check_transports(mebibytes: int | None) -> None:
