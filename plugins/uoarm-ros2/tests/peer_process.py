@@ -29,7 +29,7 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from redefinition import redefine
+from redefinition import redefine, redefine_goal_reply, redefine_reply
 from sensor_msgs.msg import Image
 from std_msgs.msg import Int64, String
 from std_srvs.srv import SetBool
@@ -93,6 +93,7 @@ class Doer:
         self.ends: list[str] = []
         self.over = threading.Event()
         self.begun = threading.Event()
+        self.executed = 0
         self.asked = threading.Event()
         self.gate = threading.Event()
         self.clients: dict[str, Any] = {}
@@ -109,6 +110,16 @@ class Doer:
     def redefine(self, kind: str = "Int64") -> dict[str, Any]:
         """Define a type otherwise from now on."""
         redefine({"Int64": Int64, "Image": Image, "String": String}[kind])
+        return {}
+
+    def redefine_reply(self) -> dict[str, Any]:
+        """Define what a service replies otherwise from now on."""
+        redefine_reply(BasicTypes)
+        return {}
+
+    def redefine_goal_reply(self) -> dict[str, Any]:
+        """Define how goals of an action are answered otherwise from now on."""
+        redefine_goal_reply(Fibonacci)
         return {}
 
     def unadvertise(self, topic: str) -> dict[str, Any]:
@@ -197,12 +208,18 @@ class Doer:
 
     def serve(self, name: str, delay: float = 0.0) -> dict[str, Any]:
         def answer(request: Any, response: Any) -> Any:
+            self.asked.set()
             time.sleep(delay)
             response.int64_value = request.int64_value + 1
             response.string_value = request.string_value[::-1]
             return response
 
         self.node.create_service(BasicTypes, name, answer, callback_group=self.group)
+        return {}
+
+    def serve_flag(self, name: str) -> dict[str, Any]:
+        """Serve a name with another type than `serve` does."""
+        self.node.create_service(SetBool, name, lambda _, response: response)
         return {}
 
     def die(self, name: str) -> dict[str, Any]:
@@ -289,6 +306,7 @@ class Doer:
             return GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
 
         def execute(goal: Any) -> Any:
+            self.executed += 1
             self.begun.set()
             sequence = [0, 1]
             for _ in range(1, goal.request.order):
@@ -398,6 +416,12 @@ class Doer:
     def accept_goals(self) -> dict[str, Any]:
         self.gate.set()
         return {}
+
+    def goals_begun(self) -> dict[str, Any]:
+        return {"count": self.executed}
+
+    def request_begun(self) -> dict[str, Any]:
+        return {"begun": self.asked.wait(PATIENCE)}
 
     def goal_begun(self) -> dict[str, Any]:
         return {"begun": self.begun.wait(PATIENCE)}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from uoarm_ros2 import _actions, _services
+from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
@@ -66,7 +66,7 @@ def test_every_installed_type_has_the_structure_that_the_bridge_describes(
 def test_goals_and_results_of_an_action_are_those_that_the_bridge_describes(
     found: Definitions,
 ) -> None:
-    description = _actions.described("test_msgs/action/Fibonacci")
+    description = _action_types.described("test_msgs/action/Fibonacci")
     assert found.structures["test_msgs/action/Fibonacci_Goal"] == description.request
     assert found.structures["test_msgs/action/Fibonacci_Result"] == description.reply
 

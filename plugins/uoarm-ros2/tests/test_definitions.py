@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from endpoints import INT64, Inbox, endpoint, known, sink, source
+from messages import default_of
 from peers import MORTAL, Peer
+from uoarm_ros2._types import import_type
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
+from uoarm.testing import patience, wait
 
 Start = Callable[..., Peer]
 OTHER = "RIHS01_000102030405"
+BASIC = "test_msgs/srv/BasicTypes"
+FIBONACCI = "test_msgs/action/Fibonacci"
 
 
 def test_a_publisher_with_another_definition_is_refused(bridge: Bridge, peer: Start) -> None:
@@ -65,3 +71,51 @@ def test_a_channel_left_with_strangers_alone_is_lost(bridge: Bridge, peer: Start
     events.event(Health.DEGRADED, "defined otherwise")
     talker.kill()
     events.event(Health.LOST, "defined otherwise")
+
+
+def call(bridge: Bridge, name: str) -> object:
+    native: Any = import_type(BASIC)
+    at = endpoint(Role.SERVICE, name, BASIC)
+    return bridge.call(at, default_of(native.Request), timeout=patience())
+
+
+def test_a_server_with_another_definition_is_not_called(bridge: Bridge, peer: Start) -> None:
+    server = peer("server")
+    server.do("redefine_reply")
+    server.do("serve", name="/strange")
+    with pytest.raises(BridgeError) as caught:
+        call(bridge, "/strange")
+    text = str(caught.value)
+    assert "service /strange is not the same everywhere: /server has " in text
+    assert f"{BASIC}_Response as {OTHER}" in text
+    assert "this process has RIHS01_" in text
+
+
+def test_an_action_with_another_definition_is_sent_no_goals(bridge: Bridge, peer: Start) -> None:
+    server = peer("server", "threads")
+    server.do("redefine_goal_reply")
+    server.do("act", name="/strange")
+    with pytest.raises(BridgeError, match="action /strange is not the same everywhere: /server"):
+        sink(bridge, endpoint(Role.INPUT, "/strange", FIBONACCI))
+
+
+def test_another_service_under_the_name_is_an_event_and_so_is_its_end(
+    bridge: Bridge, peer: Start
+) -> None:
+    events = Inbox()
+    bridge.watch(events)
+    server, stranger = peer("server"), peer("stranger")
+    server.do("serve", name="/mixed")
+    call(bridge, "/mixed")
+    stranger.do("serve_flag", name="/mixed")
+    known(bridge, "/stranger")
+
+    def told(health: Health, words: str) -> bool:
+        call(bridge, "/mixed")
+        found = [each for each in events.messages if words in each.cause]
+        return [(each.health, each.component) for each in found] == [(health, "thing")]
+
+    words = "service /mixed is not the same everywhere: /stranger has std_srvs/srv/SetBool_Re"
+    wait(lambda: told(Health.DEGRADED, words))
+    stranger.end()
+    wait(lambda: told(Health.OK, "all who serve it mean the same"))

@@ -10,7 +10,11 @@ import pytest
 from endpoints import Inbox, endpoint, known, sink, source
 from messages import same
 from peers import Peer
+from uoarm_ros2 import _type_finder
+from uoarm_ros2._defined import DefinedTypes
 from uoarm_ros2._described import described_type
+from uoarm_ros2._middleware import Peer as End_
+from uoarm_ros2._qos import Policies
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -105,3 +109,21 @@ def test_a_description_of_too_much_is_refused() -> None:
     whole["type_description"]["fields"] *= 5000
     with pytest.raises(BridgeError, match="more than 4096 fields"):
         described_type(whole, "a/msg/B", "")
+
+
+def test_types_that_nodes_describe_have_a_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a class is made of is never given back, so that forgetting one would give no room."""
+    monkeypatch.setattr(_type_finder, "_MOST_KEPT", 1)
+    names = ["a/msg/B", "a/msg/C"]
+    peers = [End_("/n", name, Policies(), b"", f"RIHS01_{64 * 'a'}") for name in names]
+
+    def ask(node: str, request: Any) -> Any:
+        whole = description()
+        whole["type_description"]["type_name"] = request["type_name"]
+        return {"successful": True, "type_description": whole}
+
+    finder = _type_finder.TypeFinder(ask, lambda _: peers, DefinedTypes([]))
+    made = finder.find("a/msg/B", "/t")
+    with pytest.raises(BridgeError, match="1 types are known from nodes already"):
+        finder.find("a/msg/C", "/t")
+    assert finder.find("a/msg/B", "/t") is made

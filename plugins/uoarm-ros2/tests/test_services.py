@@ -375,6 +375,145 @@ def test_goals_of_a_killed_server_are_lost(bridge: Bridge, peer: Start) -> None:
     assert events.event(Health.LOST, "the server of /fibonacci is gone").channel is channel
 
 
+def looks(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Note which threads look who serves: that of a call does before it has waited for long."""
+    graph, looked = bridge._graph, set[str]()  # type: ignore[attr-defined]
+    servers = graph.servers
+
+    def look(name: str) -> frozenset[bytes]:
+        found: frozenset[bytes] = servers(name)
+        looked.add(threading.current_thread().name)
+        return found
+
+    monkeypatch.setattr(graph, "servers", look)
+    return looked
+
+
+def test_goals_of_a_server_that_another_one_replaces_are_lost(
+    bridge: Bridge, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There is a server all the time: who is killed is forgotten when the next one is known."""
+    statuses = Inbox()
+    server, successor = peer("server", "threads", **MORTAL), peer("successor", "threads")
+    server.do("act", name="/fibonacci")
+    source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
+    goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
+    goal.send({"order": 100_000})
+    statuses.wait_until(lambda each: each["status"] == "accepted")
+    came: list[BridgeError] = []
+
+    def call() -> None:
+        try:
+            bridge.call(service("/fibonacci", FIBONACCI), {"order": 100_000}, timeout=1e6)
+        except BridgeError as error:
+            came.append(error)
+
+    looked = looks(bridge, monkeypatch)
+    calling = threading.Thread(target=call)
+    calling.start()
+    wait(lambda: server.do("goals_begun")["count"] == 2)
+    wait(lambda: looked - {"ros2 uoarm_ros"})
+    successor.do("act", name="/fibonacci")
+    graph = bridge._graph  # type: ignore[attr-defined]  # what DDS tells
+    wait(lambda: len(graph.servers("/fibonacci/_action/send_goal")) == 2)
+    server.kill()
+    assert statuses.wait_until(lambda each: each["status"] == "lost")
+    calling.join(patience())
+    assert "went away in mid-call" in str(came[0])
+    goal.send({"order": 3})
+    assert statuses.wait_until(lambda each: each["status"] == "succeeded")
+
+
+def test_a_goal_that_was_not_answered_when_its_server_died_is_lost(
+    bridge: Bridge, peer: Start
+) -> None:
+    statuses = Inbox()
+    server = peer("server", "threads", **MORTAL)
+    server.do("act", name="/fibonacci", gated=True)
+    source(bridge, endpoint(Role.OUTPUT, "/fibonacci", FIBONACCI, "status"), statuses)
+    goal = sink(bridge, endpoint(Role.INPUT, "/fibonacci", FIBONACCI))
+    goal.send({"order": 3})
+    server.do("goal_asked")
+    server.kill()
+    (lost,) = statuses.wait_for(1)
+    assert lost["status"] == "lost"
+    assert len(bytes.fromhex(lost["goal_id"])) == 16
+
+
+def test_a_call_whose_server_another_one_replaces_ends(
+    bridge: Bridge, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, successor = peer("server", **MORTAL), peer("successor")
+    server.do("serve", name="/slow", delay=1e6)
+    came: list[BridgeError] = []
+
+    def call() -> None:
+        try:
+            bridge.call(service("/slow", BASIC), request(), timeout=1e6)
+        except BridgeError as error:
+            came.append(error)
+
+    looked = looks(bridge, monkeypatch)
+    calling = threading.Thread(target=call)
+    calling.start()
+    assert server.do("request_begun")["begun"]
+    wait(lambda: looked - {"ros2 uoarm_ros"})
+    successor.do("serve", name="/slow")
+    graph = bridge._graph  # type: ignore[attr-defined]  # what DDS tells
+    wait(lambda: len(graph.servers("/slow")) == 2)
+    server.kill()
+    calling.join(patience())
+    assert "service /slow went away in mid-call" in str(came[0])
+
+
+class EarlyAnswers:
+    """A client's handle that has sent only when the answer has been taken, or will not be."""
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+        self._taken = {"goal": threading.Event(), "result": threading.Event()}
+
+    def __getattr__(self, name: str) -> Any:
+        did = getattr(self._handle, name)
+        verb, _, rest = name.partition("_")
+        taken = self._taken.get(rest.partition("_")[0])
+        if verb not in {"send", "take"} or taken is None:
+            return did
+
+        def do(*given: Any) -> Any:
+            done = did(*given)
+            if verb == "send":
+                taken.wait(2)
+            elif all(done):
+                taken.set()
+            return done
+
+        return do
+
+
+def test_an_answer_that_comes_while_its_goal_is_sent_is_not_thrown_away() -> None:
+    participant = Participant(DOMAIN, "")
+    try:
+        station, replies = participant.station("serving"), participant.station("asking")
+        native: Any = import_type(FIBONACCI)
+
+        def accept(asked: GoalRequest) -> None:
+            server.accept(asked)
+            server.end(asked.id, "succeeded", native.Result(sequence=[7]))
+
+        server = station.goal_server(
+            native, "/early", accept, may_cancel=lambda _: True, cancel=lambda _: None
+        )
+        action = Action(replies, Graph(replies, 0.0), "/early", FIBONACCI)
+        client: Any = action._client
+        wait(action.ready)
+        client._client_handle = EarlyAnswers(client._client_handle)
+        given = action.call({"order": 3}, patience(), patience(), lambda _: nullcontext())
+        assert [*given["sequence"]] == [7]
+    finally:
+        participant.close(patience())
+
+
 def test_the_graph_is_discovered_without_predefining(bridge: Bridge, peer: Start) -> None:
     robot = peer("robot", "threads")
     robot.do("advertise", topic="/numbers")

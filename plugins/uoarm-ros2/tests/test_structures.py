@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from messages import MESSAGE_TYPES, messages_of
-from uoarm_ros2 import _actions, _services
+from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import shape_of
 from uoarm_ros2._types import import_type
@@ -131,11 +131,11 @@ def test_services_and_actions_have_structures_too() -> None:
     assert service.request is not None
     assert service.reply is not None
     assert service.request.native_type == "test_msgs/srv/Arrays_Request"
-    action = _actions.described("test_msgs/action/NestedMessage")
+    action = _action_types.described("test_msgs/action/NestedMessage")
     assert action.request is not None
     assert action.reply is not None
     for part in ("goal", "cancel", "feedback", "result", "status"):
-        found = _actions.part_structure("test_msgs/action/Fibonacci", part)
+        found = _action_types.part_structure("test_msgs/action/Fibonacci", part)
         assert isinstance(found.schema, Mapping)
         Draft202012Validator.check_schema(found.schema)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ import pytest
 from attrs import evolve
 from endpoints import INT64, Inbox, endpoint, known, matched, sink, source
 from peers import MORTAL, Peer
-from uoarm_ros2._middleware import Station
+from uoarm_ros2._middleware import Station, _released
 
 from uoarm.bridge import Bridge
 from uoarm.errors import BridgeError, FailureReason, MessageError
@@ -98,6 +100,38 @@ def test_drained_is_what_the_reader_has_acknowledged(bridge: Bridge, peer: Start
     assert draining.result(2 * patience())
     out.close()
     assert listener.do("report", topic="/acked", expected=1)["seen"] == [1]
+
+
+class Slow:
+    """Stands for rclpy's publisher of a middleware that waits for room: half a second here."""
+
+    def __init__(self) -> None:
+        self.time = (ctypes.c_long * 2)(0, 500_000_000)
+        self.pointer = ctypes.addressof(self.time)
+        self.handle = nullcontext(self)
+        self.handle.pointer = self.pointer  # type: ignore[attr-defined]
+
+
+def test_others_go_on_while_a_sender_waits_for_room(
+    bridge: Bridge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who sees another thread sleep in a call of the system has the interpreter's lock itself."""
+    sleep = ctypes.CDLL(None).nanosleep
+    sleep.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+    functions = (lambda pointer: pointer, sleep, print, print)
+    monkeypatch.setattr(_released, "_functions", lambda: functions)
+    keep = {"history": "keep_all"}
+    out = sink(bridge, endpoint(Role.INPUT, "/full", INT64, qos=keep, peer="optional"))
+    out._end.native, native = Slow(), out._end.native
+    sending = threading.Thread(target=out.send, args=({"data": 7},))
+    sending.start()
+    calls = set()
+    while sending.is_alive():
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended
+            told = Path(f"/proc/self/task/{sending.native_id}/syscall").read_text()
+            calls.add(told.split()[0])
+    out._end.native = native
+    assert calls & {"35", "230"}  # nanosleep, clock_nanosleep
 
 
 def test_images_of_six_megabytes_flow(bridge: Bridge, peer: Start) -> None:

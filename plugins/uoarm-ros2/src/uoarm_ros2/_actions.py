@@ -7,20 +7,23 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from typing import Any
+from uuid import uuid4
 
-from uoarm.bridge import Channel, Description, Sink, Source
+from attrs import define, field
+
+from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, FailureReason
-from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
-from uoarm_ros2._graph import Graph
+from uoarm.model import Deliver, Endpoint, Health, Message
+from uoarm_ros2._action_types import records
+from uoarm_ros2._agreement import Agreement, Disagreement
+from uoarm_ros2._graph import Graph, Presence
 from uoarm_ros2._middleware import Station, rclpy_errors
 from uoarm_ros2._read import reader
-from uoarm_ros2._schema import schema_of, structure_of
-from uoarm_ros2._services import answered
-from uoarm_ros2._shape import Record, shape_of
+from uoarm_ros2._services import answered, require_agreement
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
 
-__all__ = ["Action", "ActionSink", "ActionSource", "described", "part_structure", "records"]
+__all__ = ["Action", "ActionSink", "ActionSource"]
 
 _STATUS = {
     1: "accepted",
@@ -30,64 +33,51 @@ _STATUS = {
     5: "canceled",
     6: "aborted",
 }
-_STATES = ["accepted", "rejected", "succeeded", "canceled", "aborted", "lost"]
 _MOST_GOALS = 256
+_UUID = "unique_identifier_msgs/msg/UUID"
 
 
-def described(type_name: str) -> Description:
-    """Return an action as a call: the goal as request, the result as reply."""
-    goal, _, result = records(type_name)
-    return Description(request=structure_of(goal), reply=structure_of(result))
+@define(eq=False)
+class _Goal:
+    """A goal that was sent as a stream and has not ended.
 
+    Attributes:
+        servers: those that were there when it was sent.
+        sent: the future of rclpy's handle.
+        handle: rclpy's, once it was accepted.
+        is_cancelled: whether its end was asked for.
+    """
 
-def part_structure(type_name: str, part: str) -> MessageStructure:
-    """Return the structure of one stream of an action."""
-    goal, feedback, result = records(type_name)
-    if part == "goal":
-        return structure_of(goal)
-    members: dict[str, object] = {"goal_id": {"type": "string"}}
-    if part in {"status", "result"}:
-        members["status"] = {"type": "string", "enum": _STATES}
-    if part in {"feedback", "result"}:
-        members[part] = schema_of(feedback if part == "feedback" else result)
-    schema = {
-        "type": "object",
-        "properties": members,
-        "required": list(members),
-        "additionalProperties": False,
-    }
-    return MessageStructure(schema, native_type=f"{type_name}.{part}")
-
-
-def records(type_name: str) -> tuple[Record, Record, Record]:
-    """Return the shapes of the goal, the feedback and the result of an action type."""
-    native: Any = import_type(type_name)
-    return (
-        shape_of(native.Goal, f"{type_name}_Goal"),
-        shape_of(native.Feedback, f"{type_name}_Feedback"),
-        shape_of(native.Result, f"{type_name}_Result"),
-    )
+    servers: Presence = field(factory=Presence)
+    sent: Any = None
+    handle: Any = None
+    is_cancelled: bool = False
 
 
 class Action:
     """A client of one action, shared by its channels and calls.
 
-    Callbacks run in the station's thread. A goal that is under way when its server disappears
-    ends with the status `lost`.
+    Callbacks run in the station's thread. A goal that is under way, or not answered yet, when its
+    server disappears ends with the status `lost`, also where another server has taken its place.
     """
 
     def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
         goal, feedback, result = records(type_name)
         self.name = name
         self._graph = graph
+        self._sending = f"{name}/_action/send_goal"
         self._write_goal = writer(goal)
         self._read_feedback = reader(feedback)
         self._read_result = reader(result)
         self._lock = threading.Lock()
-        self._goals: dict[str, Any] = {}
+        self._goals: dict[str, _Goal] = {}
         self._listeners: tuple[ActionSource, ...] = ()
+        self._new_id = import_type(_UUID)
         self._client = station.action_client(import_type(type_name), name)
         self._was_ready = False
+        services = (f"{name}/_action/{each}" for each in ("send_goal", "get_result"))
+        self.agreement = Agreement(station, f"action {name}", services)
+        self._disagreement = ""
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -97,14 +87,15 @@ class Action:
         """Wait for a server.
 
         Raises:
-            BridgeError: there is none within `limit` seconds.
+            BridgeError: there is none within `limit` seconds, or none has our definition.
         """
         if not self._graph.until(self.ready, limit):
             text = f"action {self.name} has no server"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
         if not self._was_ready:
-            self._graph.greet(f"{self.name}/_action/send_goal", limit)
+            self._graph.greet(self._sending, limit)
         self._was_ready = True
+        require_agreement(self.agreement)
 
     def call(
         self,
@@ -125,13 +116,18 @@ class Action:
         goal = self._write_goal(message)
         with rclpy_errors(what):
             self.wait(min(wait, timeout))
+            first = Presence()
+
+            def there() -> bool:
+                return self.ready() and first.holds(self._graph.servers(self._sending))
+
             pursuit = _Pursuit(self._client, what)
             with cancelling(pursuit.cancel):
                 sent = pursuit.begin(goal)
                 try:
-                    handle = answered(sent, deadline, self.ready, what)
+                    handle = answered(sent, deadline, there, what)
                     if handle.accepted:
-                        reply = answered(handle.get_result_async(), deadline, self.ready, what)
+                        reply = answered(handle.get_result_async(), deadline, there, what)
                 except BridgeError:
                     pursuit.cancel()
                     raise
@@ -150,22 +146,36 @@ class Action:
             MessageError: the goal does not fit its native type.
             BridgeError: there is no server, or too many goals are under way.
         """
+        native = self._write_goal(message)
         if not self.ready():
             text = f"action {self.name} has no server"
             raise BridgeError(text, FailureReason.UNAVAILABLE)
-        if len(self._goals) >= _MOST_GOALS:
-            text = f"action {self.name} has {_MOST_GOALS} goals under way already"
-            raise BridgeError(text, FailureReason.REFUSED)
-        future = self._client.send_goal_async(self._write_goal(message), self._on_feedback)
-        future.add_done_callback(self._on_response)
+        goal, own = _Goal(), uuid4().bytes
+        goal.servers.holds(self._graph.servers(self._sending))
+        with self._lock:
+            if len(self._goals) >= _MOST_GOALS:
+                text = f"action {self.name} has {_MOST_GOALS} goals under way already"
+                raise BridgeError(text, FailureReason.REFUSED)
+            self._goals[own.hex()] = goal
+        try:
+            goal.sent = self._client.send_goal_async(
+                native, self._on_feedback, goal_uuid=self._new_id(uuid=list(own))
+            )
+        except BaseException:
+            self._forget(own.hex())
+            raise
+        goal.sent.add_done_callback(lambda sent: self._on_response(own.hex(), sent))
 
     def cancel(self, message: Message) -> None:
         """Ask the server to cancel one goal, or all of ours when the id is empty."""
         wanted = message["goal_id"]
         with self._lock:
             goals = [goal for name, goal in self._goals.items() if wanted in {"", name}]
-        for goal in goals:
-            _cancel(goal)
+            for goal in goals:
+                goal.is_cancelled = True
+            accepted = [goal.handle for goal in goals if goal.handle is not None]
+        for handle in accepted:
+            _cancel(handle)
 
     def join(self, listener: ActionSource) -> None:
         """Have messages of the listener's part delivered to it."""
@@ -180,16 +190,31 @@ class Action:
     def tick(self) -> None:
         """Notice a server that went away or came back."""
         ready = self.ready()
-        if ready == self._was_ready:
-            return
-        self._was_ready = ready
-        for listener in self._listeners:
-            listener.server_changed(ready=ready)
-        if not ready:
-            with self._lock:
-                lost, self._goals = list(self._goals), {}
-            for goal_id in lost:
+        if ready != self._was_ready:
+            self._was_ready = ready
+            for listener in self._listeners:
+                listener.server_changed(ready=ready)
+        if ready and self._listeners:
+            self._tell_disagreement()
+        goals = list(self._goals.items())
+        servers = self._graph.servers(self._sending) if goals else frozenset[bytes]()
+        for goal_id, goal in goals:
+            if not (ready and goal.servers.holds(servers)) and self._forget(goal_id):
+                if goal.sent is not None and not goal.sent.done():
+                    goal.sent.cancel()  # else rclpy keeps it for an answer that never comes
                 self._emit("status", {"goal_id": goal_id, "status": "lost"})
+
+    def _tell_disagreement(self) -> None:
+        found = self.agreement.look()
+        if found.text != self._disagreement:
+            self._disagreement = found.text
+            for listener in self._listeners:
+                listener.disagreed(found)
+
+    def _forget(self, goal_id: str) -> bool:
+        """Take a goal off the list; False: it has ended before, and that was told."""
+        with self._lock:
+            return self._goals.pop(goal_id, None) is not None
 
     def _emit(self, part: str, message: Message) -> None:
         for listener in self._listeners:
@@ -200,25 +225,33 @@ class Action:
         feedback = self._read_feedback(native.feedback)
         self._emit("feedback", {"goal_id": _id(native.goal_id), "feedback": feedback})
 
-    def _on_response(self, future: Any) -> None:
-        handle = future.result()
-        goal_id = _id(handle.goal_id)
-        if not handle.accepted:
-            self._emit("status", {"goal_id": goal_id, "status": "rejected"})
+    def _on_response(self, goal_id: str, sent: Any) -> None:
+        if sent.cancelled():
             return
+        handle = sent.result()
         with self._lock:
-            self._goals[goal_id] = handle
-        self._emit("status", {"goal_id": goal_id, "status": "accepted"})
-        handle.get_result_async().add_done_callback(
-            lambda result: self._on_result(goal_id, result.result())
-        )
+            goal = self._goals.get(goal_id)
+            if goal is not None and handle.accepted:
+                goal.handle = handle
+            is_wanted = goal is not None and not goal.is_cancelled
+        if handle.accepted and not is_wanted:
+            _cancel(handle)
+        if goal is None:
+            return  # it was told as lost
+        if not handle.accepted:
+            self._forget(goal_id)
+            self._emit("status", {"goal_id": goal_id, "status": "rejected"})
+        else:
+            self._emit("status", {"goal_id": goal_id, "status": "accepted"})
+            handle.get_result_async().add_done_callback(
+                lambda result: self._on_result(goal_id, result.result())
+            )
 
     def _on_result(self, goal_id: str, reply: Any) -> None:
-        with self._lock:
-            self._goals.pop(goal_id, None)
-        ended = {"goal_id": goal_id, "status": _STATUS.get(reply.status, "aborted")}
-        self._emit("result", {**ended, "result": self._read_result(reply.result)})
-        self._emit("status", ended)
+        if self._forget(goal_id):
+            ended = {"goal_id": goal_id, "status": _STATUS.get(reply.status, "aborted")}
+            self._emit("result", {**ended, "result": self._read_result(reply.result)})
+            self._emit("status", ended)
 
 
 class _Pursuit:
@@ -310,6 +343,12 @@ class ActionSource(Source):
             self._report(self, Health.OK, f"a server of {self._action.name} is there")
         else:
             self._report(self, Health.LOST, f"the server of {self._action.name} is gone")
+
+    def disagreed(self, found: Disagreement) -> None:
+        """Tell the manager that some, or all, who serve mean something else, or none any more."""
+        unwell = Health.LOST if found.is_everybody else Health.DEGRADED
+        every = f"every server of {self._action.name} has our definition"
+        self._report(self, unwell if found.text else Health.OK, found.text or every)
 
     def _close(self) -> None:
         self._action.leave(self)

@@ -23,7 +23,7 @@ from uoarm.bridge import (
 )
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure, Options, Role
-from uoarm_ros2 import _actions, _services
+from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._actions import Action, ActionSink, ActionSource
 from uoarm_ros2._cdr_read import cdr_reader
 from uoarm_ros2._cdr_write import cdr_writer
@@ -108,6 +108,7 @@ class Ros2Bridge(Bridge):
             self._station, self._graph, lambda: self._participant.station(f"{node}_replies")
         )
         self._called: dict[Address, Caller | Action] = {}
+        self._disagreements: dict[str, str] = {}
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
         self._station.cut_off = self._cut_off
@@ -122,14 +123,14 @@ class Ros2Bridge(Bridge):
         if address.kind == ACTION:
             if not endpoint.is_offered:
                 self._require_server(address, settings, action=True)
-            return Description(message=_actions.part_structure(address.type, address.part))
+            return Description(message=_action_types.part_structure(address.type, address.part))
         topic = self._graph.topic(address, endpoint.role, settings)
         self._mention_others(topic, endpoint)
         return Description(message=self._structure(topic.type, topic.name))
 
     def _describe_service(self, address: Address, settings: Settings) -> Description:
         action, _, type_name = self._require_server(address, settings)
-        return _actions.described(type_name) if action else _services.described(type_name)
+        return _action_types.described(type_name) if action else _services.described(type_name)
 
     def _require_server(
         self,
@@ -211,9 +212,12 @@ class Ros2Bridge(Bridge):
                 action, name, type_name = self._require_server(address, held.settings, at_most=wait)
                 server = (self._shared.action if action else self._shared.caller)(name, type_name)
                 self._called[address] = server
-            if isinstance(server, Action):
-                return server.call(message, timeout, wait, self.cancelling)
-            return server.call(message, timeout, wait)
+            try:
+                if isinstance(server, Action):
+                    return server.call(message, timeout, wait, self.cancelling)
+                return server.call(message, timeout, wait)
+            finally:
+                self._tell_disagreement(endpoint, server)
 
     def _serve(
         self, endpoint: Endpoint, structures: ServiceStructures, handler: Handler
@@ -274,7 +278,7 @@ class Ros2Bridge(Bridge):
         return self._ask(name, DESCRIPTION_SERVICE, request, _DESCRIPTION_SECONDS)
 
     def _ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
-        return self._shared.caller(name, type_name).call(request, seconds, seconds)
+        return self._shared.ask(name, type_name, request, seconds)
 
     def _listen(self, topic: str, heard: Callable[[], None]) -> Callable[[], None]:
         """Have something called, in the station's thread, when a node tells of its lifecycle."""
@@ -328,6 +332,16 @@ class Ros2Bridge(Bridge):
         if topic.others:
             text = f"topic {topic.name} carries other types than {topic.type} too: {topic.others}"
             self.report(Health.DEGRADED, text, component=endpoint.component)
+
+    def _tell_disagreement(self, endpoint: Endpoint, server: Caller | Action) -> None:
+        """Tell of a component that is called beside others who serve the name as something else."""
+        with suppress(BridgeError):  # the bridge was closed meanwhile
+            text = server.agreement.look().text
+            before = self._disagreements.get(endpoint.component, "")
+            self._disagreements[endpoint.component] = text
+            if text != before:
+                health = Health.DEGRADED if text else Health.OK
+                self._told_of(health, text or "all who serve it mean the same", endpoint.component)
 
     def _reachable(self, address: Address, settings: Settings) -> Action:
         _, name, type_name = self._require_server(address, settings, action=True)

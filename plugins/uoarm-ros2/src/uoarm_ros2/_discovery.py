@@ -10,7 +10,7 @@ from attrs import frozen
 from uoarm.bridge import Description, Discovered
 from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
-from uoarm_ros2 import _actions, _services
+from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._middleware import rclpy_errors
 
 __all__ = ["Attendance", "discovered"]
@@ -105,7 +105,7 @@ def _component(
     for address in seen.serves:
         add(Role.SERVICE, address, lambda kind, _: _services.described(kind))
     for address in seen.acts:
-        add(Role.SERVICE, address, lambda kind, _: _actions.described(kind))
+        add(Role.SERVICE, address, lambda kind, _: _action_types.described(kind))
     return Discovered(name, tuple(endpoints), "; ".join(missing.values()))
 
 

@@ -13,7 +13,7 @@ from uoarm.model import Role
 from uoarm_ros2._middleware import Peer, Station
 from uoarm_ros2._settings import Address, Settings
 
-__all__ = ["Graph", "Topic"]
+__all__ = ["Graph", "Presence", "Topic"]
 
 _GLANCE_SECONDS = 0.004
 _GRACE_SECONDS = 0.5
@@ -34,6 +34,22 @@ class Topic:
     name: str
     type: str
     others: str = ""
+
+
+class Presence:
+    """Whether one of the servers that were seen first is still there.
+
+    A server that was killed and started again is matched before the first one is forgotten, so that
+    there is one all the time. Where the middleware does not tell who serves, all are there.
+    """
+
+    def __init__(self) -> None:
+        self._first: frozenset[bytes] = frozenset()
+
+    def holds(self, now: frozenset[bytes]) -> bool:
+        """Take what `Graph.servers` tells now."""
+        self._first = self._first or now
+        return not self._first or not self._first.isdisjoint(now)
 
 
 class Graph:
@@ -100,6 +116,10 @@ class Graph:
         fresh = max((_NEWCOMER_SECONDS - (now - at) for at in met), default=0.0)
         self.until(lambda: False, min(seconds, fresh))
 
+    def servers(self, service: str) -> frozenset[bytes]:
+        """Return the identities of the servers of a full name that are there now."""
+        return frozenset(peer.identity for peer in self._station.servers(service))
+
     def _meet(self, peers: Iterable[Peer]) -> list[float]:
         if len(self._met) > _MOST_PARTICIPANTS:
             self._met.clear()
@@ -123,6 +143,8 @@ class Graph:
         if needed and not self.until(there, self._patience(settings)):
             raise self._nobody(name, wanted, role, peers(name))
         types = self._types_of(name)
+        if not wanted and not types:  # it went just now
+            raise self._nobody(name, wanted, role, ())
         if not wanted and len(types) > 1:
             text = f"topic {name} carries several types: {_listed(types)}; name one in the address"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)

@@ -14,7 +14,7 @@ from typing import Any
 from uoarm.bridge import Channel, Handler, Sink, Source
 from uoarm.errors import BridgeError, FailureReason, MessageError
 from uoarm.model import Deliver, Endpoint, Health, Message
-from uoarm_ros2._actions import records
+from uoarm_ros2._action_types import records
 from uoarm_ros2._goal_table import GoalTable
 from uoarm_ros2._middleware import GoalRequest, Station
 from uoarm_ros2._read import reader
@@ -225,7 +225,7 @@ class OfferedCall(Workers):
         )
 
     def _close(self) -> None:
-        self._waiting.clear()
+        self._forget_waiting()
         for goal_id in list(self._running):
             self._end(goal_id, "aborted")
         self._station.discard(self._server)

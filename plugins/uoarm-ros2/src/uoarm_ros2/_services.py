@@ -13,7 +13,8 @@ from typing import Any
 from uoarm.bridge import Channel, Description, Handler
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
-from uoarm_ros2._graph import Graph
+from uoarm_ros2._agreement import Agreement
+from uoarm_ros2._graph import Graph, Presence
 from uoarm_ros2._middleware import Station, rclpy_errors
 from uoarm_ros2._read import reader
 from uoarm_ros2._schema import structure_of
@@ -21,8 +22,9 @@ from uoarm_ros2._shape import Record, shape_of
 from uoarm_ros2._types import import_type
 from uoarm_ros2._write import writer
 
-__all__ = ["Caller", "Server", "Workers", "answered", "described"]
+__all__ = ["Caller", "Server", "Workers", "answered", "described", "require_agreement"]
 
+_FIRST_GLANCE_SECONDS = 0.005
 _GLANCE_SECONDS = 0.25
 _MOST_WAITING = 256
 _log = logging.getLogger("uoarm.ros2")
@@ -49,16 +51,29 @@ def answered(future: Any, deadline: float, there: Callable[[], bool], what: str)
     """
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
-    while not done.wait(max(0.0, min(_GLANCE_SECONDS, deadline - time.monotonic()))):
+    glance = _FIRST_GLANCE_SECONDS  # what is answered at once costs no look at the graph
+    while not done.wait(max(0.0, min(glance, deadline - time.monotonic()))):
         if time.monotonic() >= deadline:
             raise BridgeTimeoutError(f"{what} did not answer in time")
         if not there():
             raise BridgeError(f"{what} went away in mid-call", FailureReason.UNAVAILABLE)
+        glance = _GLANCE_SECONDS
     return future.result()
 
 
+def require_agreement(agreement: Agreement) -> None:
+    """Raise BridgeError where all who serve mean something else."""
+    found = agreement.look()
+    if found.is_everybody:
+        raise BridgeError(found.text, FailureReason.UNAVAILABLE)
+
+
 class Caller:
-    """A client of one service, shared by all calls to it; calls may overlap."""
+    """A client of one service, shared by all calls to it; calls may overlap.
+
+    Attributes:
+        agreement: whether those who serve it have our type.
+    """
 
     def __init__(self, station: Station, graph: Graph, name: str, type_name: str) -> None:
         native = import_type(type_name)
@@ -70,6 +85,12 @@ class Caller:
         self._write = writer(request)
         self._read = reader(reply)
         self._client = station.client(native, name)
+        self._station = station
+        self.agreement = Agreement(station, self._what, [name])
+
+    def close(self) -> None:
+        """Put the client away; nobody calls any more."""
+        self._station.discard(self._client)
 
     def ready(self) -> bool:
         """Whether a server is matched."""
@@ -81,17 +102,23 @@ class Caller:
         Raises:
             MessageError: the request does not fit its native type.
             BridgeTimeoutError: no reply within `timeout` seconds.
-            BridgeError: no server within `wait` seconds, or it went away in mid-call, or the bridge
-                was closed.
+            BridgeError: no server within `wait` seconds, or none that has our definition of the
+                type, or it went away in mid-call, or the bridge was closed.
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
         with rclpy_errors(self._what):
             if not (self._greeted and self.ready()):
                 self._meet(timeout, wait)
+            require_agreement(self.agreement)
+            first = Presence()
             future = self._client.call_async(request)
+
+            def there() -> bool:
+                return self.ready() and first.holds(self._graph.servers(self._name))
+
             try:
-                return self._read(answered(future, deadline, self.ready, self._what))
+                return self._read(answered(future, deadline, there, self._what))
             finally:
                 self._client.remove_pending_request(future)
 
@@ -185,6 +212,11 @@ class Workers(Channel):
                 self._failing = False
                 self._report(self, Health.OK, f"serving {self._name} works again")
 
+    def _forget_waiting(self) -> None:
+        """Handle no more of what waits; a handler that is at work may be what closes."""
+        with self._lock:
+            self._waiting.clear()
+
     def _failed(self, asked: Any, error: Exception) -> None:
         with self._lock:
             self.failures += 1
@@ -238,8 +270,7 @@ class Server(Workers):
         )
 
     def _close(self) -> None:
-        # A handler that is at work may be what asked for the close: nobody waits for it.
-        self._waiting.clear()
+        self._forget_waiting()
         self._station.discard(self._service)
 
     def _reply(self, asked: Any, reply: Message) -> None:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
+from attrs import define
+
+from uoarm.model import Message
 from uoarm_ros2._actions import Action
 from uoarm_ros2._graph import Graph
 from uoarm_ros2._middleware import Station
@@ -14,8 +18,18 @@ from uoarm_ros2._services import Caller
 
 __all__ = ["SharedEnds"]
 
+_ASKED_SECONDS = 10.0
 _Key = tuple[str, str]
 Opened = TypeVar("Opened")
+
+
+@define(eq=False)
+class _Asked:
+    """The client of a node's service, how many use it now, and when it was last used."""
+
+    caller: Caller
+    users: int = 0
+    last: float = 0.0
 
 
 class SharedEnds:
@@ -40,6 +54,7 @@ class SharedEnds:
         self._making = threading.RLock()
         self._replies: Station | None = None
         self._callers: dict[_Key, Caller] = {}
+        self._asked: dict[_Key, _Asked] = {}
         self._actions: dict[_Key, Action] = {}
         self._offered: dict[_Key, OfferedAction] = {}
 
@@ -58,6 +73,27 @@ class SharedEnds:
                 caller = Caller(self.replies(), self._graph, name, type_name)
                 self._callers[name, type_name] = caller
             return caller
+
+    def ask(self, name: str, type_name: str, request: Message, seconds: float) -> Message:
+        """Call a service of a node; its client goes when nobody has asked for a while.
+
+        Nodes with names that are never seen again come and go.
+
+        Raises:
+            BridgeError: as `Caller.call`.
+        """
+        with self._making:
+            asked = self._asked.get((name, type_name))
+            if asked is None:
+                asked = _Asked(Caller(self.replies(), self._graph, name, type_name))
+                self._asked[name, type_name] = asked
+            asked.users += 1
+        try:
+            return asked.caller.call(request, seconds, seconds)
+        finally:
+            with self._making:
+                asked.users -= 1
+                asked.last = time.monotonic()
 
     def action(self, name: str, type_name: str) -> Action:
         """Return the client of an action."""
@@ -81,6 +117,7 @@ class SharedEnds:
 
     def tick(self) -> None:
         """Look after them a few times a second; what nobody uses any more goes."""
+        self._forget_asked()
         for action in list(self._actions.values()):
             action.tick()
         for key, offered in list(self._offered.items()):
@@ -89,6 +126,14 @@ class SharedEnds:
                 if offered.is_unused:
                     del self._offered[key]
                     offered.destroy()
+
+    def _forget_asked(self) -> None:
+        now = time.monotonic()
+        for key, asked in list(self._asked.items()):
+            with self._making:
+                if not asked.users and now - asked.last > _ASKED_SECONDS:
+                    del self._asked[key]
+                    asked.caller.close()
 
     def close(self) -> None:
         """End the goals that are offered."""

@@ -93,7 +93,7 @@ class TopicSink(Sink):
         native = self._write(message)
         publisher = self._end.native
         try:
-            publisher.publish(native)
+            self._publish(publisher, native)
         except Exception as error:  # noqa: BLE001 - raised again there, unless it can be helped
             self._publish_anyway(native, publisher, error)
         with self._counting:  # the stop message is sent beside a command
@@ -132,6 +132,13 @@ class TopicSink(Sink):
         """Return counters, the matched subscriptions and the policies in force."""
         return self._end.facts()
 
+    def _publish(self, publisher: Any, native: Any) -> None:
+        """Publish; what waits for room in a full history must not keep the interpreter's lock."""
+        if self.blocking:
+            self._place.station.publish_released(publisher, native)
+        else:
+            publisher.publish(native)
+
     def _publish_anyway(self, native: Any, publisher: Any, error: Exception) -> None:
         """Publish with the publisher that took the place of one, or once the history has room.
 
@@ -150,7 +157,7 @@ class TopicSink(Sink):
                 raise BridgeError(text, FailureReason.UNAVAILABLE) from error
             publisher = self._end.native
             try:
-                publisher.publish(native)
+                self._publish(publisher, native)
             except Exception as another:  # noqa: BLE001 - looked at in the next round
                 error = another
             else:
@@ -158,7 +165,7 @@ class TopicSink(Sink):
 
     def _publish_last(self, native: Any, publisher: Any) -> None:
         try:
-            self._place.station.publish_last(publisher, native)
+            self._place.station.publish_released(publisher, native)
         except OSError as error:
             text = f"topic {self._place.topic.name} takes no message: {error}"
             raise BridgeError(text, FailureReason.UNAVAILABLE) from error

@@ -17,7 +17,7 @@ from uoarm_ros2._types import import_type
 __all__ = ["DESCRIPTION_SERVICE", "TypeFinder"]
 
 DESCRIPTION_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
-_MOST_KEPT = 512
+_MOST_KEPT = 4_096
 
 
 class TypeFinder:
@@ -69,17 +69,26 @@ class TypeFinder:
             if known is not None:
                 return known
             try:
+                self._require_room()
                 made = self._from(peer)
             except BridgeError as error:
                 asked.append(f"{peer.node} does not describe it ({error})")
                 continue
             with self._lock:
-                if len(self._described) >= _MOST_KEPT:
-                    self._described.clear()
                 return self._described.setdefault(key, made)
         why = "; ".join(asked) or f"no node on {topic} describes it"
         text = f"{missing}; {why}; option definitions takes folders of .msg files"
         raise BridgeError(text, FailureReason.NOT_FOUND) from missing
+
+    def _require_room(self) -> None:
+        """Raise BridgeError where no more types are kept: what a class is made of stays for good.
+
+        So none is forgotten in favour of another.
+        """
+        with self._lock:
+            if len(self._described) >= _MOST_KEPT:
+                text = f"{_MOST_KEPT} types are known from nodes already, which is the most"
+                raise BridgeError(text, FailureReason.REFUSED)
 
     def _from(self, peer: Peer) -> type:
         request = {

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rclpy.action import ActionClient
 from rclpy.action.graph import get_action_names_and_types
+from rclpy.client import Client
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidHandle
@@ -20,12 +20,13 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
+from uoarm_ros2._middleware._action_client import SharedActionClient
 from uoarm_ros2._middleware._errors import rclpy_errors
 from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
-from uoarm_ros2._middleware._last_words import publish_after_the_end
 from uoarm_ros2._middleware._loop import WaitLoop
 from uoarm_ros2._middleware._peer import Peer, read_peer
 from uoarm_ros2._middleware._profile import new_profile, server_profile
+from uoarm_ros2._middleware._released import publish_released
 from uoarm_ros2._middleware._wait_set import (
     Entity,
     EventEntity,
@@ -63,7 +64,7 @@ class Station:
     """One node, its wait-set loop and the thread that makes its turns.
 
     When the context is shut down from outside, `is_cut_off` is true: nothing comes any more, and
-    `publish_last` publishes until `stop`.
+    `publish_released` publishes until `stop`.
 
     `stop` returns within its limit whatever a callback does; the thread itself puts everything
     away when it ends, and `done` is called last. `tick` is called a few times a second, `cut_off`
@@ -83,6 +84,7 @@ class Station:
             start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
+        self.full_name: str = self.node.get_fully_qualified_name()
         self.tick: Callable[[], None] = _nothing
         self.cut_off: Callable[[], None] = _nothing
         self._context = context
@@ -141,7 +143,7 @@ class Station:
             self._loop.close()
             with self._destroying:
                 for native in list(self._entities):
-                    if isinstance(native, (GoalServer, ActionClient)):  # left by the node
+                    if isinstance(native, (GoalServer, SharedActionClient)):  # left by the node
                         native.destroy()
                 self.node.destroy_node()
         except Exception:  # noqa: BLE001 - the context must go all the same
@@ -166,6 +168,8 @@ class Station:
                 self.node.destroy_publisher(native)
             elif isinstance(native, Service):
                 self.node.destroy_service(native)
+            elif isinstance(native, Client):
+                self.node.destroy_client(native)
             else:
                 self.node.destroy_subscription(native)
 
@@ -215,13 +219,14 @@ class Station:
         known = _rclpy.rcl_publisher_event_type_t
         return self._wait_for(made, *_events(made.handle, known, _PUBLISHER_EVENTS, events))
 
-    def publish_last(self, publisher: Any, message: Any) -> None:
-        """Publish although the context has ended.
+    def publish_released(self, publisher: Any, message: Any) -> None:
+        """Publish without the interpreter's lock, also when the context has ended.
 
         Raises:
             OSError: the middleware takes nothing.
+            InvalidHandle: the publisher was destroyed.
         """
-        publish_after_the_end(publisher, message)
+        publish_released(publisher, message)
 
     def is_acknowledged(self, publisher: Publisher) -> bool:
         """Whether every reliable subscription that is matched has what was published; at once."""
@@ -234,7 +239,7 @@ class Station:
     @rclpy_errors(_OPENING)
     def action_client(self, native: type, name: str) -> Any:
         """Create an action client; its callbacks run in this station's thread."""
-        client = ActionClient(self.node, native, name)
+        client = SharedActionClient(self.node, native, name)
         return self._wait_for(client, WaitableEntity(client))
 
     @rclpy_errors(_OPENING)
@@ -302,8 +307,9 @@ class Station:
     @rclpy_errors(_GRAPH)
     def own_definition(self, topic: str, type_name: str) -> str:
         """Return the hash of our definition of a type, as our own end of a topic tells it."""
-        node = self.node.get_fully_qualified_name()
-        own = (end for end in self.ends(topic) if (end.node, end.type) == (node, type_name))
+        own = (
+            end for end in self.ends(topic) if (end.node, end.type) == (self.full_name, type_name)
+        )
         return next((end.definition for end in own), "")
 
     @rclpy_errors(_GRAPH)
@@ -324,6 +330,24 @@ class Station:
         """
         found = self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)
         return tuple(map(read_peer, found))
+
+    @rclpy_errors(_GRAPH)
+    def service_ends(self, service: str) -> tuple[tuple[Peer, ...], tuple[Peer, ...]]:
+        """Return what servers of a full name have, and what clients have, each under DDS's names.
+
+        Each has an end for requests and one for replies.
+        """
+        named = f"rq{service}Request", f"rr{service}Reply"
+        found = [
+            tuple(map(read_peer, look(topic, no_mangle=True)))
+            for topic in named
+            for look in (
+                self.node.get_publishers_info_by_topic,
+                self.node.get_subscriptions_info_by_topic,
+            )
+        ]
+        asking, taking, answering, awaiting = found
+        return (*taking, *answering), (*asking, *awaiting)
 
     @rclpy_errors(_GRAPH)
     def topics(self) -> dict[str, list[str]]:
