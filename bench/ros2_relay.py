@@ -24,6 +24,8 @@ RELAYS = (
     "uoarm native link",
     "uoarm manager, adapted route",
 )
+DEPTH = 100  # more than is ever under way; of octets a bridge keeps five unless told otherwise
+SILENCE_SECONDS = 20.0
 KIND = "std_msgs/msg/UInt8MultiArray"
 
 
@@ -95,23 +97,30 @@ def _round_trips(
         before = seen[0]
         start = time.perf_counter_ns()
         publisher.publish(message)
-        while seen[0] == before:
-            rclpy.spin_once(node, timeout_sec=1.0)
+        _spin_until_more(node, seen, before)
         samples.append((time.perf_counter_ns() - start) / 1000)
     return sorted(samples)
 
 
 def _burst(node: Any, publisher: Any, message: Any, seen: list[int], count: int) -> float:
-    import rclpy  # noqa: PLC0415
-
     start, before, sent = time.perf_counter(), seen[0], 0
     while seen[0] - before < count:
         # A window of 50 under way: enough to keep the relay busy, and none is ever refused.
         while sent < count and sent - (seen[0] - before) < 50:
             publisher.publish(message)
             sent += 1
-        rclpy.spin_once(node, timeout_sec=1.0)
+        _spin_until_more(node, seen, seen[0])
     return count / (time.perf_counter() - start)
+
+
+def _spin_until_more(node: Any, seen: list[int], before: int) -> None:
+    import rclpy  # noqa: PLC0415
+
+    deadline = time.monotonic() + SILENCE_SECONDS
+    while seen[0] == before:
+        if time.monotonic() > deadline:
+            raise RuntimeError("a message was lost on the way")
+        rclpy.spin_once(node, timeout_sec=1.0)
 
 
 def relay_by_hand(here: str, there: str) -> None:
@@ -149,7 +158,10 @@ functions:
       - name: there
         bridge: ros
         input:
-          {{from: octets, endpoint: [{there}, {KIND}], map: {{data: data}}}}
+          from: octets
+          endpoint: [{there}, {KIND}]
+          options: {{qos: {{depth: {DEPTH}}}}}
+          map: {{data: data}}
 """
     with RobotManager(loads(text)) as robot, robot.request("relayed"):
         sys.stdin.read()
@@ -162,7 +174,8 @@ def relay_by_bridge(here: str, there: str, *, link: bool) -> None:
     bridge = Registry().create(BridgeSpec("ros", "ros2", {}))
     qos = {"qos": {"history": "keep_all"}}
     source = Endpoint("ros", "here", Role.OUTPUT, (here, KIND), options=qos)
-    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND))
+    kept = {"qos": {"depth": DEPTH}}
+    sink = Endpoint("ros", "there", Role.INPUT, (there, KIND), options=kept)
     structure = bridge.describe(source).message
     assert structure is not None
     if link:
