@@ -82,6 +82,35 @@ def test_what_a_bridge_raises_is_translated_with_its_cause() -> None:
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
+class Unsure(Puppet):
+    """Raises when it is asked in which thread its steps may run."""
+
+    capabilities = Capabilities(call=True)
+
+    def _is_quick(self, endpoint: Endpoint) -> bool:
+        fail()
+        return True
+
+    _keeps_time = _is_quick
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda bridge: bridge.is_quick(ENDPOINT),
+        lambda bridge: bridge.open_source(ENDPOINT, ANY, lambda _: None),
+        lambda bridge: bridge.open_sink(ENDPOINT, ANY),
+        lambda bridge: bridge.call(ENDPOINT, {}),
+    ],
+)
+def test_what_a_bridge_raises_when_asked_for_its_thread_is_translated(
+    ask: Callable[[Bridge], object],
+) -> None:
+    with pytest.raises(BridgeError, match="native trouble") as caught:
+        ask(Unsure())
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
 def test_a_bridge_that_hangs_is_given_up_and_what_opens_late_is_closed() -> None:
     bridge, gate, closed = Puppet(), threading.Event(), threading.Event()
     bridge.step = lambda: gate.wait(patience())

@@ -12,7 +12,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from functools import partial
 from typing import TypeVar, final
 
 from uoarm import _bounded
@@ -95,7 +94,10 @@ class Bridge(ABC):
 
         One with a command policy does not: as it closes, its stop message may be sent.
         """
-        return endpoint.command is None and not self._is_closed and self._is_quick(endpoint)
+        if endpoint.command is not None or self._is_closed:
+            return False
+        with translated(f"bridge {self.name!r}: looking at {endpoint}"):
+            return self._is_quick(endpoint)
 
     @final
     def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:
@@ -221,12 +223,14 @@ class Bridge(ABC):
             with self._pending_calls.begun(call):
                 return self._call(endpoint, structures, message, timeout)
 
+        with translated(f"bridge {self.name!r}: looking at {endpoint}"):
+            keeps_time = self._keeps_time(endpoint)
         return self._step(
             f"calling {endpoint}",
             timeout,
             begin,
             on_give_up=lambda: self._pending_calls.cancel(call),
-            keeps_time=self._keeps_time(endpoint),
+            keeps_time=keeps_time,
         )
 
     @final
@@ -287,7 +291,7 @@ class Bridge(ABC):
             return None
         step = f"linking {source} to {sink}"
         channel = self._step(step, timeout, lambda: self._link(source, sink), on_late=_put_away)
-        return None if channel is None else self._adopt(Channel, "_link", channel, _put_away)
+        return None if channel is None else self._adopt(Channel, "_link", channel)
 
     @final
     def watch(self, listener: Callable[[HealthEvent], None] | None) -> None:
@@ -484,19 +488,24 @@ class Bridge(ABC):
         *,
         is_quick: bool = False,
     ) -> C:
-        put_away: Callable[[Channel], None] = partial(_put_away, gate=gate, on_late=on_late)
-        channel = self._step(what, timeout, action, on_late=put_away, keeps_time=is_quick)
-        return self._adopt(kind, what, channel, put_away, gate, is_quick=is_quick)
+        def opened() -> C:
+            channel = action()
+            if isinstance(channel, Channel):
+                channel._gate, channel._is_quick = gate, is_quick  # noqa: SLF001 - its one owner
+            return channel
+
+        def put_away(channel: Channel) -> None:
+            _put_away(channel, on_late)
+
+        channel = self._step(what, timeout, opened, on_late=put_away, keeps_time=is_quick)
+        return self._adopt(kind, what, channel, on_late)
 
     def _adopt(
         self,
         kind: type[C],
         what: str,
         channel: C,
-        put_away: Callable[[Channel], None],
-        gate: Gate | None = None,
-        *,
-        is_quick: bool = False,
+        on_late: Callable[[Channel], object] | None = None,
     ) -> C:
         if not isinstance(channel, kind):
             raise self._broken(what, f"a {kind.__name__}", channel)
@@ -505,10 +514,8 @@ class Bridge(ABC):
             if keep:
                 self._open.add(channel)
                 channel._when_closed = self._forget  # noqa: SLF001 - a channel's one owner
-                channel._gate = gate  # noqa: SLF001
-                channel._is_quick = is_quick  # noqa: SLF001
         if not keep:
-            put_away(channel)
+            _put_away(channel, on_late)
             raise BridgeError(f"bridge {self.name!r} was closed: {what}", FailureReason.CLOSED)
         return channel
 
@@ -529,15 +536,10 @@ class Bridge(ABC):
         return BridgeError(text, FailureReason.CONTRACT)
 
 
-def _put_away(
-    channel: Channel | None,
-    gate: Gate | None = None,
-    on_late: Callable[[Channel], object] | None = None,
-) -> None:
+def _put_away(channel: Channel | None, on_late: Callable[[Channel], object] | None = None) -> None:
     """Close a channel that nobody waits for any more, then tell of it."""
     if not isinstance(channel, Channel):
         return
-    channel._gate = gate  # noqa: SLF001 - a channel's one owner
     try:
         channel.close()
     except BridgeError:
