@@ -340,6 +340,7 @@ class World:
         """Raise where something is open that nobody wants, or the other way round."""
         state = self.state
         assert not state.batches
+        assert not state.running_out
         assert not state.switchovers
         assert not state.outdated
         assert not state.postponed
@@ -378,6 +379,9 @@ class World:
                     components.setdefault(number, set()).add(placement.user)
                 for number in placement.edges:
                     edges.setdefault(number, set()).add(placement.user)
+        for ending in self.state.running_out.values():
+            for number in ending.placement.components.values():
+                components.setdefault(number, set()).add(ending.placement.user)
         assert {n: set(one.users) for n, one in self.state.components.items()} == components
         assert {n: set(one.users) for n, one in self.state.edges.items()} == edges
 
@@ -426,8 +430,8 @@ class World:
             self._close(action.parts)
             return ev.Ended(action.connection) if action.ends else None
         if isinstance(action, act.Finish):
-            self._close(action.parts)
-            return None
+            self._close(evolve(action.parts, components=()))
+            return ev.RanOut(action.placement.user)
         if isinstance(action, act.Drain):
             return ev.Drained(action.connection)
         if isinstance(action, act.Resolve):

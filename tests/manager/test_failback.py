@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import pytest
 from attrs import evolve
@@ -224,6 +225,65 @@ def test_every_message_is_received_or_counted_through_death_and_return(stage: St
     assert status().lost <= emitted - fed  # what the spare emitted until it was closed
     assert got == sorted(set(got))
     assert connection.state is ConnectionState.RUNNING
+
+
+def returned_while_the_spare_runs_out(
+    stage: Stage, connection: Connection, monkeypatch: pytest.MonkeyPatch
+) -> threading.Event:
+    """Return from the spare camera to the better one; the plan with it runs out at the event."""
+    stage.lose_best(connection)
+    stage.revive_best()
+    stage.clock.advance(BETWEEN_LOOKS)
+    stage.look()
+    stage.clock.advance(PATIENCE)
+    live = stage.robot._executor.live
+    finish, gate = live.finish, threading.Event()
+
+    def finish_late(*ending: Any) -> None:
+        gate.wait(patience())
+        finish(*ending)
+
+    monkeypatch.setattr(live, "finish", finish_late)
+    stage.robot._executor.post(TimeReached())
+    wait(lambda: len(connection.gaps) == 2)
+    return gate
+
+
+def test_a_component_that_is_wanted_again_while_its_plan_runs_out_is_not_opened_twice(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What two instances of it get counted once as received, and once as lost."""
+    got = list[int]()
+    connection = stage.robot.request("face", on_message=got.append)
+    gate = returned_while_the_spare_runs_out(stage, connection, monkeypatch)
+    stage.spare.emit(0)  # nobody takes it
+    stage.one.die("best", "it was unplugged again")
+    wait(lambda: len(connection.gaps) == 3)
+    assert cameras(stage) == ["spare"]
+    for number in range(1, 11):
+        stage.spare.emit(number)
+    gate.set()
+    wait(lambda: rests(stage.robot))
+    stage.spare.emit(11)
+    wait(lambda: len(got) == 11)
+    assert got == list(range(1, 12))
+    assert losses(stage.robot.status()).total() == 1
+    assert stage.two.open_channels == len(["spare", "finder's input", "finder's output"])
+    assert all(gap.counted for gap in connection.gaps)
+
+
+def test_what_nobody_wants_again_is_closed_when_its_plan_has_run_out(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    connection = stage.robot.request("face")
+    gate = returned_while_the_spare_runs_out(stage, connection, monkeypatch)
+    stage.spare.emit(0)
+    connection.kill()
+    assert cameras(stage) == []
+    gate.set()
+    wait(lambda: rests(stage.robot))
+    assert (stage.one.open_channels, stage.two.open_channels) == (0, 0)
+    assert [gap.lost for gap in connection.gaps] == [0, 1]
 
 
 SHARED = """

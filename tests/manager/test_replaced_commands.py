@@ -9,6 +9,7 @@ import pytest
 
 from uoarm import RobotManager
 from uoarm._control.live.component import LiveComponent
+from uoarm._control.live.parts import Ending
 from uoarm.bridge import Bridge, Description, Registry, Sink, Source
 from uoarm.config import loads
 from uoarm.model import Deliver, Endpoint, Health, Message, MessageStructure
@@ -167,3 +168,27 @@ def test_a_provider_that_a_configuration_replaces_is_stopped_before_the_next_is_
         over.set()
         planning.join(patience())
     assert in_order(motors.taken)
+
+
+def test_what_was_stopped_and_runs_out_takes_commands_again_when_it_is_wanted_again(
+    start: Start, motors: Motors, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = start(SETTINGS)
+    drive = robot.request("drive")
+    drive.send(1)
+    live, gate = robot._executor.live, threading.Event()
+    finish = live.finish
+
+    def finish_late(ending: Ending) -> None:
+        gate.wait(patience())
+        finish(ending)
+
+    monkeypatch.setattr(live, "finish", finish_late)
+    robot.apply(loads(ROBOT.format(left=1, settings=SETTINGS)), timeout=patience())
+    drive.send(2)
+    assert in_order(motors.taken)
+    motors.report(Health.LOST, "it was unplugged", component="right")
+    wait(lambda: len(drive.gaps) == 2)
+    drive.send(3)
+    gate.set()
+    assert motors.taken[-1] == ("left", 3)

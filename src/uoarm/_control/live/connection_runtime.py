@@ -8,7 +8,7 @@ from typing import Any
 from uoarm._control.live.application_ports import ApplicationPorts, OutputReceiver
 from uoarm._control.live.losses import LossAccount
 from uoarm._control.reconciler.actions import HandOver
-from uoarm._control.reconciler.state import ConnectionRecord, Placement, names
+from uoarm._control.reconciler.state import ConnectionRecord, names
 from uoarm.model import ConnectionState, Gap, QueuePolicy, RouteStatus
 
 __all__ = ["ConnectionRuntime"]
@@ -81,6 +81,6 @@ class ConnectionRuntime:
             self.record = action.record
         self.losses.add(gap)
 
-    def take_gap(self, before: Placement) -> Gap:
-        """Return the gap in which a plan ended, once."""
-        return self._uncounted.pop(before.user)
+    def take_gap(self, before: str) -> Gap | None:
+        """Return the gap in which the plan of this user ended, once; None: it never ran."""
+        return self._uncounted.pop(before, None)

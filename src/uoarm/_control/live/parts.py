@@ -20,7 +20,7 @@ from uoarm._control.live.edge import LiveEdge
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.failure_watch import FailureWatch
 from uoarm._control.live.losses import Counting
-from uoarm._control.reconciler.actions import Open
+from uoarm._control.reconciler.actions import Finish, Open
 from uoarm._control.reconciler.draft import strictest
 from uoarm._control.reconciler.state import (
     PORTS,
@@ -51,12 +51,14 @@ class Ending:
     """Objects of which nobody else takes care any more, and what is accounted for with them.
 
     Attributes:
+        user: the name under which the plan used them; empty: they were of none.
         ports, edges, components: to be closed, producers first.
         placed_edges, placed_components: all of the plan that ends.
         lost: components of it that died.
         runtime: of the connection; None where nothing is accounted for.
     """
 
+    user: str
     ports: list[ApplicationPorts]
     edges: list[LiveEdge]
     components: list[LiveComponent]
@@ -108,6 +110,7 @@ class LiveParts:
         self.components: dict[int, LiveComponent] = {}
         self.edges: dict[int, LiveEdge] = {}
         self.ports: dict[int, ApplicationPorts] = {}
+        self._running_out: dict[str, Ending] = {}
         self._ending: set[LiveComponent] = set()
         self._hanging: dict[str, list[LiveComponent]] = {}
 
@@ -126,23 +129,21 @@ class LiveParts:
             placement: the plan that ends; None: nothing is accounted for.
             lost: its components that died.
         """
-        placed = () if placement is None else placement.components.values()
-        placed_components = _there(self.components, placed)
-        placed_edges = self.edges_of(placement)
-        dead = _there(self.components, lost)
-        runtime = None if placement is None else self.runtimes.get(connection)
-        components = _there(self.components, parts.components)
-        self._ending.update(components)  # before it is gone from the others: somebody may look
+        user = "" if placement is None else placement.user
+        ending = self._running_out.pop(user, None)
+        if ending is None:
+            ending = self._ending_of(connection, parts, placement, lost)
+        ending.components = _there(self.components, parts.components)
+        # Before they are gone from the others: somebody may look.
+        self._ending.update(ending.components)
         _taken(self.components, parts.components)
-        return Ending(
-            _taken(self.ports, parts.ports),
-            _taken(self.edges, parts.edges),
-            components,
-            placed_edges,
-            placed_components,
-            dead,
-            runtime,
-        )
+        return ending
+
+    def take_running_out(self, action: Finish) -> Ending:
+        """Return the objects of a plan that runs out; its components are still there for others."""
+        ending = self._ending_of(action.connection, action.parts, action.placement, action.lost)
+        self._running_out[action.placement.user] = ending
+        return ending
 
     def is_quick(self, action: Open) -> bool:
         """Say whether parts open at once, as none needs a call into a bridge that may hang.
@@ -207,24 +208,23 @@ class LiveParts:
         if ending.runtime is None:
             return
         losses = ending.runtime.losses
-        if ends:
-            ended = losses.ended_edges(ending.placed_edges)
-            losses.settle(losses.close(ending.lost), ended)
+        gone = losses.close(ending.lost if ends else ending.gone())
+        routes = losses.ended_edges(ending.placed_edges) if ends else ending.ended()
+        gap = ending.runtime.take_gap(ending.user)
+        if gap is None:
+            losses.settle(gone, routes)
         else:
-            losses.settle(losses.close(ending.gone()), ending.ended())
+            losses.count(gap, gone, routes)
 
-    def finish(self, ending: Ending, placement: Placement) -> None:
-        """Let a plan run out: what is under way passes, new messages stay out. Then close it."""
+    def finish(self, ending: Ending) -> None:
+        """Let what is under way in a plan pass, and no new messages; its components stay open."""
         for joined in ending.placed_edges:
             if joined in ending.edges:
                 joined.finish()
             if joined.consumer in ending.components:
                 joined.consumer.drain(_RUN_OUT_SECONDS)
-        self._close(ending)
-        if ending.runtime is not None:
-            losses = ending.runtime.losses
-            gap = ending.runtime.take_gap(placement)
-            losses.count(gap, losses.close(ending.gone()), ending.ended())
+        for ports in ending.ports:
+            ports.close()
 
     def release(self, components: Iterable[int]) -> None:
         """Close components whose plans have not ended yet."""
@@ -256,6 +256,22 @@ class LiveParts:
                 before.finish()
             for joined in _there(self.edges, (edge,)):
                 joined.release(self._clock)
+
+    def _ending_of(
+        self, connection: str, parts: Parts, placement: Placement | None, lost: Iterable[int]
+    ) -> Ending:
+        placed = () if placement is None else placement.components.values()
+        placed_edges = self.edges_of(placement)
+        return Ending(
+            user="" if placement is None else placement.user,
+            ports=_taken(self.ports, parts.ports),
+            edges=_taken(self.edges, parts.edges),
+            components=_there(self.components, parts.components),
+            placed_edges=placed_edges,
+            placed_components=_there(self.components, placed),
+            lost=_there(self.components, lost),
+            runtime=None if placement is None else self.runtimes.get(connection),
+        )
 
     def _replaced_by(self, action: Open) -> list[LiveComponent]:
         """Return the components of a connection's running plan, where another is being opened."""

@@ -78,7 +78,8 @@ class Close:
     """Close what an end or an opening in vain leaves behind.
 
     Attributes:
-        placement: whose losses are counted with it.
+        placement: whose losses are counted with it; those of one that ran out since it was
+            replaced.
         lost: components of it that died: what was under way in them is lost.
         ends: whether the connection has ended: comes back as `Ended`.
     """
@@ -93,7 +94,13 @@ class Close:
 
 @frozen
 class Finish:
-    """Let a plan that was replaced run out, close it, and count what went with it."""
+    """Let what is under way in a plan that was replaced arrive; comes back as `RanOut`.
+
+    Attributes:
+        parts: edges and application ports to be closed then, and components, to be drained, which
+            nobody else uses.
+        lost: components of the plan that died.
+    """
 
     lane: str
     connection: str

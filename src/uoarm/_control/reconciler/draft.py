@@ -26,12 +26,13 @@ from uoarm._control.reconciler.state import (
     Part,
     Parts,
     Placement,
+    RunningOut,
     State,
     names,
     recently,
 )
 from uoarm.errors import ResolutionError
-from uoarm.model import Edge, Plan, Step, ValidationMode
+from uoarm.model import Component, Edge, Plan, Step, ValidationMode
 
 __all__ = ["Draft", "InputInUseError", "connection_of", "strictest"]
 
@@ -75,6 +76,7 @@ class Draft:
         self.feeding = dict(state.feeding)
         self.beside = dict(state.beside)
         self.batches = dict(state.batches)
+        self.running_out = dict(state.running_out)
         self.switchovers = dict(state.switchovers)
         self.failed = dict(state.failed)
         self.avoided = dict(state.avoided)
@@ -101,6 +103,7 @@ class Draft:
             feeding=self.feeding,
             beside=self.beside,
             batches=self.batches,
+            running_out=self.running_out,
             switchovers=self.switchovers,
             failed=self.failed,
             avoided=self.avoided,
@@ -200,16 +203,31 @@ class Draft:
         """
         opening = (n for n, one in self.batches.items() if one.user == placement.user)
         self.actions += map(CancelBatch, opening)
-        edges = [one for one in placement.edges if self._part_edge(one, placement.user)]
-        components = [
-            one
-            for one in reversed(tuple(placement.components.values()))
-            if self._leave(one, placement.user)
-        ]
-        closed = [one for one in edges if self._close_part(Part(Kind.EDGE, one))]
-        for kind in PORTS if ports else ():
-            self._close_part(Part(kind, placement.ports))
-        return Parts(tuple(components), tuple(closed), (placement.ports,) if ports else ())
+        edges = self._part_edges(placement)
+        closed = self._close_ports(placement) if ports else ()
+        return Parts(self._leave_all(placement), edges, closed)
+
+    def run_out(
+        self, connection: str, placement: Placement, lost: tuple[int, ...], *, ports: bool
+    ) -> Parts:
+        """Use a plan no more but for what is under way; return the parts that nobody else uses.
+
+        Its edges, and its application ports where these end with it, end at once. Its components
+        are open until `end_run_out`.
+        """
+        self.running_out[placement.user] = RunningOut(connection, placement, lost)
+        edges = self._part_edges(placement)
+        closed = self._close_ports(placement) if ports else ()
+        return Parts(
+            tuple(one for one in _producers_first(placement) if self._runs_out(one)),
+            edges,
+            closed,
+        )
+
+    def end_run_out(self, user: str) -> tuple[RunningOut, Parts]:
+        """Use the components of a plan no more, as nothing is under way in it; return the last."""
+        ended = self.running_out.pop(user)
+        return ended, Parts(self._leave_all(ended.placement))
 
     def lose(self, lost: Iterable[int]) -> tuple[int, ...]:
         """Share components that died no more; return the edges that end with them."""
@@ -343,7 +361,7 @@ class Draft:
         """Use the instance of a component that is there already, or a new one."""
         name = step.component.name
         found = self.serving.get(name)
-        if found is None:
+        if found is None or (self._runs_out(found) and _is_commanded(step.component)):
             found = self.serving[name] = self.new_id()
             self.components[found] = ComponentRecord(found, step, (user,))
         else:
@@ -371,6 +389,25 @@ class Draft:
         self.edges[edge] = record._replace(users=users)
         if strictest(users) is not strictest(record.users):
             self.actions.append(SetCheck(edge))
+
+    def _runs_out(self, component: int) -> bool:
+        """Say whether nobody uses a component but plans that run out."""
+        return self.running_out.keys() >= set(self.components[component].users)
+
+    def _part_edges(self, placement: Placement) -> tuple[int, ...]:
+        """Use the edges of a plan no more; return those that are open, and nobody uses now."""
+        edges = [one for one in placement.edges if self._part_edge(one, placement.user)]
+        return tuple(one for one in edges if self._close_part(Part(Kind.EDGE, one)))
+
+    def _close_ports(self, placement: Placement) -> tuple[int, ...]:
+        for kind in PORTS:
+            self._close_part(Part(kind, placement.ports))
+        return (placement.ports,)
+
+    def _leave_all(self, placement: Placement) -> tuple[int, ...]:
+        """Use the components of a plan no more; return those that nobody uses now."""
+        left = _producers_first(placement)
+        return tuple(one for one in left if self._leave(one, placement.user))
 
     def _part_edge(self, edge: int, user: str) -> bool:
         """Take a user of an edge back; True when it was the last."""
@@ -409,6 +446,15 @@ class Draft:
             return False
         del self.parts[part]
         return True
+
+
+def _producers_first(placement: Placement) -> tuple[int, ...]:
+    return tuple(reversed(tuple(placement.components.values())))
+
+
+def _is_commanded(component: Component) -> bool:
+    """Say whether a component moves something: one that was replaced takes no commands any more."""
+    return any(one.endpoint.command is not None for one in component.inputs)
 
 
 def connection_of(user: str) -> str:

@@ -24,6 +24,7 @@ __all__ = [
     "Killed",
     "Opened",
     "PreferredChecked",
+    "RanOut",
     "ReplacementSought",
     "Requested",
     "Resolved",
@@ -170,6 +171,17 @@ class Drained:
 
 
 @frozen
+class RanOut:
+    """What was under way in a plan that was replaced has arrived, or took too long.
+
+    Attributes:
+        user: the name under which the plan used its parts.
+    """
+
+    user: str
+
+
+@frozen
 class Ended:
     """Everything that only this connection used is closed."""
 
@@ -233,6 +245,7 @@ Event: TypeAlias = (
     | Opened
     | HealthReported
     | Drained
+    | RanOut
     | Ended
     | ReplacementSought
     | PreferredChecked

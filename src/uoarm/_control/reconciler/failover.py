@@ -306,7 +306,7 @@ def hand_over(
     new = [n for n in names(after.plan) if after.components[n] != before.components.get(n)]
     goes_on = f"{', '.join(new or names(after.plan)[-1:])} {'go' if len(new) > 1 else 'goes'} on"
     draft.announce(record, "replaced", f"{cause}; {goes_on}")
-    parts = draft.unplace(before, ports=before.ports != after.ports)
+    parts = draft.run_out(record.id, before, lost, ports=before.ports != after.ports)
     draft.actions.append(Finish(lane, record.id, parts, before, lost))
     if preferred is not None:
         look_later(draft, record)

@@ -36,6 +36,7 @@ __all__ = [
     "Part",
     "Parts",
     "Placement",
+    "RunningOut",
     "State",
     "Switchover",
     "names",
@@ -182,6 +183,23 @@ class Batch(NamedTuple):
     parts: tuple[Part, ...]
 
 
+class RunningOut(NamedTuple):
+    """A plan that was replaced, while what is under way in it arrives.
+
+    Its edges are closed; its components are open until nothing is under way, for whoever wants
+    them meanwhile: a second instance of one would get the same messages once more.
+
+    Attributes:
+        connection: whose plan it was.
+        placement: the plan.
+        lost: ids of its components that died.
+    """
+
+    connection: str
+    placement: Placement
+    lost: tuple[int, ...]
+
+
 @frozen
 class ComponentFailure:
     """What a connection lost and has no replacement for yet.
@@ -316,6 +334,7 @@ class State(NamedTuple):
         feeding: the edge that feeds each input.
         beside: the edge that will, after a switchover.
         batches: what is being opened, by number.
+        running_out: what was replaced and is open still, by the user of its parts.
         failed: when a component died last, longest ago first.
         avoided: the same for those that emitted too little or raised too often.
         number: the last id given.
@@ -339,6 +358,7 @@ class State(NamedTuple):
     feeding: Mapping[tuple[str, str], int] = _NOTHING
     beside: Mapping[tuple[str, str], int] = _NOTHING
     batches: Mapping[int, Batch] = _NOTHING
+    running_out: Mapping[str, RunningOut] = _NOTHING
     switchovers: Mapping[int, Switchover] = _NOTHING
     failed: Mapping[str, float] = _NOTHING
     avoided: Mapping[str, float] = _NOTHING
@@ -351,6 +371,11 @@ class State(NamedTuple):
     configurers: tuple[str, ...] = ()
     candidates: int = 0
     replaced: tuple[frozenset[str], ...] = ()
+
+    def shared(self) -> tuple[ComponentRecord, ...]:
+        """Return the instances that new users share, without those that nobody uses any more."""
+        every = (self.components[one] for one in self.serving.values())
+        return tuple(one for one in every if not self.running_out.keys() >= set(one.users))
 
 
 def names(plan: Plan) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from uoarm._control.reconciler.events import (
     Killed,
     Opened,
     PreferredChecked,
+    RanOut,
     ReplacementSought,
     Requested,
     Resolved,
@@ -203,6 +204,12 @@ def _drained(draft: Draft, event: Drained) -> None:
         end(draft, record, ConnectionState.CLOSED, record.finished)
 
 
+def _ran_out(draft: Draft, event: RanOut) -> None:
+    ended, parts = draft.end_run_out(event.user)
+    lane = f"ran out {event.user}"
+    draft.actions.append(Close(lane, ended.connection, parts, ended.placement, ended.lost))
+
+
 def _ended(draft: Draft, event: Ended) -> None:
     record = draft.connections.pop(event.connection)
     error = record.error
@@ -259,6 +266,7 @@ _HANDLERS: dict[type[Any], Callable[[Draft, Any], None]] = {
     Opened: _opened,
     HealthReported: failover.health_reported,
     Drained: _drained,
+    RanOut: _ran_out,
     Ended: _ended,
     ReplacementSought: _replacement_sought,
     PreferredChecked: failback.checked,

@@ -263,9 +263,9 @@ class Executor:
         return tuple(one for one in found if one is not None and one.record is not None)
 
     def components(self) -> tuple[LiveComponent, ...]:
-        """Return the components that are open and well enough to be shared."""
+        """Return the components that are in use and well enough to be shared."""
         objects = self.live.components.copy()
-        return tuple(objects[one] for one in self.state.serving.values() if one in objects)
+        return tuple(objects[one.id] for one in self.state.shared() if one.id in objects)
 
     def edges(self) -> tuple[LiveEdge, ...]:
         """Return the edges that feed something."""
@@ -275,9 +275,7 @@ class Executor:
     def component_statuses(self) -> tuple[ComponentStatus, ...]:
         """Return what the status map shows of components."""
         state, objects = self.state, self.live.components.copy()
-        return tuple(
-            _status(state.components[one], objects.get(one)) for one in state.serving.values()
-        )
+        return tuple(_status(one, objects.get(one.id)) for one in state.shared())
 
     def deaths(self) -> tuple[tuple[str, int], ...]:
         """Return how often each component was lost."""

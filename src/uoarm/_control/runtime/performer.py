@@ -218,8 +218,16 @@ class Performer:
         self._call(action, close)
 
     def _finish(self, action: act.Finish) -> None:
-        ending = self._live.take(action.connection, action.parts, action.placement, action.lost)
-        self._call(action, lambda: self._live.finish(ending, action.placement))
+        ending = self._live.take_running_out(action)
+
+        def finish() -> ev.Event:
+            try:
+                self._live.finish(ending)
+            except Exception:  # noqa: BLE001 - an end ends, whatever goes wrong
+                _log.exception("finishing what %s had open failed", action.connection)
+            return ev.RanOut(action.placement.user)
+
+        self._call(action, finish)
 
     def _drain(self, action: act.Drain) -> None:
         edges = self._live.edges_of(action.placement)
