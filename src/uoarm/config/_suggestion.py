@@ -16,6 +16,7 @@ from uoarm.model import (
     MessageStructure,
     Robot,
     Role,
+    to_json,
 )
 from uoarm.schema import Budget, SchemaError, check
 
@@ -37,11 +38,13 @@ class _Output:
     Attributes:
         reference: what `from` says.
         owner: the bridge and the component, as its framework names it.
+        address: within that bridge.
     """
 
     reference: str
     port: str
     owner: tuple[str, str]
+    address: tuple[str, ...]
     structure: MessageStructure
 
 
@@ -103,11 +106,16 @@ def suggest(
 
 
 def _proposals(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_Proposal]:
-    """Yield components that have a port which the configuration does not name."""
+    """Yield components that have a port which the configuration does not name.
+
+    What it names is not offered in another role: a function that is called as a service could be
+    a consumer, too, and what publishes on a topic may hear it.
+    """
     taken = {*robot.functions, *(one.name for one in robot.components())}
     for each in findings:
         for found in each.components:
-            ports = [one for one in found.ports if not one.used_by]
+            named = {one.endpoint.address for one in found.ports if one.used_by}
+            ports = [one for one in found.ports if one.endpoint.address not in named]
             streams = [one for one in ports if one.endpoint.role is not Role.SERVICE]
             if streams:
                 yield _Proposal(new_name(found.name, taken), each.bridge, found, streams)
@@ -140,7 +148,8 @@ def _configured(robot: Robot, findings: Iterable[BridgeFindings]) -> Iterator[_O
                             assert structure is not None, "looked at above"
                             reference = f"{by_name[user].function}.{output.name}"
                             owner = each.bridge, found.name
-                            yield _Output(reference, output.name, owner, structure)
+                            at = port.endpoint.address
+                            yield _Output(reference, output.name, owner, at, structure)
 
 
 def _proposed(proposals: Iterable[_Proposal]) -> Iterator[_Output]:
@@ -150,7 +159,8 @@ def _proposed(proposals: Iterable[_Proposal]) -> Iterator[_Output]:
             if port.message is not None:
                 several = len(outputs) > 1
                 reference = f"{one.name}.{_port(port)}" if several else one.name
-                yield _Output(reference, _port(port), one.owner, port.message)
+                at = port.endpoint.address
+                yield _Output(reference, _port(port), one.owner, at, port.message)
 
 
 def _lines(
@@ -160,6 +170,8 @@ def _lines(
     yield "    components:"
     yield f"      - name: {proposal.name}"
     yield f"        bridge: {proposal.bridge}"
+    if parameters := proposal.ports[0].endpoint.parameters:
+        yield f"        parameters: {_flow(parameters)}"
     for service in proposal.of(Role.SERVICE):
         yield f"        service: {{endpoint: {_address(service)}}}{_unknown(service)}"
     for key, role in (("inputs", Role.INPUT), ("outputs", Role.OUTPUT)):
@@ -183,7 +195,12 @@ def _feed(
     is_late: Callable[[], bool],
 ) -> tuple[str, list[str]]:
     """Return what feeds an input, and what a reader should know of it."""
-    others = [one for one in outputs if one.owner != proposal.owner]
+    here = proposal.bridge, port.endpoint.address
+    others = [
+        one
+        for one in outputs
+        if one.owner != proposal.owner and (one.owner[0], one.address) != here
+    ]  # what is sent to the very topic that is heard arrives there already
     fits = [one for one in others if one.structure.schema == wanted.schema]
     told = "has its structure"
     left = 0
@@ -220,7 +237,13 @@ def _port(port: FoundPort) -> str:
 
 
 def _address(port: FoundPort) -> str:
-    return json.dumps(list(port.endpoint.address))
+    return _flow(port.endpoint.address)
+
+
+def _flow(value: object) -> str:
+    """Return a value as YAML in one line: as JSON, but for characters that only YAML escapes."""
+    text = json.dumps(to_json(value), ensure_ascii=False)
+    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)
 
 
 def _unknown(port: FoundPort) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 from attrs import field, frozen
 
 from uoarm.model._component import Endpoint
 from uoarm.model._structure import MessageStructure
+from uoarm.model._wire import to_json
 
 __all__ = ["BridgeFindings", "FoundComponent", "FoundPort"]
 
@@ -37,6 +40,8 @@ class FoundPort:
     def __str__(self) -> str:
         one = self.endpoint
         told = f"{one.role.value:<7} {', '.join(one.address)}"
+        if one.parameters:
+            told += f"  {json.dumps(to_json(one.parameters))}"
         if self.message is None and self.request is None:
             told += "  (structure unknown)"
         if self.rate is not None:

@@ -6,8 +6,8 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
-from typing import TypeAlias
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from typing import TypeAlias, TypeVar
 
 from attrs import define, evolve
 
@@ -21,6 +21,7 @@ from uoarm.model import (
     Endpoint,
     FoundComponent,
     FoundPort,
+    Options,
     Robot,
     Role,
     message_octets,
@@ -33,7 +34,9 @@ _MOST_PORTS = 10_000
 _MOST_OCTETS = 2_000_000
 _log = logging.getLogger("uoarm")
 
+T = TypeVar("T")
 _Place: TypeAlias = tuple[str, Role, tuple[str, ...]]
+_Known: TypeAlias = dict[_Place, list[tuple[T, Options]]]
 
 
 @define(eq=False)
@@ -176,13 +179,40 @@ class Discovery:
             question.answer = str(error) or type(error).__name__
 
 
-def _users(robot: Robot) -> dict[_Place, list[str]]:
-    users: dict[_Place, list[str]] = {}
+def _users(robot: Robot) -> _Known[str]:
+    users: _Known[str] = {}
     for one in robot.components():
         services = () if one.service is None else (one.service,)
         for port in (*one.inputs, *one.outputs, *services):
-            users.setdefault(_place(port.endpoint), []).append(one.name)
+            users.setdefault(_place(port.endpoint), []).append((one.name, one.parameters))
     return users
+
+
+def _listed(
+    endpoints: Iterable[Endpoint], places: Container[_Place]
+) -> dict[_Place, list[Options]]:
+    """Return with which parameters frameworks list what is at these places."""
+    listed: dict[_Place, list[Options]] = {}
+    for one in endpoints:
+        if _place(one) in places:
+            listed.setdefault(_place(one), []).append(one.parameters)
+    return listed
+
+
+def _those_at(
+    endpoint: Endpoint, listed: Mapping[_Place, list[Options]], known: _Known[T]
+) -> Iterator[T]:
+    """Yield what is known of an endpoint that is seen.
+
+    Args:
+        endpoint: one of several that may be at one place, with parameters that differ.
+        listed: these parameters.
+        known: of the configuration; what has the parameters of another entry is about that one.
+    """
+    place = _place(endpoint)
+    for one, parameters in known.get(place, ()):
+        if parameters == endpoint.parameters or parameters not in listed[place]:
+            yield one
 
 
 def _seen_by(bridge: Bridge, timeout: float) -> tuple[Discovered, ...] | None:
@@ -195,12 +225,13 @@ def _findings(
     bridge: str,
     plugin: str,
     found: tuple[Discovered, ...] | str | None,
-    users: dict[_Place, list[str]],
+    users: _Known[str],
 ) -> BridgeFindings:
     if found is None or isinstance(found, str):
         return BridgeFindings(bridge, plugin, cause=found or "has not answered yet")
     components: list[FoundComponent] = []
     left, too_large = _MOST_PORTS, 0
+    listed = _listed((end for one in found for end, _ in one.endpoints), users)
     for one in sorted(found, key=lambda each: each.name):
         taken = one.endpoints[: max(0, left)]
         left -= len(one.endpoints)
@@ -212,7 +243,7 @@ def _findings(
                 said.message,
                 said.request,
                 said.reply,
-                tuple(dict.fromkeys(users.get(_place(endpoint), ()))),
+                tuple(dict.fromkeys(_those_at(endpoint, listed, users))),
                 _stated(one, endpoint),
             )
             for endpoint, said in bounded
@@ -245,15 +276,17 @@ def with_rates(
     """
     if not rates:
         return findings
-    measured = {
-        _place(port.endpoint): rates[f"{one.name}.{port.name}"]
-        for one in robot.components()
-        for port in one.outputs
-        if f"{one.name}.{port.name}" in rates
-    }
+    measured: _Known[float] = {}
+    for one in robot.components():
+        for output in one.outputs:
+            if (rate := rates.get(f"{one.name}.{output.name}")) is not None:
+                known = measured.setdefault(_place(output.endpoint), [])
+                known.append((rate, one.parameters))
+    seen = (one for each in findings for one in each.components)
+    listed = _listed((port.endpoint for one in seen for port in one.ports), measured)
 
     def port_with(port: FoundPort) -> FoundPort:
-        rate = measured.get(_place(port.endpoint))
+        rate = next(_those_at(port.endpoint, listed, measured), None)
         return port if rate is None else evolve(port, rate=rate, is_measured=True)
 
     return tuple(

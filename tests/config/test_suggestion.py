@@ -1,0 +1,111 @@
+"""What is suggested for components in Python and for topics: each once, and as it is listed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from uoarm import RobotManager
+from uoarm.config import loads, suggest
+from uoarm.model import (
+    BridgeFindings,
+    Component,
+    Endpoint,
+    FoundComponent,
+    FoundPort,
+    MessageStructure,
+    Robot,
+    Role,
+)
+
+
+def camera(path: str = "", at: int = 0) -> Iterator[int]:
+    """Look: a component."""
+    while True:
+        yield len(path) + at
+
+
+def double(number: int, by: int = 2) -> int:
+    """Return a number that many times: a component."""
+    return number * by
+
+
+HEAD = r"""
+version: 1
+bridges:
+  python:
+    options:
+      discover:
+        - {component: "here:camera", name: recorded, parameters: {path: "\U0001f600 \x7f\u2028"}}
+        - {component: "here:camera", name: live, parameters: {at: 3}}
+        - {component: "here:double", parameters: {by: 3}}
+functions:
+"""
+RECORDED = r"""
+  seen: {components: [{name: seen, bridge: python, output: {endpoint: ["here:camera"]},
+    parameters: {path: "\U0001f600 \x7f\u2028"}}]}
+"""
+OTHER = """
+  seen: {components: [{name: seen, bridge: python, output: {endpoint: ["here:camera"]}}]}
+"""
+CALLED = """
+  twice: {components: [{name: twice, bridge: python, parameters: {by: 3},
+    service: {endpoint: ["here:double"]}}]}
+"""
+STREAM = """
+  twice: {components: [{name: twice, bridge: python, parameters: {by: 3},
+    output: {endpoint: ["here:double"]}}]}
+"""
+
+
+def told(text: str) -> Robot:
+    """Read a configuration whose components are here."""
+    return loads(text.replace("here:", f"{__name__}:"))
+
+
+def suggested(functions: str) -> dict[str, Component]:
+    """Return what a robot that reads the suggestion has, by the names of components."""
+    robot = told(HEAD + (functions or "  {}\n"))
+    with RobotManager(robot) as manager:
+        text = suggest(robot, manager.discover(), configured=robot.bridges)
+    text = text[text.index("functions:") :]
+    return {one.name: one for one in told(HEAD.replace("functions:\n", text)).components()}
+
+
+def test_parameters_that_discovery_states_are_suggested() -> None:
+    found = suggested("")
+    assert set(found) == {"recorded", "live", "double", "double_default"}
+    assert found["recorded"].parameters == {"path": "\U0001f600 \x7f\u2028"}
+    assert found["live"].parameters == {"at": 3}
+    assert found["double"].parameters == found["double_default"].parameters == {"by": 3}
+
+
+@pytest.mark.parametrize("used", [CALLED, STREAM])
+def test_what_is_named_is_not_suggested_in_its_other_role(used: str) -> None:
+    assert set(suggested(used)) == {"recorded", "live"}
+
+
+def test_of_two_that_differ_in_parameters_the_one_that_is_named_is_used() -> None:
+    assert set(suggested(RECORDED)) == {"live", "double", "double_default"}
+    assert set(suggested(OTHER)) == {"double", "double_default"}, "its parameters are of neither"
+    with RobotManager(told(HEAD + RECORDED)) as manager:
+        [findings] = manager.discover()
+    assert f'output  {__name__}:camera  {{"at": 3}}\n' in str(findings)
+    assert str(findings).count("used by seen") == 1
+
+
+def test_who_hears_a_topic_is_not_fed_by_who_sends_to_it() -> None:
+    """It hears that already, and each message would come back without end."""
+    number = MessageStructure({"type": "integer"})
+
+    def node(name: str, role: Role, topic: str) -> FoundComponent:
+        return FoundComponent(name, (FoundPort(Endpoint("net", name, role, (topic,)), number),))
+
+    robot = loads("version: 1\nbridges: {net: {plugin: bus}}\nfunctions: {}\n")
+    here, there = node("here", Role.OUTPUT, "/a"), node("there", Role.OUTPUT, "/b")
+    ear = node("ear", Role.INPUT, "/a")
+    alone = suggest(robot, [BridgeFindings("net", "bus", (here, ear))])
+    assert "from:" not in alone
+    both = suggest(robot, [BridgeFindings("net", "bus", (here, there, ear))])
+    assert "{from: there, " in both
