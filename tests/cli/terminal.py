@@ -42,7 +42,14 @@ class Seen:
 
 
 def on_a_terminal(
-    arguments: Sequence[str], folder: Path, *, width: int = 120, interrupt_at: str = ""
+    arguments: Sequence[str],
+    folder: Path,
+    *,
+    width: int = 120,
+    height: int = 40,
+    interrupt_at: str = "",
+    number: signal.Signals = signal.SIGINT,
+    program: Sequence[str] = ("-m", "uoarm"),
 ) -> Seen:
     """Run `uoarm` with a pseudo terminal as its input, output and error until it ends.
 
@@ -50,15 +57,18 @@ def on_a_terminal(
         arguments: of the command.
         folder: where it runs.
         width: of the terminal, in characters.
-        interrupt_at: a text at whose appearance Ctrl-C is pressed.
+        height: of it, in lines.
+        interrupt_at: a text at whose appearance the command gets a signal.
+        number: that signal; Ctrl-C where none is named.
+        program: what Python is given before the arguments.
     """
     ours, theirs = pty.openpty()
-    ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
     variables = {**os.environ, "TERM": "xterm-256color", "PYTHONUNBUFFERED": "1"}
     for name in ("NO_COLOR", "CI", "COLUMNS", "LINES"):
         variables.pop(name, None)
     process = subprocess.Popen(
-        [sys.executable, "-m", "uoarm", *arguments],
+        [sys.executable, *program, *arguments],
         cwd=folder,
         env=variables,
         stdin=theirs,
@@ -74,7 +84,7 @@ def on_a_terminal(
             raw += chunk
             if interrupt_at and interrupt_at.encode() in raw:
                 interrupt_at = ""
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
         code = process.wait(_LIMIT_SECONDS)
     finally:
         process.kill()

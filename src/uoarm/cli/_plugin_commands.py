@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from uoarm._plugins import values_of
+from uoarm.cli._shared import INTERRUPTED
 from uoarm.errors import PluginError
 from uoarm.plugins import CONTRACT_VERSION, Command, CommandHooks
 
@@ -29,9 +30,12 @@ class PluginGroup(click.Group):
     """A group that looks for a command among the plugins when it does not have it itself."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; where its output has no room, say so in one line."""
+        """Run a command; say in one line that it was interrupted, or its output has no room."""
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt:  # which click would tell as a failure, with the code of one
+            click.echo("interrupted", err=True)
+            sys.exit(INTERRUPTED)
         except OSError as error:
             if error.errno not in _NO_ROOM:
                 raise

@@ -1,0 +1,21 @@
+"""What the command `uoarm` begins with: Ctrl-C ends it in silence while it still imports.
+
+It is no part of the package, whose import is most of what there is to wait for.
+"""
+
+import signal
+
+
+def main() -> None:
+    """Import the command line and run it.
+
+    Until it has been imported nothing is open, so that SIGINT may end the process as SIGTERM does,
+    by itself: an exception could be lost, or told as another one, within any module's import.
+    """
+    former = signal.getsignal(signal.SIGINT)
+    if former is signal.default_int_handler:  # not where it is ignored, as it is with nohup
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from uoarm.cli import main as command  # noqa: PLC0415 - what takes its time
+
+    signal.signal(signal.SIGINT, former)
+    command()
