@@ -112,3 +112,28 @@ def test_a_long_message_takes_one_line_and_is_no_markup(folder: Path) -> None:
     [line] = [line for line in seen.text.splitlines() if "[red]xxx" in line]
     assert len(line) <= 80
     assert line.endswith("…")
+
+
+@pytest.mark.parametrize("width", [40, 60])
+def test_on_a_narrow_terminal_flows_are_told_in_full_in_lines(folder: Path, width: int) -> None:
+    seen = on_a_terminal(["request", "doubled"], folder, width=width, height=20)
+    assert seen.code == 0, seen.text
+    [*_, flows] = seen.text.rpartition("counter.default")
+    assert max(map(len, f"counter.default{flows}".splitlines())) <= width
+    told = " ".join(flows.split())
+    assert told.startswith("-> doubler.default received 3, delivered 3"), told
+    assert told.endswith("3 messages"), told
+    assert "…" not in seen.text
+
+
+def test_on_a_narrow_terminal_what_goes_on_stands_below(folder: Path) -> None:
+    (folder / "robot.yaml").write_text(ROBOT.replace("on_terminal:long", "nothing_of_this_name:x"))
+    seen = on_a_terminal(["status"], folder, width=40)
+    assert seen.code == 1, seen.text
+    assert max(map(len, seen.text.splitlines())) <= 40
+    assert "available\n" in seen.text
+    [*_, told] = seen.text.partition("\n       0  long  (python)")
+    assert told, seen.text
+    _, *rest = told.splitlines()[:3]
+    assert all(line.startswith(" " * 9) for line in rest), told
+    assert "there is no module 'nothing_of_this_name'" in " ".join(told.split())

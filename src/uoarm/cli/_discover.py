@@ -16,6 +16,7 @@ from uoarm import RobotManager
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
 from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
+from uoarm.cli._width import fitted
 from uoarm.config import load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
@@ -73,7 +74,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
         if as_json:
             _print_json(findings, in_one_line=watch)
         else:
-            click.echo("\n".join(map(str, findings)) or "no bridge plugin is installed")
+            click.echo(fitted("\n".join(map(str, findings))) or "no bridge plugin is installed")
         while watch:
             time.sleep(every)
             before, findings = findings, robot.discover(timeout=timeout)
@@ -167,10 +168,10 @@ def _print_differences(
     old, new = dict.fromkeys(rows(before)), dict.fromkeys(rows(after))
     for row in old:
         if row not in new:
-            click.secho(f"- {row}", fg="red")
+            click.secho(fitted(f"- {row}"), fg="red")
     for row in new:
         if row not in old:
-            click.secho(f"+ {row}", fg="green")
+            click.secho(fitted(f"+ {row}"), fg="green")
 
 
 def rows(findings: Iterable[BridgeFindings]) -> Iterable[str]:

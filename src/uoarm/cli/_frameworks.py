@@ -12,6 +12,7 @@ from uoarm._checks import plugin_facts
 from uoarm.bridge import Registry
 from uoarm.cli._discover import STANDARD, looking, standard_file
 from uoarm.cli._shared import BRIDGE, print_json
+from uoarm.cli._width import fitted
 from uoarm.model import BridgeFindings
 
 __all__ = ["show_frameworks"]
@@ -72,7 +73,7 @@ def show_frameworks(file: str, *, as_json: bool) -> None:
     if as_json:
         print_json(found)
     else:
-        click.echo("\n".join(map(str, found)) or "no bridge plugin is installed")
+        click.echo(fitted("\n".join(map(str, found))) or "no bridge plugin is installed")
     sys.exit(0 if any(one.is_reachable for one in found) else BRIDGE)
 
 

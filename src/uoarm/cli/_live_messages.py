@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterable
 
 from rich.console import Console
 from rich.live import Live
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from uoarm import Connection, RobotManager
 from uoarm.cli._shared import plain
+from uoarm.cli._width import fitted
 from uoarm.model import Message, RouteStatus
 
 __all__ = ["show_live"]
@@ -20,6 +22,7 @@ __all__ = ["show_live"]
 _REFRESH_SECONDS = 0.25
 _LINES = 10
 _ITEMS = 100
+_WHOLE = 10_000  # characters, of a table that nothing is cut from
 
 
 class _Shown:
@@ -56,8 +59,11 @@ def show_live(robot: RobotManager, connection: Connection, messages: Iterable[Me
     console.print(str(connection.plan), markup=False, soft_wrap=True)
     shown = _Shown()
 
-    def table() -> Table:
-        return _table(_routes(robot, connection), str(shown))
+    def table() -> Table | Text:
+        routes = _routes(robot, connection)
+        told = _table(routes, str(shown))
+        whole = Measurement.get(console, console.options.update(max_width=_WHOLE), told)
+        return told if whole.maximum <= console.width else _lines(routes, str(shown))
 
     period = 1 / _REFRESH_SECONDS
     with Live(get_renderable=table, console=console, refresh_per_second=period):
@@ -78,13 +84,33 @@ def _routes(robot: RobotManager, connection: Connection) -> tuple[RouteStatus, .
 def _table(routes: Iterable[RouteStatus], caption: str) -> Table:
     table = Table("from", "to", "received", "delivered", "rate", "dropped", caption=caption)
     for route in routes:
-        rate = "" if route.rate is None else f"{route.rate:.1f}/s"
         table.add_row(
             route.producer,
             route.consumer,
             str(route.received),
             str(route.delivered),
-            "native" if route.native else rate,
-            ", ".join(f"{reason} {count}" for reason, count in route.dropped),
+            _rate(route),
+            _dropped(route),
         )
     return table
+
+
+def _lines(routes: Iterable[RouteStatus], caption: str) -> Text:
+    """Return what the table has for a terminal that is too narrow for it: lines for each flow."""
+    lines: list[str] = []
+    for route in routes:
+        told = [f"received {route.received}", f"delivered {route.delivered}"]
+        told += [rate] if (rate := _rate(route)) else []
+        told += [f"dropped {dropped}"] if (dropped := _dropped(route)) else []
+        lines += [f"{route.producer} -> {route.consumer}", f"  {', '.join(told)}"]
+    return Text(fitted("\n".join([*lines, caption])))
+
+
+def _rate(route: RouteStatus) -> str:
+    if route.native:
+        return "native"
+    return "" if route.rate is None else f"{route.rate:.1f}/s"
+
+
+def _dropped(route: RouteStatus) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in route.dropped)

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from uoarm.cli._remote import Remote, asked
+from uoarm.cli._width import fitted, terminal_width
 from uoarm.model import tell_status, to_json
 
 __all__ = ["show_live_status"]
@@ -48,7 +49,7 @@ async def _follow_events(robot: Any, *, as_json: bool) -> None:
         if as_json:
             click.echo(json.dumps({"event": to_json(event)}))
         else:
-            click.echo(event)
+            click.echo(fitted(str(event)))
 
 
 def _print_json(status: Mapping[str, Any]) -> None:
@@ -56,5 +57,5 @@ def _print_json(status: Mapping[str, Any]) -> None:
 
 
 def _print_tables(status: Mapping[str, Any]) -> None:
-    for line in tell_status(status).splitlines():
+    for line in tell_status(status, terminal_width()).splitlines():
         click.echo(line if line.startswith(" ") else click.style(line, bold=True))

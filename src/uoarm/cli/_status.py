@@ -12,6 +12,7 @@ from uoarm.cli._frameworks import show_frameworks
 from uoarm.cli._live_status import show_live_status
 from uoarm.cli._remote import Remote, remote_options
 from uoarm.cli._shared import REFUSED, configuration_option, json_option, open_robot, print_json
+from uoarm.cli._width import fitted
 from uoarm.model import FunctionStatus
 
 __all__ = ["status"]
@@ -72,12 +73,12 @@ def _show(robot: RobotManager, *, as_json: bool) -> tuple[FunctionStatus, ...]:
         return functions
     for bridge in robot.config.bridges.values():
         for option, value in bridge.assigned.items():
-            click.echo(f"{bridge.name}  {option} {value}, chosen by uoarm")
+            click.echo(fitted(f"{bridge.name}  {option} {value}, chosen by uoarm"))
     for function in functions:
-        head, *candidates = str(function).splitlines()
-        click.secho(head, bold=True, fg="red" if function.provider is None else "green")
-        for line in candidates:
-            click.echo(line)
+        head, _, candidates = str(function).partition("\n")
+        click.secho(fitted(head), bold=True, fg="red" if function.provider is None else "green")
+        if candidates:
+            click.echo(fitted(candidates))
     for machine in robot.status().machines:
-        click.echo(machine)
+        click.echo(fitted(str(machine)))
     return functions

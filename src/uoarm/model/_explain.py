@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # these print themselves with what is here
@@ -101,8 +103,14 @@ def tell_reason(reason: Reason) -> list[str]:
     return lines
 
 
-def tell_status(status: Mapping[str, Any]) -> str:
-    """Return a status map, as data or as JSON has it, as one table for each kind of thing."""
+def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
+    """Return a status map, as data or as JSON has it, as one table for each kind of thing.
+
+    Args:
+        status: the map.
+        width: characters that a line may have; a table that is wider is told row by row, each
+            with the names of what it has. None: as many as there are.
+    """
     held = status.get("held")
     lines = (
         [] if held is None else [f"commands have been refused for {held:.3f} s, until a release"]
@@ -114,7 +122,7 @@ def tell_status(status: Mapping[str, Any]) -> str:
             continue
         lines.append(f"{name}: {len(rows) or 'none'}")
         if rows:
-            lines.extend(_table(columns, rows))
+            lines.extend(_table(columns, rows, width))
     return "\n".join(lines)
 
 
@@ -176,10 +184,23 @@ _OF_CHANNELS: Mapping[str, Callable[[Mapping[str, Any]], list[Mapping[str, Any]]
 }
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int | None) -> list[str]:
     widths = [max(map(len, column)) for column in zip(columns, *rows, strict=True)]
     padded = (map(str.ljust, row, widths) for row in (columns, *rows))
-    return [f"  {'  '.join(cells)}".rstrip() for cells in padded]
+    lines = [f"  {'  '.join(cells)}".rstrip() for cells in padded]
+    if width is None or max(map(len, lines)) <= width:
+        return lines
+    return [line for row in rows for line in _record(columns, row, width)]
+
+
+def _record(columns: Sequence[str], row: Sequence[str], width: int) -> Iterator[str]:
+    """Yield a row as lines: its first cell, and what else it has with the names of the columns."""
+    told = ", ".join(
+        f"{name} {cell}" for name, cell in zip(columns[1:], row[1:], strict=True) if cell
+    )
+    for text, indent in ((row[0], "  "), (told, "    ")):
+        wrap = partial(textwrap.wrap, initial_indent=indent, break_on_hyphens=False)
+        yield from wrap(text, width, subsequent_indent=f"{indent}  ")
 
 
 def _shown(value: object, column: str) -> str:
