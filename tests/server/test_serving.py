@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from pathlib import Path
 from unittest.mock import create_autospec
 
 import pytest
+from attrs import evolve
 from tests.server.conftest import Connect, Serve
 from tests.server.lines import LINES
 from tests.server.robot import CONFIGURATION, script
@@ -153,6 +155,36 @@ def test_it_says_where_the_page_is(start: Start) -> None:
     assert process.stdout.readline() == f"open {address} in a browser\n"
     with urllib.request.urlopen(address, timeout=patience()) as answer:
         assert "uoarm" in answer.read().decode()
+
+
+@pytest.mark.parametrize(
+    ("host", "here"),
+    [("0.0.0.0", "127.0.0.1"), ("", "127.0.0.1"), ("::", "[::1]"), ("0::0", "[::1]")],
+)
+def test_of_every_address_those_are_told_that_can_be_opened(
+    host: str, here: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server = create_autospec(Server, instance=True, ports=(9080, 9090), front_ends=())
+    ports, authority = {"rosbridge": 0}, Path("ca.pem")
+    settings = Settings(host, front_end_ports=ports, access=Path("access.yaml"))
+    _serve.say(server, settings)
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [
+        f"serving ws://{here}:9080/",
+        f"serving ws://{here}:9090/ for rosbridge clients",
+        (
+            "listening on every address of this machine: elsewhere it is "
+            f"{socket.gethostname()}, or an address of it, in place of {here}"
+        ),
+        "every client needs a token of access.yaml (uoarm token makes one)",
+        f"open http://{here}:9080/ in a browser",
+    ]
+    assert "without TLS, tokens and data can be read" in err
+    _serve.say(server, evolve(settings, host="robot.local", client_authority=authority))
+    named = capsys.readouterr().out
+    assert "serving ws://robot.local:9080/\n" in named
+    assert "(uoarm token makes one), or a certificate that rests on ca.pem\n" in named
+    assert "listening on" not in named
 
 
 def test_a_port_that_is_taken_is_told_in_one_line(start: Start) -> None:

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import logging
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -290,11 +291,11 @@ def _name_and_port(given: str) -> tuple[str, int]:
 
 
 def say(server: Server, settings: Settings, *, err: bool = False) -> None:
-    """Tell where a server listens."""
+    """Tell where a server listens, as addresses that can be opened, and what clients need."""
     from uoarm.server import fingerprint_of  # noqa: PLC0415 - an extra, and slow
 
     s = "s" if settings.secured else ""
-    main, *more = (settings.place(port) for port in server.ports)
+    main, *more = (settings.place_from_here(port) for port in server.ports)
     paths = ("/", *(one.path for one in server.front_ends))
     click.echo(f"serving {' and '.join(f'ws{s}://{main}{path}' for path in paths)}", err=err)
     for name, place in zip(settings.front_end_ports, more, strict=True):
@@ -304,4 +305,12 @@ def say(server: Server, settings: Settings, *, err: bool = False) -> None:
         click.echo(f"certificate {certificate}, SHA-256 {fingerprint_of(certificate)}", err=err)
     elif not settings.local:
         tell_warning("without TLS, tokens and data can be read on the network")
+    if settings.everywhere:
+        told = f"listening on every address of this machine: elsewhere it is {socket.gethostname()}"
+        click.echo(f"{told}, or an address of it, in place of {main.rpartition(':')[0]}", err=err)
+    if settings.access is not None:
+        proof = f"a token of {settings.access} (uoarm token makes one)"
+        if settings.client_authority is not None:
+            proof += f", or a certificate that rests on {settings.client_authority}"
+        click.echo(f"every client needs {proof}", err=err)
     click.echo(f"open http{s}://{main}/ in a browser", err=err)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import ssl
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,8 +15,6 @@ from uoarm.server.access import is_loopback
 from uoarm.server.http import own_certificate, state_folder
 
 __all__ = ["Settings"]
-
-_EVERY_ADDRESS = ("", "0.0.0.0", "::")  # noqa: S104 - names what is no name
 
 
 @frozen
@@ -55,9 +54,23 @@ class Settings:
         """Whether only this machine can reach the server."""
         return is_loopback(self.host)
 
+    @property
+    def everywhere(self) -> bool:
+        """Whether the host names every address of this machine, and none to connect to."""
+        try:
+            return not self.host or ipaddress.ip_address(self.host).is_unspecified
+        except ValueError:
+            return False
+
     def place(self, port: int) -> str:
         """Return `host:port` as it stands in a URL."""
-        return f"[{self.host}]:{port}" if ":" in self.host else f"{self.host}:{port}"
+        return _place(self.host, port)
+
+    def place_from_here(self, port: int) -> str:
+        """Return `host:port` of a URL that can be opened on this machine."""
+        if not self.everywhere:
+            return self.place(port)
+        return _place("::1" if ":" in self.host else "127.0.0.1", port)
 
     def check(self) -> None:
         """Refuse settings that would let the network in unasked.
@@ -91,7 +104,7 @@ class Settings:
         """
         if not self.own_certificate:
             return self.certificate
-        names = [one for one in (self.host, *self.hosts) if one not in _EVERY_ADDRESS]
+        names = self.hosts if self.everywhere else (self.host, *self.hosts)
         return own_certificate(state_folder() / "tls", names)
 
     def tls(self) -> ssl.SSLContext | None:
@@ -113,3 +126,7 @@ class Settings:
         except (OSError, ssl.SSLError) as error:
             raise ConfigurationError(f"TLS: {certificate}: {error}") from error
         return context
+
+
+def _place(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
