@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from uoarm.cli import main
+from uoarm.testing import patience
 
 ROBOT = """
 version: 1
@@ -16,7 +21,11 @@ functions:
   count: {components: [{name: a, bridge: python, output: {endpoint: [robot:numbers]}}]}
   counter: {components: [{name: b, bridge: python, output: {endpoint: [robot:numbers]}}]}
   camera: {components: [{name: c, bridge: python, output: {endpoint: [robot:numbers]}}]}
+  say: {components: [{name: d, bridge: python, service: {endpoint: [robot:say]}}]}
+  seen: {needs: {name: "x*"}}
+  asked: {needs: {name: "x*", role: service}}
 """
+STREAMS, SERVICES = ["count", "counter", "camera", "seen"], ["say", "asked"]
 
 
 def completed(monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
@@ -28,7 +37,7 @@ def completed(monkeypatch: pytest.MonkeyPatch, line: str) -> list[str]:
     return [found.partition(",")[2] for found in told.split()]
 
 
-@pytest.mark.parametrize("command", ["request", "resolve", "call"])
+@pytest.mark.parametrize("command", ["request", "resolve"])
 def test_functions_are_completed(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -42,3 +51,39 @@ def test_functions_are_completed(
     assert completed(monkeypatch, f"uoarm {command} -f absent.yaml c") == []
     monkeypatch.setenv("UOARM_CONFIG", "other.yaml")
     assert completed(monkeypatch, f"uoarm {command} counted") == ["counted"]
+
+
+def test_what_is_called_is_offered_to_calls_and_what_flows_to_requests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    monkeypatch.chdir(tmp_path)
+    assert completed(monkeypatch, "uoarm request ") == STREAMS
+    assert completed(monkeypatch, "uoarm call ") == SERVICES
+    assert set(completed(monkeypatch, "uoarm resolve ")) == {*STREAMS, *SERVICES}
+
+
+def test_a_shell_has_them(tmp_path: Path) -> None:
+    """As the page says it for bash; what zsh and fish ask for is the same."""
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    command = tmp_path / "uoarm"
+    command.write_text(f"#!{sys.executable}\nfrom uoarm.cli import main\nmain()\n")
+    command.chmod(0o755)
+    typed = """
+        eval "$(_UOARM_COMPLETE=bash_source uoarm)"
+        COMP_WORDS=(uoarm request "c") COMP_CWORD=2
+        _uoarm_completion uoarm
+        echo "${COMPREPLY[*]}"
+    """
+    bash = shutil.which("bash")
+    assert bash is not None
+    done = subprocess.run(
+        [bash, "--norc", "-c", typed],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        timeout=10 * patience(),
+        check=True,
+    )
+    assert (done.stdout.split(), done.stderr) == (["count", "counter", "camera"], "")

@@ -134,7 +134,7 @@ def _telling_that_it_waits(timeout: float) -> Iterator[None]:
 
 
 @main.command()
-@function_argument
+@function_argument()
 @configuration_option
 @click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
 @click.option(

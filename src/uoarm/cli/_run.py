@@ -29,7 +29,7 @@ _GLANCE_SECONDS = 0.25
 
 
 @click.command()
-@function_argument
+@function_argument(serves=False)
 @configuration_option
 @click.option("-n", "--count", type=click.IntRange(min=1), help="End after so many messages.")
 @click.option("--duration", type=click.FloatRange(min=0), help="End after so many seconds.")
@@ -78,7 +78,7 @@ def request(
 
 
 @click.command()
-@function_argument
+@function_argument(serves=True)
 @click.argument("message", default="{}")
 @configuration_option
 @click.option(

@@ -17,7 +17,7 @@ import click
 from uoarm import RobotManager, errors
 from uoarm._origin import install_command
 from uoarm.config import load
-from uoarm.model import Message, to_json
+from uoarm.model import Function, Message, Role, to_json
 
 __all__ = [
     "configuration_option",
@@ -50,17 +50,35 @@ configuration_option = click.option(
 )
 
 
-def _names(context: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
-    """Complete a function's name, where the configuration can be read."""
-    file = context.params.get("file") or os.environ.get("UOARM_CONFIG") or "robot.yaml"
-    try:
-        functions = load(file).functions
-    except errors.UoarmError:
-        return []
-    return [name for name in functions if name.startswith(incomplete)]
+def _can(function: Function, *, serve: bool) -> bool:
+    """Say whether a function can be called, or else requested, should its components be there."""
+    if function.needs is not None and (function.needs.role is Role.SERVICE) is serve:
+        return True
+    return any((one.service is not None) is serve for one in function.components)
 
 
-function_argument = click.argument("name", shell_complete=_names)
+def function_argument(*, serves: bool | None = None) -> Callable[[F], F]:
+    """Give a command the name of a function as its argument, which the tab key completes.
+
+    Args:
+        serves: whether only those are offered that answer calls, or only those that do not.
+    """
+
+    def names(context: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
+        file = context.params.get("file") or os.environ.get("UOARM_CONFIG") or "robot.yaml"
+        try:
+            functions = load(file).functions
+        except errors.UoarmError:  # there is nothing to complete where it cannot be read
+            return []
+        return [
+            name
+            for name, one in functions.items()
+            if name.startswith(incomplete) and (serves is None or _can(one, serve=serves))
+        ]
+
+    return click.argument("name", shell_complete=names)
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
