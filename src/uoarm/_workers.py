@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from attrs import frozen
 
+from uoarm._switch_interval import fit_switch_interval
 from uoarm.errors import UoarmError
 
 __all__ = ["Done", "WorkerPool", "WorkerPoolClosedError"]
@@ -159,6 +160,7 @@ class WorkerPool:
             inbox.put(task)  # not an argument of the thread, which would hold it until its end
         work = partial(self._work, inbox, begins=task is not None)
         threading.Thread(target=work, name=self._name, daemon=True).start()
+        fit_switch_interval()
 
     def prepare(self) -> None:
         """Have a thread wait, so that the next call need not wait for the start of one."""
@@ -188,6 +190,7 @@ class WorkerPool:
             self._conclude(task, result, error)
             del task, result, error  # with what they hold, before this waits for the next
             task = self._next(inbox)
+        fit_switch_interval()
 
     def _next(
         self, inbox: SimpleQueue[_Task[Any] | None], *, is_first: bool = False

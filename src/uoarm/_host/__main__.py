@@ -20,7 +20,7 @@ from uoarm._host.transport import keys
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
-from uoarm._switch_interval import switch_interval_seconds
+from uoarm._switch_interval import set_short_switch_interval
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
 from uoarm.model import BridgeSpec
@@ -64,7 +64,7 @@ def main() -> int:
     limit_memory(orders["memory"])
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     try:
-        sys.setswitchinterval(switch_interval_seconds())
+        set_short_switch_interval()
     except UoarmError as error:
         logging.getLogger("uoarm.host").warning("%s; it stays as it is", error)
     main_thread = _MainThread()
