@@ -98,6 +98,14 @@ def test_one_that_fails_is_removed_and_its_last_lines_are_told(tmp_path: Path, h
     assert not (home / "jazzy").exists()
 
 
+def test_last_lines_that_were_told_are_not_told_again(tmp_path: Path, home: Path) -> None:
+    uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
+    told: list[str] = []
+    with pytest.raises(PluginError, match=r" a ended with status 2$"):
+        environments.create("jazzy", ("a",), tell=told.append, uv=uv)
+    assert told[-1] == "no such project"
+
+
 def test_a_name_is_not_used_twice(tmp_path: Path) -> None:
     uv = _fake_uv(tmp_path, "")
     environments.create("jazzy", ("a",), uv=uv)

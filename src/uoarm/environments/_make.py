@@ -33,7 +33,7 @@ def create(
     requirements: tuple[str, ...],
     *,
     python: str | None = None,
-    tell: Tell = lambda _: None,
+    tell: Tell | None = None,
     uv: str | None = None,
 ) -> Path:
     """Make an environment and return its interpreter. One that fails is removed again.
@@ -43,12 +43,12 @@ def create(
         requirements: what to install, as pip reads it; uoarm and plugins that are pinned to the
             version that runs here are installed from the files that run here.
         python: version (with uv) or path of the interpreter to build on; None: this one.
-        tell: told each line of progress.
+        tell: told each line of progress; None: nobody is.
         uv: path of uv; None: looked for on the path; "": not used.
 
     Raises:
         PluginError: the name is taken or cannot be one, or a step failed; the text has the
-            step and its last lines.
+            step, and its last lines where nobody was told them.
     """
     folder = environment_folder(name)
     if folder.exists():
@@ -78,11 +78,14 @@ def create(
     return interpreter
 
 
-def _run(step: list[str], tell: Tell) -> None:
+def _run(step: list[str], tell: Tell | None) -> None:
     """Run one step, telling what it prints as it prints it."""
     variables = {key: value for key, value in os.environ.items() if key not in _TRACES}
     lines: deque[str] = deque(maxlen=_SHOWN)
-    tell(f"$ {' '.join(step)}")
+    take = lines.append if tell is None else tell
+    command = " ".join(step)
+    if tell is not None:
+        tell(f"$ {command}")
     with subprocess.Popen(  # noqa: S603 - uv, or the interpreter that the operator chose
         step,
         stdin=subprocess.DEVNULL,
@@ -96,14 +99,12 @@ def _run(step: list[str], tell: Tell) -> None:
         try:
             assert process.stdout is not None, "stdout is a pipe"
             for line in process.stdout:
-                text = line.decode(errors="replace").rstrip()
-                lines.append(text)
-                tell(text)
+                take(line.decode(errors="replace").rstrip())
         except BaseException:
             process.kill()
             raise
         finally:
             limit.cancel()
     if process.returncode != 0:
-        last = "\n".join(lines)
-        raise PluginError(f"{' '.join(step)} ended with status {process.returncode}:\n{last}")
+        last = "".join(f"\n{line}" for line in lines)
+        raise PluginError(f"{command} ended with status {process.returncode}{last and ':'}{last}")
