@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
 import sys
 import time
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from uoarm._adapt._suggest import suggest
 from uoarm.errors import MessageError
 from uoarm.model import Meaning, MessageStructure
 from uoarm.schema import Budget
+from uoarm.testing import patience
 
 INT = {"type": "integer", "minimum": -100, "maximum": 100}
 SOURCE: dict[str, Any] = {
@@ -333,3 +335,38 @@ def test_a_clamp_works_on_arrays_of_every_kind_and_leaves_nan() -> None:
 def test_a_clamp_that_cannot_be_is_refused(rule: dict[str, Any], told: str) -> None:
     verdict = check_edge(MessageStructure(SOURCE), MessageStructure(ANY), {"a": rule})
     assert told in verdict.reasons[0].sentence
+
+
+WITHOUT_PINT = """
+import sys
+sys.modules["pint"] = None
+from uoarm._adapt import check_edge
+from uoarm.model import MessageStructure
+def structure(**fields):
+    return MessageStructure({"type": "object", "properties": fields, "required": [*fields]})
+def told(producer, consumer):
+    print([one.sentence for one in check_edge(producer, consumer).reasons])
+number = {"type": "number"}
+told(structure(fahrenheit=number), structure(celsius=number))
+told(structure(fahrenheit=number), structure(temperature={**number, "x-unit": "Cel"}))
+told(structure(angle={**number, "x-unit": "deg"}), structure(angle={**number, "x-unit": "rad"}))
+told(structure(fahrenheit=number), structure(colour={"type": "string"}))
+told(structure(celsius=number), structure(celsius={"type": "string"}))
+"""
+
+
+def test_where_a_conversion_was_not_tried_a_refusal_says_what_it_needs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_PINT],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=10 * patience(),
+    )
+    by_name, by_unit, meant, no_unit, one_unit = done.stdout.splitlines()
+    said = "whether fahrenheit can be converted to {} is not known: to compare and convert units "
+    for told, unit in ((by_name, "celsius"), (by_unit, "Cel")):
+        assert f"{said.format(unit)}this needs: pip install" in told
+        assert "[units]" in told
+    assert meant.count("[units]") == 1
+    assert "units" not in no_unit + one_unit

@@ -11,7 +11,7 @@ from attrs import evolve, frozen
 from uoarm._adapt._adaptation import Adaptation, adapt
 from uoarm._adapt._convert import converting_map
 from uoarm._adapt._mapping import MappingError, parse
-from uoarm._adapt._suggest import suggest
+from uoarm._adapt._suggest import suggest, untried_conversion
 from uoarm._adapt._walk import UnfitError
 from uoarm._meaning import Difference, judge, write_places
 from uoarm.model import Edge, Meaning, MeaningLevel, Message, MessageStructure, Reason
@@ -89,7 +89,8 @@ def check_edge(
         lines = converting_map(producer, consumer, verdict.differences, fits)
     lines = lines or suggest(producer, consumer, fits, left, meaning)
     if not lines:
-        return verdict
+        said = "" if verdict.differences else untried_conversion(producer, consumer)
+        return evolve(verdict, reasons=(*verdict.reasons, Reason(said))) if said else verdict
     first, *rest = verdict.reasons
     return evolve(verdict, reasons=(evolve(first, suggestion=lines), *rest))
 

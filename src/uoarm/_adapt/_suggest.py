@@ -13,11 +13,11 @@ from attrs import frozen
 from uoarm._adapt._adaptation import adapt
 from uoarm._adapt._mapping import Path, parse, write_path
 from uoarm._adapt._walk import Structure, UnfitError, leaves
-from uoarm._meaning import Conversion, UnitError, conversion, judge
+from uoarm._meaning import Conversion, UnitError, conversion, judge, missing_for_units
 from uoarm.model import Meaning, MeaningLevel, MessageStructure
 from uoarm.schema import Budget, check
 
-__all__ = ["flow", "suggest"]
+__all__ = ["flow", "suggest", "untried_conversion"]
 
 _MAX_FIELDS = 60
 _ALIKE = 0.6
@@ -63,6 +63,29 @@ def suggest(
         return ""
     lines = f"map: {flow(mapping)}"
     return f"{lines}\nallow_loss: {flow(list(losses))}" if losses else lines
+
+
+def untried_conversion(producer: MessageStructure, consumer: MessageStructure) -> str:
+    """Return which units no map was suggested for, and what is not installed; nothing if none.
+
+    Args:
+        producer: structure of what is emitted.
+        consumer: structure of what is taken.
+    """
+    source, target = Structure(producer.schema), Structure(consumer.schema)
+    try:
+        wanted = target.fields()
+        units = [_unit_of(*one) for one in wanted.items()] if len(wanted) <= _MAX_FIELDS else []
+        have = (
+            [_unit_of(path[-1], one) for path, one in leaves(source) if path] if any(units) else []
+        )
+    except UnfitError:
+        return ""
+    pairs = ((one, unit) for unit in units if unit not in have for one in have if one and unit)
+    pair = next(pairs, None)
+    if pair is None or not (missing := missing_for_units()):
+        return ""
+    return f"whether {pair[0]} can be converted to {pair[1]} is not known: {missing}"
 
 
 class _NoTimeError(Exception):

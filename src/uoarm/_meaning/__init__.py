@@ -2,7 +2,7 @@
 
 from uoarm._meaning._alike import BUILT_IN, are_alike, name_of_type
 from uoarm._meaning._judge import Difference, Meanings, judge, write_places
-from uoarm._meaning._units import Conversion, UnitError, conversion, is_available, unit_mistake
+from uoarm._meaning._units import Conversion, UnitError, conversion, missing_for_units, unit_mistake
 from uoarm._meaning._vocabulary import INHERITED, SCALED, VOCABULARY
 
 __all__ = [
@@ -16,8 +16,8 @@ __all__ = [
     "UnitError",
     "are_alike",
     "conversion",
-    "is_available",
     "judge",
+    "missing_for_units",
     "name_of_type",
     "unit_mistake",
     "write_places",

@@ -18,7 +18,7 @@ from attrs import frozen
 
 from uoarm._origin import install_command
 
-__all__ = ["Conversion", "UnitError", "conversion", "is_available", "unit_mistake"]
+__all__ = ["Conversion", "UnitError", "conversion", "missing_for_units", "unit_mistake"]
 
 _MOST_CHARACTERS = 60
 _MOST_POWER = 12
@@ -115,23 +115,23 @@ def conversion(one: str, other: str) -> Conversion | None:
 def unit_mistake(unit: str) -> str:
     """Return what is wrong with a unit; where pint is not installed, with its spelling alone."""
     try:
-        if is_available():
-            _read(unit)
-        else:
+        if missing_for_units():
             _powers(unit)
+        else:
+            _read(unit)
     except UnitError as error:
         return str(error)
     return ""
 
 
 @cache
-def is_available() -> bool:
-    """Whether pint is installed, without which units are only equal or not."""
+def missing_for_units() -> str:
+    """Return what is not installed, without which units are only equal or not; nothing if it is."""
     try:
         _registry()
-    except UnitError:
-        return False
-    return True
+    except UnitError as error:
+        return str(error)
+    return ""
 
 
 @cache
@@ -140,7 +140,7 @@ def _registry() -> Any:
         import pint  # noqa: PLC0415 - half a second, for those who state units
     except ImportError as error:
         command = install_command("uoarm", "units")
-        raise UnitError(f"to compare units this needs: {command}") from error
+        raise UnitError(f"to compare and convert units this needs: {command}") from error
     return pint.UnitRegistry(non_int_type=Fraction)
 
 
