@@ -14,6 +14,7 @@ from click.testing import CliRunner
 import uoarm
 from uoarm import environments
 from uoarm.cli import main
+from uoarm.environments import _doctor
 from uoarm.errors import PluginError
 from uoarm.testing import patience
 
@@ -256,6 +257,33 @@ def test_a_version_that_an_installed_plugin_has_not_is_refused_before_anything_i
     assert made.exit_code == 4
     assert "uoarm-wheels has no distribution 'jazy': there are jazzy" in made.stderr
     assert not home.exists()
+
+
+def test_a_version_that_only_the_environment_shows_not_to_be_there_is_refused_as_well(
+    tmp_path: Path, home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plugin is not installed here; pip and uv would only warn."""
+    asked = tmp_path / "interpreter"
+    extras = json.dumps({"uoarm-absent": ["jazzy", "Humble_Hawksbill", "dev"]})
+    _executable(asked, f"[ $4 = uoarm ] && [ $5 = uoarm-absent ] && echo '{extras}'")
+    text = f"""
+if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {asked} "$4/bin/python"; fi"""
+    monkeypatch.setenv("PATH", str(_executable(tmp_path / "uv", text).parent), prepend=":")
+    make = ("env", "create", "x", "--plugin", "absent", "--distribution")
+    made = CliRunner().invoke(main, [*make, "jazy"])
+    assert made.exit_code == 4, made.output
+    told = "uoarm-absent has no distribution 'jazy': there are jazzy, Humble_Hawksbill"
+    assert told in made.stderr
+    assert not (home / "x").exists()
+    assert CliRunner().invoke(main, [*make, "humble-hawksbill"]).exit_code == 0
+
+
+def test_extras_are_those_that_an_interpreter_tells(tmp_path: Path) -> None:
+    found = _doctor.extras_in(Path(sys.executable), ("uoarm", "absent-of-all"))
+    assert "hosts" in found.pop("uoarm")
+    assert found == {}
+    for said in ("", "[", "[1]"):
+        assert _doctor.extras_in(_executable(tmp_path / "p", f"echo '{said}'"), ("uoarm",)) == {}
 
 
 def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_told(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 from attrs import field, frozen
@@ -11,7 +12,7 @@ from attrs import field, frozen
 from uoarm._version import __version__
 from uoarm.environments._place import Environment, environment_python
 
-__all__ = ["Finding", "examine"]
+__all__ = ["Finding", "examine", "extras_in"]
 
 _SECONDS = 60.0
 _QUESTION = """
@@ -22,6 +23,17 @@ import uoarm
 points = sorted(one.name for one in entry_points(group="uoarm.bridges"))
 print(json.dumps({"python": platform.python_version(), "uoarm": uoarm.__version__,
     "msgpack": version("msgpack"), "plugins": points}))
+"""
+_EXTRAS = """
+import json, sys
+from importlib.metadata import PackageNotFoundError, metadata
+found = {}
+for name in sys.argv[1:]:
+    try:
+        found[name] = metadata(name).get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        pass
+print(json.dumps(found))
 """
 
 
@@ -69,6 +81,22 @@ def examine(environment: Environment) -> Finding:
     if theirs != __version__:
         problem = f"it has uoarm {theirs}, this is {__version__}: make it anew"
     return Finding(name, facts, problem, {} if problem else _unusable(environment_python(name)))
+
+
+def extras_in(interpreter: Path, names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the extras that projects have which an interpreter has; {} where it does not say."""
+    try:
+        done = subprocess.run(  # noqa: S603 - the environment's own interpreter
+            [str(interpreter), "-I", "-c", _EXTRAS, *names],
+            capture_output=True,
+            text=True,
+            timeout=_SECONDS,
+            check=False,
+        )
+        told = json.loads(done.stdout)
+    except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
 
 
 def _unusable(interpreter: Path) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,8 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from uoarm._whole_file import write_whole
+from uoarm.environments._doctor import extras_in
 from uoarm.environments._place import MARK, environment_folder, environment_python
-from uoarm.environments._requirements import handed_on
+from uoarm.environments._requirements import extras_of, handed_on, unknown_extra
 from uoarm.errors import PluginError
 
 __all__ = ["create"]
@@ -47,8 +49,9 @@ def create(
         uv: path of uv; None: looked for on the path; "": not used.
 
     Raises:
-        PluginError: the name is taken or cannot be one, or a step failed; the text has the
-            step, and its last lines where nobody was told them.
+        PluginError: the name is taken or cannot be one, a step failed, or what was installed has
+            no extra of a name that the requirements give; the text has the step, and its last lines
+            where nobody was told them.
     """
     folder = environment_folder(name)
     if folder.exists():
@@ -68,6 +71,7 @@ def create(
         with TemporaryDirectory(prefix="uoarm-wheels-") as wheels:
             given = [handed_on(one, Path(wheels)) for one in requirements]
             _run([*install, *given], tell)
+        _require_extras(interpreter, requirements)
         said = json.dumps({"name": name, "requirements": requirements})
         write_whole(folder / MARK, said.encode())
     except BaseException as error:
@@ -76,6 +80,20 @@ def create(
             raise PluginError(f"environment {name!r} cannot be made: {error}") from error
         raise
     return interpreter
+
+
+def _require_extras(interpreter: Path, requirements: tuple[str, ...]) -> None:
+    """Refuse an extra that a project has not: pip and uv only warn of it, and leave it out."""
+    wanted = extras_of(requirements)
+    for name, known in extras_in(interpreter, wanted).items():
+        plain = {_normal(one) for one in known}
+        for extra in wanted[name]:
+            if _normal(extra) not in plain:
+                raise PluginError(unknown_extra(name, extra, known))
+
+
+def _normal(extra: str) -> str:
+    return re.sub("[._-]+", "-", extra).lower()
 
 
 def _run(step: list[str], tell: Tell | None) -> None:

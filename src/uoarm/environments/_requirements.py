@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from importlib.metadata import Distribution, entry_points
 from pathlib import Path
 
@@ -10,10 +11,11 @@ from uoarm._origin import installed, origin_of
 from uoarm.environments._repack import repack
 from uoarm.errors import PluginError
 
-__all__ = ["handed_on", "requirements"]
+__all__ = ["extras_of", "handed_on", "requirements", "unknown_extra"]
 
 _GROUP = "uoarm.bridges"
 _CORE = "uoarm"
+_WITH_EXTRAS = re.compile(r"([A-Za-z0-9._-]+)\[([^\]]*)\]")
 _PINNED = re.compile(r"([A-Za-z0-9._-]+)(\[[^\]]*\])?==([^ ;]+)")
 
 
@@ -60,12 +62,24 @@ def handed_on(requirement: str, folder: Path) -> str:
     return requirement if wheel is None else f"{pinned[1]}{pinned[2] or ''} @ {wheel.as_uri()}"
 
 
+def extras_of(requirements: Iterable[str]) -> dict[str, list[str]]:
+    """Return the extras that requirements name, by project; those of paths are not known."""
+    found = (_WITH_EXTRAS.match(one) for one in requirements)
+    return {one[1]: re.findall(r"[A-Za-z0-9._-]+", one[2]) for one in found if one}
+
+
+def unknown_extra(name: str, extra: str, known: Iterable[str]) -> str:
+    """Return that a project has no such extra, and which it has."""
+    there = ", ".join(one for one in known if one != "dev")
+    what = "distribution" if name.startswith(f"{_CORE}-") else "extra"
+    return f"{name} has no {what} {extra!r}: there are {there or 'none'}"
+
+
 def _require_extra(provider: Distribution, extra: str) -> None:
     """Pip only warns of an extra that a distribution has not."""
-    known = [one for one in provider.metadata.get_all("Provides-Extra") or () if one != "dev"]
+    known = provider.metadata.get_all("Provides-Extra") or []
     if extra not in known:
-        there = f"there are {', '.join(known)}" if known else "there are none"
-        raise PluginError(f"{provider.name} has no distribution {extra!r}: {there}")
+        raise PluginError(unknown_extra(provider.name, extra, known))
 
 
 def _is_ours(found: Distribution) -> bool:
