@@ -26,6 +26,8 @@ from bench.tables import at, microseconds, print_table, row
 
 TEXT = "a sentence of usual length, said to a robot"
 FRAMES = 2000
+_WARMING = 100
+_CALLS = _WARMING + FRAMES
 
 
 def main() -> int:
@@ -50,13 +52,26 @@ def _round_trips() -> None:
     for kind in ("tcp", "pty"):
         with _echoing(kind) as ask:
             rows.append(row(f"bare line, {kind}: the same octets there and back", _timed(ask)))
-        with _robot(kind) as call:
-            rows.append(row(f"uoarm bridge, {kind}", _timed(call)))
+        with _robot(kind) as (call, device):
+            before = [_computed(process) for process in (os.getpid(), device)]
+            took = _timed(call)
+            ours, its = (
+                (_computed(process) - start) / _CALLS
+                for process, start in zip((os.getpid(), device), before, strict=True)
+            )
+            note = f"processor time: bridge {ours:.0f}, device {its:.0f}"
+            rows.append(row(f"uoarm bridge, {kind}", took, note))
     print_table("Service round trip of a device (us)", ("way", "median", "p99", ""), rows)
 
 
+def _computed(process: int) -> float:
+    """Return the microseconds that the threads of a process have computed; Linux only."""
+    threads = Path(f"/proc/{process}/task").glob("*/schedstat")
+    return sum(int(thread.read_text().split()[0]) for thread in threads) / 1000
+
+
 def _timed(action: Callable[[], object]) -> list[float]:
-    microseconds(action, repeat=100)
+    microseconds(action, repeat=_WARMING)
     return microseconds(action, repeat=FRAMES)
 
 
@@ -81,7 +96,7 @@ def _echoing(kind: str) -> Iterator[Callable[[], object]]:
 
     octets = XmlCodec().write(Call(1, 1, "echo", {"text": TEXT}))
     command = [sys.executable, "-m", "bench.rocos_line", "echo", kind]
-    with _ended_by(signal.SIGTERM, command) as where:
+    with _ended_by(signal.SIGTERM, command) as (where, _):
         if kind == "tcp":
             with closing(socket.create_connection(("127.0.0.1", int(where)))) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -123,19 +138,19 @@ def _echo(kind: str) -> int:
 
 
 @contextmanager
-def _simulated(*words: str) -> Iterator[str]:
+def _simulated(*words: str) -> Iterator[tuple[str, int]]:
     command = [sys.executable, "-c", "from uoarm_rocos._command import main; main()", "simulate"]
-    with _ended_by(signal.SIGINT, [*command, *words]) as url:
-        yield url
+    with _ended_by(signal.SIGINT, [*command, *words]) as url_and_process:
+        yield url_and_process
 
 
 @contextmanager
-def _ended_by(number: signal.Signals, command: list[str]) -> Iterator[str]:
-    """A process for as long as it is needed; the first line that it prints."""
+def _ended_by(number: signal.Signals, command: list[str]) -> Iterator[tuple[str, int]]:
+    """A process for as long as it is needed: the first line that it prints, and its id."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         try:
-            yield process.stdout.readline().strip()
+            yield process.stdout.readline().strip(), process.pid
         finally:
             process.send_signal(number)
 
@@ -154,12 +169,14 @@ def _endpoint(device: str, api: str, role: str) -> Any:
 
 
 @contextmanager
-def _robot(kind: str) -> Iterator[Callable[[], object]]:
-    with _simulated("robot", *(("--tcp", "0") if kind == "tcp" else ("--pty",))) as url:
+def _robot(kind: str) -> Iterator[tuple[Callable[[], object], int]]:
+    """A call to a simulated robot, and the id of the robot's process."""
+    words = ("--tcp", "0") if kind == "tcp" else ("--pty",)
+    with _simulated("robot", *words) as (url, process):
         bridge = _bridge(robot={"url": url})
         echo = _endpoint("robot", "echo", "service")
         bridge.describe(echo)
-        yield lambda: bridge.call(echo, {"text": TEXT})
+        yield lambda: bridge.call(echo, {"text": TEXT}), process
         bridge.close()
 
 
@@ -252,7 +269,7 @@ def _feed(device: int, frame: bytes, stop: threading.Event) -> None:
 
 
 def _soak(minutes: float) -> int:
-    with _simulated("oximeter", "--pty") as url:
+    with _simulated("oximeter", "--pty") as (url, _):
         bridge = _bridge(clip={"driver": "contec-cms50dplus", "url": url})
         endpoint = _endpoint("clip", "pulseOximetry", "output")
         got: list[float] = []

@@ -220,17 +220,18 @@ class Bridge(ABC):
         call = CallUnderWay(number)
 
         def begin() -> Message:
-            with self._pending_calls.begun(call):
+            outer = self._pending_calls.begin(call)
+            try:
                 return self._call(endpoint, structures, message, timeout)
+            finally:
+                self._pending_calls.end(call, outer)
 
-        with translated(f"bridge {self.name!r}: looking at {endpoint}"):
-            keeps_time = self._keeps_time(endpoint)
         return self._step(
             f"calling {endpoint}",
             timeout,
             begin,
             on_give_up=lambda: self._pending_calls.cancel(call),
-            keeps_time=keeps_time,
+            keeps_time=lambda: self._keeps_time(endpoint),
         )
 
     @final
@@ -462,7 +463,7 @@ class Bridge(ABC):
         on_late: Callable[[T], None] | None = None,
         on_give_up: Callable[[], object] | None = None,
         *,
-        keeps_time: bool = False,
+        keeps_time: Callable[[], bool] | None = None,
     ) -> T:
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
@@ -474,7 +475,7 @@ class Bridge(ABC):
                 action,
                 on_late=on_late,
                 on_give_up=on_give_up,
-                keeps_time=keeps_time,
+                keeps_time=keeps_time is not None and keeps_time(),
             )
 
     def _opened(
@@ -497,7 +498,7 @@ class Bridge(ABC):
         def put_away(channel: Channel) -> None:
             _put_away(channel, on_late)
 
-        channel = self._step(what, timeout, opened, on_late=put_away, keeps_time=is_quick)
+        channel = self._step(what, timeout, opened, on_late=put_away, keeps_time=lambda: is_quick)
         return self._adopt(kind, what, channel, on_late)
 
     def _adopt(

@@ -42,16 +42,12 @@ class CallsUnderWay:
         self._early: dict[int, None] = {}
         self._here = _Here()
 
-    def begun(self, call: CallUnderWay) -> _Begun:
-        """Have a call listed for the length of a block, in the thread that makes it.
+    def begin(self, call: CallUnderWay) -> CallUnderWay | None:
+        """List a call in this thread; return the one that this thread is in already.
 
         Raises:
-            BridgeError: as the block is entered: it was cancelled before, and does not begin.
+            BridgeError: it was cancelled before, and does not begin.
         """
-        return _Begun(self, call)
-
-    def begin(self, call: CallUnderWay) -> CallUnderWay | None:
-        """List a call in this thread; return the one that this thread is in already."""
         with self._lock:
             if call.is_cancelled or call.number in self._early:
                 text = "the call was cancelled before it began"
@@ -101,19 +97,3 @@ class CallsUnderWay:
         with self._lock:
             call.is_cancelled, way = True, call.cancel
         return way is not None and way() is not False
-
-
-class _Begun:
-    """A block in which a call is listed; a class, since each call enters one."""
-
-    __slots__ = ("_call", "_calls", "_outer")
-
-    def __init__(self, calls: CallsUnderWay, call: CallUnderWay) -> None:
-        self._calls = calls
-        self._call = call
-
-    def __enter__(self) -> None:
-        self._outer = self._calls.begin(self._call)
-
-    def __exit__(self, *raised: object) -> None:
-        self._calls.end(self._call, self._outer)

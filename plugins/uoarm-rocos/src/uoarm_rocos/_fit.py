@@ -24,6 +24,7 @@ from uoarm_rocos._fields import (
 __all__ = ["fit"]
 
 _SHOWN = 40
+_OBJECT = (dict, Mapping)  # a dict is told without the slow check of an abstract class
 
 
 def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
@@ -36,7 +37,7 @@ def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
         WireError: with the path of the first field that does not fit, what was expected and what
             came.
     """
-    if not isinstance(message, Mapping):
+    if not isinstance(message, _OBJECT):
         raise _wrong(where, "an object", message)
     for name in message:
         if name not in fields:
@@ -45,7 +46,8 @@ def fit(fields: Fields, message: object, where: str) -> dict[str, Any]:
     values = {}
     for name, member in fields.items():
         if name in message:
-            values[name] = _fit(member.type, message[name], f"{where}.{name}")
+            kind = member.type
+            values[name] = _FITTERS[type(kind)](kind, message[name], f"{where}.{name}")
         elif member.required:
             raise WireError(f"{where}: the field {name!r} is missing")
     return values

@@ -61,21 +61,27 @@ class LengthFramer:
         Raises:
             WireError: a length is 0 or beyond the limit.
         """
-        self._buffer += data
-        found, start = [], 0
-        while len(self._buffer) - start >= _LENGTH:
-            size = int.from_bytes(self._buffer[start : start + _LENGTH], "big")
+        kept = self._buffer
+        if kept:
+            kept += data
+        came = kept or data  # most often the one message that is there: nothing is kept of it
+        found, start, there = [], 0, len(came)
+        while there - start >= _LENGTH:
+            size = int.from_bytes(came[start : start + _LENGTH], "big")
             if not 0 < size <= self._limit:
                 raise WireError(
                     f"a frame says it has {size:,} octets, expected 1 to {self._limit:,}: this is "
                     "not the profile over TCP, or the stream is damaged"
                 )
             end = start + _LENGTH + size
-            if len(self._buffer) < end:
+            if there < end:
                 break
-            found.append(bytes(self._buffer[start + _LENGTH : end]))
+            found.append(bytes(came[start + _LENGTH : end]))
             start = end
-        del self._buffer[:start]
+        if kept:
+            del kept[:start]
+        elif start < there:
+            kept += data[start:]
         return found
 
 

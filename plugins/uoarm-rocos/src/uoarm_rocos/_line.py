@@ -189,12 +189,12 @@ class Line:
         assert transport is not None, "closed only by who has the turn"
         until = min(until, time.monotonic() + TICK_SECONDS)
         try:
-            while not is_over():
-                if self._is_wanted or self._stop.is_set() or time.monotonic() >= until:
-                    return
+            while not self._is_wanted and not self._stop.is_set():
                 data = transport.read()
                 if data:
                     self._user.received(data)
+                if is_over() or time.monotonic() >= until:
+                    return
         except BridgeError as error:
             self._broken = str(error)  # the line's thread does the rest
         except BaseException as error:  # what was read is lost, whatever it is

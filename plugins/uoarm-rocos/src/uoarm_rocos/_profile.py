@@ -217,6 +217,8 @@ class ProfileDevice(Device):
             flow.tick(now)
 
     def _await_ready(self, timeout: float) -> None:
+        if self._ready and not self._closed:
+            return  # without the lock: it would not hold any longer with it
         with self._state:
             if not self._state.wait_for(lambda: self._ready or self._closed, timeout):
                 text = f"{self.name} is not there after {timeout:g} s: {self._cause}"
@@ -226,7 +228,7 @@ class ProfileDevice(Device):
 
     def _check_same(self, api: Api) -> None:
         now = self._known.apis.get(api.name) if self._known else None
-        if now == api:
+        if now is api or now == api:
             return
         both = [Catalogue("", {api.name: one} if one else {}) for one in (api, now)]
         found = differences(*both).get(api.name)

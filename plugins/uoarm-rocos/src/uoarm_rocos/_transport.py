@@ -19,6 +19,8 @@ TICK_SECONDS = 0.05
 _WRITE_SECONDS = 2.0
 _MOST = 65_536
 _DEFAULT_BAUD = 115_200
+# What sockets and ports raise; pyserial TypeError when a port is closed under a read.
+_TROUBLE = (OSError, ValueError, TypeError, NotImplementedError)
 
 
 @frozen
@@ -91,21 +93,25 @@ class TcpTransport(Transport):
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` seconds."""
-        with _told(f"tcp://{self._address[0]}:{self._address[1]}"):
+        try:
             self._reader = socket.create_connection(self._address, timeout)
             self._reader.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._writer = self._reader.dup()
             self._reader.settimeout(TICK_SECONDS)
             self._writer.settimeout(_WRITE_SECONDS)
+        except _TROUBLE as error:
+            where = f"tcp://{self._address[0]}:{self._address[1]}"
+            raise _line_error(where, error) from error
 
     def read(self) -> bytes:
         """Return what has arrived."""
         assert self._reader is not None
-        with _told("reading from TCP"):
-            try:
-                data = self._reader.recv(_MOST)
-            except TimeoutError:
-                return b""
+        try:
+            data = self._reader.recv(_MOST)
+        except TimeoutError:
+            return b""
+        except _TROUBLE as error:
+            raise _line_error("reading from TCP", error) from error
         if not data:
             raise LineError("the device closed the connection")
         return data
@@ -113,8 +119,10 @@ class TcpTransport(Transport):
     def write(self, data: bytes) -> None:
         """Send octets."""
         assert self._writer is not None
-        with _told("writing to TCP"):
+        try:
             self._writer.sendall(data)
+        except _TROUBLE as error:
+            raise _line_error("writing to TCP", error) from error
 
     def descriptor(self) -> int | None:
         """Return the socket's."""
@@ -150,7 +158,7 @@ class SerialTransport(Transport):
         """Open the port; `timeout` is the concern of pyserial, which has limits of its own."""
         del timeout
         settings = self._settings
-        with _told(self._url):
+        try:
             self._port = serial.serial_for_url(
                 self._url,
                 baudrate=settings.baud,
@@ -162,20 +170,26 @@ class SerialTransport(Transport):
                 write_timeout=None if self._url.startswith("rfc2217:") else _WRITE_SECONDS,
                 exclusive=True,
             )
+        except _TROUBLE as error:
+            raise _line_error(self._url, error) from error
 
     def read(self) -> bytes:
         """Return what has arrived."""
         assert self._port is not None
-        with _told(f"reading from {self._url}"):
+        try:
             first = bytes(self._port.read(1))
             waiting = min(self._port.in_waiting, _MOST) if first else 0
             return first + bytes(self._port.read(waiting)) if waiting else first
+        except _TROUBLE as error:
+            raise _line_error(f"reading from {self._url}", error) from error
 
     def write(self, data: bytes) -> None:
         """Send octets."""
         assert self._port is not None
-        with _told(f"writing to {self._url}"):
+        try:
             self._port.write(data)
+        except _TROUBLE as error:
+            raise _line_error(f"writing to {self._url}", error) from error
 
     def descriptor(self) -> int | None:
         """Return the port's; None where it has none."""
@@ -212,27 +226,13 @@ def transport_for(url: str, settings: LineSettings) -> Callable[[], Transport]:
 
 def _write_now(descriptor: int, data: bytes, what: str) -> int:
     """Write to what was made non-blocking: sockets with a limit are, and the ports of pyserial."""
-    with _told(what):
-        try:
-            return os.write(descriptor, data)
-        except BlockingIOError:
-            return 0
+    try:
+        return os.write(descriptor, data)
+    except BlockingIOError:
+        return 0
+    except _TROUBLE as error:
+        raise _line_error(what, error) from error
 
 
-class _told:  # noqa: N801 - read as a block's beginning, as those of contextlib are
-    """Turns what a line raises into a LineError; a class, since each read and write enters one."""
-
-    __slots__ = ("_what",)
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
-    ) -> None:
-        # pyserial raises TypeError when the port is closed under a read.
-        if isinstance(error, OSError | ValueError | TypeError | NotImplementedError):
-            raise LineError(f"{self._what}: {type(error).__name__}: {error}") from error
+def _line_error(what: str, error: Exception) -> LineError:
+    return LineError(f"{what}: {type(error).__name__}: {error}")

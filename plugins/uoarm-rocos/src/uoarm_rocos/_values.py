@@ -29,6 +29,7 @@ __all__ = [
 _WHOLE = re.compile(r"-?[0-9]{1,20}", re.ASCII)
 _REAL = re.compile(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+\-]?[0-9]{1,4})?", re.ASCII)
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_UNLIKE_ATTRIBUTE = re.compile('[&<"\x00-\x1f\ud800-\udfff\ufffe\uffff]')
 _UNLIKE_XML = re.compile("[&<>\x00-\x08\x0b-\x1f\ud800-\udfff\ufffe\uffff]")
 _SPECIAL = {"NaN": math.nan, "INF": math.inf, "-INF": -math.inf}
 _TEXT = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", "\r": "&#13;"})
@@ -57,6 +58,8 @@ def attribute(value: str) -> str:
     Raises:
         WireError: XML cannot hold one of its characters.
     """
+    if not _UNLIKE_ATTRIBUTE.search(value):
+        return value
     _check(value)
     return value.translate(_ATTRIBUTE)
 
@@ -174,16 +177,18 @@ def _name(name: str) -> str:
 def _write(name: str, value: Any, path: str, depth: int) -> str:
     if depth >= _DEPTH:
         raise WireError(f"{path[:_SHOWN]}...: values stand {_DEPTH} deep inside each other")
+    if isinstance(value, str):
+        if not _UNLIKE_XML.search(value):
+            return f"<string{name}>{value}</string>"
+        return _odd_string(name, value, path)
+    if isinstance(value, float):
+        return f"<number{name}>{real(value)}</number>"
     if isinstance(value, bool):
         return f"<boolean{name}>{'true' if value else 'false'}</boolean>"
     if isinstance(value, int):
         if abs(value) >= _TWENTY_DIGITS:
             raise WireError(f"{path}: an integer has more than 20 digits")
         return f"<integer{name}>{value}</integer>"
-    if isinstance(value, float):
-        return f"<number{name}>{real(value)}</number>"
-    if isinstance(value, str):
-        return _string(name, value, path)
     if isinstance(value, bytes | bytearray | memoryview):
         return f"<octets{name}>{base64.b64encode(value).decode()}</octets>"
     if isinstance(value, Mapping):
@@ -195,10 +200,8 @@ def _write(name: str, value: Any, path: str, depth: int) -> str:
     raise WireError(f"{path}: a {type(value).__name__} cannot be sent: {str(value)[:_SHOWN]}")
 
 
-def _string(name: str, value: str, path: str) -> str:
-    """Write text as it is, or as base64 of its UTF-8 where XML cannot hold it."""
-    if not _UNLIKE_XML.search(value):
-        return f"<string{name}>{value}</string>"
+def _odd_string(name: str, value: str, path: str) -> str:
+    """Write text escaped, or as base64 of its UTF-8 where XML cannot hold it."""
     if not _FORBIDDEN.search(value):
         return f"<string{name}>{value.translate(_TEXT)}</string>"
     try:

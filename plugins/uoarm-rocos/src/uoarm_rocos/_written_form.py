@@ -96,7 +96,11 @@ class WrittenForm:
         values: dict[str, Any] = {}
         inside: dict[str, Any] | list[Any] = values
         outer: list[tuple[str, dict[str, Any] | list[Any]]] = []
-        while (found := match(text, start)) is not None:
+        stop = len(text) - len(end)
+        while start < stop:
+            found = match(text, start, stop)
+            if found is None:
+                return None
             start = found.end()
             tag, name, written, opened, opened_name, closed = found.groups()
             if closed is not None:
@@ -110,27 +114,22 @@ class WrittenForm:
                 value = read[tag](written)
             else:
                 value, name = ({} if opened == "struct" else []), opened_name
-            if left < 0 or not _put(inside, name, value):
+            if left < 0:
                 return None
+            if name is None:
+                if not isinstance(inside, list):
+                    return None
+                inside.append(value)
+            elif isinstance(inside, list) or name in inside:
+                return None
+            else:
+                inside[name] = value
             if tag is None:
                 outer.append((opened, inside))
                 inside = value
                 if len(outer) + 2 > self._limits.depth:
                     return None
-        return (
-            values if not outer and start + len(end) == len(text) and text.endswith(end) else None
-        )
-
-
-def _put(inside: dict[str, Any] | list[Any], name: str | None, value: Any) -> bool:
-    """Put a value into what holds it; False where it must have a name, or must not."""
-    if isinstance(inside, list):
-        inside.append(value)
-        return name is None
-    if name is None or name in inside:
-        return False
-    inside[name] = value
-    return True
+        return values if not outer and start == stop and text.endswith(end) else None
 
 
 def _heartbeat(text: str) -> Heartbeat | None:

@@ -132,7 +132,7 @@ class TcpEnd(End):
         self._host = self._server.accept()[0]
         self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._writer = self._host.dup()
-        self._writer.settimeout(_WRITE_SECONDS)
+        self._writer.setblocking(False)
         return True
 
     def read(self, timeout: float) -> bytes | None:
@@ -157,9 +157,20 @@ class TcpEnd(End):
         """Send octets; a host that does not take them is cut off."""
         if self._writer is not None:
             try:
-                self._writer.sendall(data)
+                self._send(self._writer, data)
             except OSError:
                 self.cut()
+
+    @staticmethod
+    def _send(writer: socket.socket, data: bytes) -> None:
+        """Send at once what the host takes at once, as most of it is."""
+        sent = 0
+        with suppress(BlockingIOError):
+            sent = writer.send(data)
+        if sent < len(data):
+            writer.settimeout(_WRITE_SECONDS)
+            writer.sendall(data[sent:])
+            writer.setblocking(False)
 
     def cut(self) -> None:
         """Close the host's connection."""
