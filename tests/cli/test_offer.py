@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
+from tests.cli.terminal import on_a_terminal
 
 from uoarm.cli import main
 
@@ -85,3 +88,23 @@ def test_a_file_without_offers_is_no_use(tmp_path: Path) -> None:
     code, output = told(tmp_path, "")
     assert code == 3
     assert "has no `offer:`" in output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_fails_is_told_once_on_a_terminal_and_ending_it_is_no_failure(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    offers = (
+        "offer: {python: {count: {output: {endpoint: ['parts:take']}},"
+        " text: {output: {endpoint: ['parts:narrow']}}}}\n"
+    )
+    other = (
+        "  text: {components: [{name: few, bridge: python, output: {endpoint: ['parts:few']}}]}\n"
+    )
+    (tmp_path / "robot.yaml").write_text(ROBOT.format(other + offers))
+    seen = on_a_terminal(["offer"], tmp_path, interrupt_at="python:text ", number=number, width=200)
+    assert seen.code == 0, seen.text
+    assert "interrupted" not in seen.text
+    assert "python:count" in seen.text
+    assert seen.text.count("python:text failed") == 1, seen.text

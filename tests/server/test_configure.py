@@ -195,6 +195,7 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     path.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")
     done = apply(guarded, path)
     assert (done.exit_code, "funktions" in done.output) == (3, True)
+    assert f"{path}:2:1: $.funktions: " in done.output, "the places in it are those of this file"
     assert apply(guarded, tmp_path / "none.yaml").exit_code == 3
     gone = ["apply", str(path), "--url", "ws://127.0.0.1:1/"]
     assert CliRunner().invoke(main, gone).exit_code == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,6 +18,7 @@ from uoarm.cli._shared import json_option, reporting
 __all__ = ["apply", "history"]
 
 _MOST_OCTETS = 1_000_000
+_PLACE = re.compile(r"^.*?:(\d+:\d+: \$)", re.MULTILINE)
 
 
 @click.command()
@@ -50,11 +52,16 @@ def apply(
     text = _text(file) if rollback is None else ""
 
     async def change_it(robot: Any) -> Mapping[str, Any]:
-        change: Mapping[str, Any] = (
-            await robot.configure(text, **how, reload_code=reload_code)
-            if rollback is None
-            else await robot.rollback(rollback, **how)
-        )
+        try:
+            change: Mapping[str, Any] = (
+                await robot.configure(text, **how, reload_code=reload_code)
+                if rollback is None
+                else await robot.rollback(rollback, **how)
+            )
+        except errors.ConfigurationError as error:
+            # The server took the text for that of its own file: the places in it are of this one.
+            told = _PLACE.sub(lambda one: f"{file}:{one[1]}", str(error))
+            raise errors.ConfigurationError(told) from error
         return change
 
     change = asked(server, change_it)

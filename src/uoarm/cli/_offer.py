@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import click
 
+from uoarm import RobotManager
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
@@ -36,25 +40,56 @@ def offer(file: str, *, as_json: bool, once: bool) -> None:
     One line for each offer, and for each change after that. What cannot be opened is tried again.
     With --once the exit code is 4 where one could not be opened.
     """
-    with open_robot(file) as robot:
+    with _without_record_of_offers(), open_robot(file) as robot:
         if not robot.config.offers:
             fail(f"{file} has no `offer:`", CONFIGURATION)
         statuses = robot.offer()
-        for status in statuses:
-            click.echo(json.dumps(to_json(status)) if as_json else _line(status))
-        if not once:
-            over = threading.Event()
-
-            def heard(event: StatusEvent) -> None:
-                _tell(event, as_json=as_json)
-                if _is_over(robot.status().offers):
-                    over.set()
-
-            robot.listen(heard)
-            if not _is_over(robot.status().offers):  # before anybody listened
-                over.wait()
+        try:
+            for status in statuses:
+                click.echo(json.dumps(to_json(status)) if as_json else _line(status))
+            if not once:
+                _follow(robot, statuses, as_json=as_json)
+        except (KeyboardInterrupt, SystemExit):  # Ctrl-C and SIGTERM are how offering ends
+            if once:
+                raise
+            sys.exit(0)
     if any(status.state not in _FINE for status in statuses):
         sys.exit(BRIDGE)
+
+
+def _follow(robot: RobotManager, statuses: tuple[OfferStatus, ...], *, as_json: bool) -> None:
+    """Tell each change since these were told, until the sources of all have finished."""
+    over = threading.Event()
+    told = {f"offer {one.name}": (one.state.value, one.cause) for one in statuses}
+
+    def heard(event: StatusEvent) -> None:
+        # What was told may come as an event only now.
+        if event.subject.startswith("offer ") and told.pop(event.subject, None) != (
+            event.change,
+            event.cause,
+        ):
+            click.echo(json.dumps(to_json(event)) if as_json else event)
+        if _is_over(robot.status().offers):
+            over.set()
+
+    robot.listen(heard)
+    if not _is_over(robot.status().offers):  # before anybody listened
+        over.wait()
+
+
+@contextmanager
+def _without_record_of_offers() -> Iterator[None]:
+    """Leave out of the log what is told on stdout: a terminal would show it twice."""
+
+    def is_other(record: logging.LogRecord) -> bool:
+        return not record.getMessage().startswith("offer ")
+
+    log = logging.getLogger("uoarm")
+    log.addFilter(is_other)
+    try:
+        yield
+    finally:
+        log.removeFilter(is_other)
 
 
 def _line(status: OfferStatus) -> str:
@@ -65,8 +100,3 @@ def _line(status: OfferStatus) -> str:
 
 def _is_over(statuses: tuple[OfferStatus, ...]) -> bool:
     return all(status.state is OfferState.FINISHED for status in statuses)
-
-
-def _tell(event: StatusEvent, *, as_json: bool) -> None:
-    if event.subject.startswith("offer "):
-        click.echo(json.dumps(to_json(event)) if as_json else event)
