@@ -33,12 +33,19 @@ from uoarm.model._component import (
 from uoarm.model._control import ControlMessage, Op
 from uoarm.model._control_wire import read_control, write_control
 from uoarm.model._discovery import BridgeFindings, FoundComponent, FoundPort
-from uoarm.model._explain import tell_reason, tell_rejections, tell_status
 from uoarm.model._json_scan import scan_json
 from uoarm.model._listening import Listening, place_problem
 from uoarm.model._octets import message_octets
 from uoarm.model._offer import Offer, OfferedPort, OfferedService, OfferState, OfferStatus
-from uoarm.model._plan import Edge, Plan, Reason, Rejection, Step
+from uoarm.model._plan import (
+    Edge,
+    Plan,
+    Reason,
+    Rejection,
+    Step,
+    tell_reason,
+    tell_rejections,
+)
 from uoarm.model._queue import OverflowPolicy, QueuePolicy, ValidationMode
 from uoarm.model._robot import BridgeSpec, FailoverPolicy, FailureLimits, LockMode, Robot
 from uoarm.model._show import show_value
@@ -56,6 +63,7 @@ from uoarm.model._status import (
     StatusEvent,
     StatusMap,
 )
+from uoarm.model._status_text import tell_status
 from uoarm.model._structure import MessageStructure
 from uoarm.model._values import Deliver, Message, Options, Schema
 from uoarm.model._wire import from_json, to_json

@@ -1,16 +1,20 @@
-"""The immutable result of resolving one request."""
+"""The immutable result of resolving one request, and its text that a person can act on."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 
 from attrs import field, frozen
 
 from uoarm.model._component import Component
-from uoarm.model._explain import tell_plan
 from uoarm.model._structure import MessageStructure
 
-__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step"]
+__all__ = ["Edge", "Plan", "Reason", "Rejection", "Step", "tell_reason", "tell_rejections"]
+
+_MAX_LINES = 200
+_MAX_EXAMPLE = 160
+_MAX_PATHS = 8
 
 
 @frozen
@@ -107,7 +111,65 @@ class Plan:
         return self.steps[-1]
 
     def __str__(self) -> str:
-        return tell_plan(self)
+        lines = [f"plan for {self.function}"]
+        for number, step in enumerate(self.steps, 1):
+            one = step.component
+            found = one.match
+            how = f"priority {one.priority}" if found is None else f"discovered: {found.told}"
+            lines.append(f"  {number}. {one.function}: {one.name} ({one.bridge}, {how})")
+        if self.edges:
+            lines.append("connections, all proven to fit")
+        for edge in self.edges:
+            how = " through a map" if edge.mapping is not None else ""
+            lines.append(f"  {edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}{how}")
+            lines.extend(f"      allowed loss: {loss}" for loss in edge.losses)
+            if edge.strict:
+                lines.append("      strict: both sides state what every number means")
+            if edge.unstated:
+                shown = [one or "the whole message" for one in edge.unstated[:_MAX_PATHS]]
+                more = len(edge.unstated) - len(shown)
+                rest = f" and {more} more" if more else ""
+                lines.append(f"      rests on shape alone: {', '.join(shown)}{rest}")
+        if self.rejected:
+            lines.append("passed over")
+            lines.append(tell_rejections(self.rejected))
+        lines.extend(f"note: {warning}" for warning in self.warnings)
+        return "\n".join(lines)
 
     def __repr__(self) -> str:
         return f"<Plan {self.function}: {' -> '.join(one.component.name for one in self.steps)}>"
+
+
+def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
+    """Return rejected candidates as an indented tree, cut at 200 lines."""
+    lines: list[str] = []
+    stack = [(rejection, 1) for rejection in reversed(rejections)]
+    while stack and len(lines) < _MAX_LINES:
+        rejection, depth = stack.pop()
+        indent = "  " * depth
+        rank = rejection.priority
+        how = "discovered" if rank is None else f"priority {rank}"
+        lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
+        for reason in rejection.reasons:
+            lines.extend(f"{indent}  {line}" for line in tell_reason(reason))
+        stack.extend((one, depth + 2) for one in reversed(rejection.because_of))
+    if stack:
+        lines.append(f"  ... and {len(stack)} more")
+    return "\n".join(lines) or "  it has no candidates"
+
+
+def tell_reason(reason: Reason) -> list[str]:
+    """Return one reason as lines of text, with what would mend it."""
+    where = f"{reason.path}: " if reason.path else ""
+    lines = [f"- {where}{reason.sentence}"]
+    if reason.producer:
+        lines.append(f"    may emit: {reason.producer}")
+    if reason.consumer:
+        lines.append(f"    takes:    {reason.consumer}")
+    if reason.example is not None:
+        text = json.dumps(reason.example, default=str)
+        lines.append(f"    example:  {text[:_MAX_EXAMPLE]}")
+    if reason.suggestion:
+        lines.append("    it would fit with:")
+        lines.extend(f"      {line}" for line in reason.suggestion.splitlines())
+    return lines

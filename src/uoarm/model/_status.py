@@ -7,8 +7,8 @@ from enum import Enum
 from attrs import asdict, frozen
 
 from uoarm.model._command import CommandStatus, FieldLimit, LeaseStatus
-from uoarm.model._explain import tell_status
 from uoarm.model._offer import OfferStatus
+from uoarm.model._status_text import tell_status
 
 __all__ = [
     "BridgeStatus",

@@ -1,22 +1,15 @@
-"""Plans, refusals and the status map as text that a person can act on."""
+"""The status map as text that a person can act on."""
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:  # these print themselves with what is here
-    from uoarm.model._plan import Plan, Reason, Rejection
+__all__ = ["tell_status"]
 
-__all__ = ["tell_plan", "tell_reason", "tell_rejections", "tell_status"]
-
-_MAX_LINES = 200
-_MAX_EXAMPLE = 160
-_MAX_PATHS = 8
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
     "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
@@ -39,68 +32,6 @@ _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "lock": ("component", "port", "refused", "times", "cause"),
 }
 _OFTEN_NONE = frozenset({"machines", "channels", "commands", "offers", "lock"})
-
-
-def tell_plan(plan: Plan) -> str:
-    """Return a plan as text: what will run, how it is connected, what was passed over."""
-    lines = [f"plan for {plan.function}"]
-    for number, step in enumerate(plan.steps, 1):
-        one = step.component
-        how = f"priority {one.priority}" if one.match is None else f"discovered: {one.match.told}"
-        lines.append(f"  {number}. {one.function}: {one.name} ({one.bridge}, {how})")
-    if plan.edges:
-        lines.append("connections, all proven to fit")
-    for edge in plan.edges:
-        how = " through a map" if edge.mapping is not None else ""
-        lines.append(f"  {edge.producer}.{edge.output} -> {edge.consumer}.{edge.input}{how}")
-        lines.extend(f"      allowed loss: {loss}" for loss in edge.losses)
-        if edge.strict:
-            lines.append("      strict: both sides state what every number means")
-        if edge.unstated:
-            shown = [one or "the whole message" for one in edge.unstated[:_MAX_PATHS]]
-            more = len(edge.unstated) - len(shown)
-            rest = f" and {more} more" if more else ""
-            lines.append(f"      rests on shape alone: {', '.join(shown)}{rest}")
-    if plan.rejected:
-        lines.append("passed over")
-        lines.append(tell_rejections(plan.rejected))
-    lines.extend(f"note: {warning}" for warning in plan.warnings)
-    return "\n".join(lines)
-
-
-def tell_rejections(rejections: tuple[Rejection, ...]) -> str:
-    """Return rejected candidates as an indented tree, cut at 200 lines."""
-    lines: list[str] = []
-    stack = [(rejection, 1) for rejection in reversed(rejections)]
-    while stack and len(lines) < _MAX_LINES:
-        rejection, depth = stack.pop()
-        indent = "  " * depth
-        rank = rejection.priority
-        how = "discovered" if rank is None else f"priority {rank}"
-        lines.append(f"{indent}{rejection.function}: {rejection.component} ({how})")
-        for reason in rejection.reasons:
-            lines.extend(f"{indent}  {line}" for line in tell_reason(reason))
-        stack.extend((one, depth + 2) for one in reversed(rejection.because_of))
-    if stack:
-        lines.append(f"  ... and {len(stack)} more")
-    return "\n".join(lines) or "  it has no candidates"
-
-
-def tell_reason(reason: Reason) -> list[str]:
-    """Return one reason as lines of text, with what would mend it."""
-    where = f"{reason.path}: " if reason.path else ""
-    lines = [f"- {where}{reason.sentence}"]
-    if reason.producer:
-        lines.append(f"    may emit: {reason.producer}")
-    if reason.consumer:
-        lines.append(f"    takes:    {reason.consumer}")
-    if reason.example is not None:
-        text = json.dumps(reason.example, default=str)
-        lines.append(f"    example:  {text[:_MAX_EXAMPLE]}")
-    if reason.suggestion:
-        lines.append("    it would fit with:")
-        lines.extend(f"      {line}" for line in reason.suggestion.splitlines())
-    return lines
 
 
 def tell_status(status: Mapping[str, Any], width: int | None = None) -> str:
