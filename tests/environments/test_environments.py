@@ -62,6 +62,17 @@ def test_a_project_given_by_its_path_stands_for_the_plugin() -> None:
     assert wanted[1:] == ("plugins/uoarm-absent[jazzy]", "more")
 
 
+@pytest.mark.parametrize("more", ["plugins/uoarm-absent", "./uoarm-absent[dev,jazzyx]"])
+def test_a_version_that_nothing_would_install_is_refused(more: str) -> None:
+    with pytest.raises(PluginError, match=r"does not ask for 'jazzy': expected \[jazzy\] after"):
+        environments.requirements("absent", "jazzy", (more,))
+    assert environments.requirements("absent", None, (more,))[1:] == (more,)
+    both = "./uoarm-absent[dev, jazzy]"
+    assert environments.requirements("absent", "jazzy", (both,))[1:] == (both,)
+    with pytest.raises(PluginError, match="the plugin python has no middleware"):
+        environments.requirements("python", "jazzy")
+
+
 @pytest.mark.parametrize(
     ("more", "stands"),
     [

@@ -31,16 +31,24 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
         more: requirements to add, as pip reads them; a path of a project stands for itself.
 
     Raises:
-        PluginError: the plugin is installed here, and says that it has no such version.
+        PluginError: the plugin is installed here, and says that it has no such version; or it is
+            among the further requirements without its version, which nothing would install.
     """
     ours = _requirement(installed(_CORE), _CORE, "hosts")
     point = next((one for one in entry_points(group=_GROUP) if one.name == plugin), None)
     provider = None if point is None else point.dist
     if provider is not None and provider.name == _CORE:
+        if version is not None:
+            raise PluginError(f"the plugin {plugin} has no middleware: leave {version!r} out")
         return (ours, *more)
     if provider is not None and version is not None:
         _require_extra(provider, version)
-    if provider is None and any(_names(one, f"uoarm-{plugin}") for one in more):
+    given = [one for one in more if _names(one, f"uoarm-{plugin}")] if provider is None else []
+    if given:
+        asks = re.compile(rf"\[([^\]]*,)?\s*{re.escape(version or '')}\s*[,\]]")
+        if version is not None and not any(map(asks.search, given)):
+            told = f"{given[0]} stands for the plugin, and does not ask for {version!r}"
+            raise PluginError(f"{told}: expected [{version}] after its name or path")
         return (ours, *more)
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
 
