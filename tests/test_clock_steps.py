@@ -11,6 +11,7 @@ from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
+from tests.harness._needs import NEEDS
 from tests.server.talk import Talk, eventually
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -18,12 +19,8 @@ from uoarm.server import hash_token
 from uoarm.testing import patience
 
 pytest.importorskip("zenoh", reason="hosts need zenoh")
-LIBRARIES = [
-    *Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"),
-    *Path("/usr/lib").glob("faketime/libfaketimeMT.so.1"),
-]
 pytestmark = [
-    pytest.mark.skipif(not LIBRARIES, reason="libfaketime is not installed"),
+    pytest.mark.needs("faketime"),
     pytest.mark.skipif(
         sys.version_info < (3, 11), reason="CPython 3.10 waits by the clock that can be set"
     ),
@@ -72,7 +69,7 @@ def port(tmp_path: Path, clock: Path) -> Iterator[int]:
     access = ACCESS.format(end=end.strftime("%Y-%m-%dT%H:%M:%SZ"), **hashes)
     (tmp_path / "access.yaml").write_text(access)
     variables = {
-        "LD_PRELOAD": str(LIBRARIES[0]),
+        "LD_PRELOAD": str(NEEDS["faketime"].found[0]),
         "FAKETIME_TIMESTAMP_FILE": str(clock),
         "FAKETIME_NO_CACHE": "1",
         "FAKETIME_DONT_FAKE_MONOTONIC": "1",

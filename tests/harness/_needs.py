@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 from attrs import field, frozen
@@ -23,6 +24,7 @@ class Need:
     Attributes:
         programs: of which one must be on the PATH.
         packages: Python modules that must all be importable.
+        files: patterns of paths below the root folder, of which one must match.
         get: how to get it.
         systems: where it exists at all, as system and machine; everywhere when empty.
     """
@@ -30,6 +32,7 @@ class Need:
     get: str
     programs: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
     systems: frozenset[tuple[str, str]] = field(default=frozenset())
 
     @property
@@ -38,11 +41,18 @@ class Need:
         return not self.systems or (platform.system(), platform.machine()) in self.systems
 
     @property
+    def found(self) -> list[Path]:
+        """Return the files that match."""
+        return [path for pattern in self.files for path in Path("/").glob(pattern)]
+
+    @property
     def lacking(self) -> str:
         """Return what of it is not here; empty when nothing is missing."""
         gone = [name for name in self.packages if find_spec(name) is None]
         if self.programs and not any(map(shutil.which, self.programs)):
             gone.append(self.programs[0])
+        if self.files and not self.found:
+            gone.append(Path(self.files[0]).name)
         return ", ".join(gone)
 
 
@@ -81,6 +91,13 @@ NEEDS = {
     ),
     "node": Need("Node.js 20.10 or later: apt install nodejs", programs=("node",)),
     "npm": Need("apt install npm", programs=("npm",)),
+    "faketime": Need(
+        "apt install libfaketime",
+        files=(
+            "usr/lib/*/faketime/libfaketimeMT.so.1",
+            "usr/lib/faketime/libfaketimeMT.so.1",
+        ),
+    ),
     "festival": Need("apt install festival festvox-kallpc16k", programs=("text2wave",)),
 }
 HEALTHBOT = ("ros2", "rtm", "rocos", "records", "vision")

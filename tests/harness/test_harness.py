@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -325,6 +326,14 @@ def test_what_is_missing_is_a_skip_by_hand_and_a_failure_in_automation(
         def test_program():
             raise AssertionError
 
+        @pytest.mark.needs("here")
+        def test_what_is_here():
+            pass
+
+        @pytest.mark.needs("preloaded")
+        def test_library():
+            raise AssertionError
+
         @pytest.mark.needs("elsewhere")
         def test_another_machine():
             raise AssertionError
@@ -334,15 +343,31 @@ def test_what_is_missing_is_a_skip_by_hand_and_a_failure_in_automation(
 from tests.harness._needs import NEEDS, Need
 NEEDS["dream"] = Need("pip install dream", packages=("no_such_package",))
 NEEDS["engine"] = Need("apt install engine", programs=("no-such-program",))
+NEEDS["preloaded"] = Need("apt install library", files=("nowhere/*/a.so", "nowhere/a.so"))
+NEEDS["here"] = Need("apt install base-files", files=("nowhere/*", "*"))
 far = frozenset({("Multics", "GE-645")})
 NEEDS["elsewhere"] = Need("pip install it", packages=("no_such_package",), systems=far)
 """,
         **({"CI": "true"} if automatic else {}),
     )
-    found.assert_outcomes(skipped=2 if automatic else 3, errors=1 if automatic else 0)
+    found.assert_outcomes(skipped=3 if automatic else 4, passed=1, errors=1 if automatic else 0)
     found.stdout.fnmatch_lines(["*needs no_such_package: pip install dream*"])
     found.stdout.fnmatch_lines(["*needs no-such-program: apt install engine*"])
+    found.stdout.fnmatch_lines(["*needs a.so: apt install library*"])
     found.stdout.fnmatch_lines(["*no_such_package: not there for *"])
+
+
+@pytest.mark.parametrize("page", [".ci/run", "CONTRIBUTING.md"])
+def test_what_is_to_be_had_from_debian_is_installed_and_named(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    wanted = {
+        package
+        for need in NEEDS.values()
+        if "apt install " in need.get
+        for package in need.get.partition("apt install ")[2].partition(",")[0].split()
+    }
+    assert "libfaketime" in wanted
+    assert {one for one in wanted if not re.search(rf"[`( ]{one}[`) ]", text)} == set()
 
 
 def test_there_are_more_workers_than_cores_unless_their_number_is_given(
