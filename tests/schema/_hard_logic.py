@@ -86,6 +86,8 @@ NEGATION = (
     yes("not maxItems", {"type": "array", "not": {"maxItems": 2}}, {"minItems": 3}),
     yes("not a record", {"not": OBJECT}, {"type": ["array", "string", "number", "boolean", "null"]}),
     yes("not an enum", {"type": "boolean", "not": {"enum": [True]}}, {"const": False}),
+    yes("the one record of an enum, behind a text", closed(a={"const": 1}), {"enum": ["a", {"a": 1}]}),
+    yes("the one list of an enum, behind a record", {"type": "array", "maxItems": 0}, {"enum": [{"a": 1}, []]}),
     yes("not additionalProperties", {"type": "object", "not": {"additionalProperties": False}}, {"minProperties": 1}),
     yes("a record that is not another", {**closed((), a=INTEGER), "not": {"required": ["a"]}}, {"const": {}}),
     yes("not a dependentRequired", {"type": "object", "not": {"dependentRequired": {"a": ["b"]}}}, {"required": ["a"], "properties": {"b": False}}),

@@ -69,6 +69,21 @@ MEANINGS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         },
         TEXT,
     ),
+    "draft 07: an identifier beside a reference, within": (
+        {
+            "$ref": "#/$defs/a",
+            "$defs": {
+                "a": {
+                    "$schema": DRAFT_7,
+                    "$id": "http://robots.example/a",
+                    "$ref": "#/$defs/b",
+                    "$defs": {"b": WHOLE},
+                },
+                "b": TEXT,
+            },
+        },
+        TEXT,
+    ),
     "draft 07: an anchor": (
         {"$schema": DRAFT_7, "items": {"$ref": "#a"}, "definitions": {"b": {"$id": "#a", **TEXT}}},
         {"items": TEXT},
