@@ -1,6 +1,7 @@
 """Who comes along with a connection that returns, where several are about to move at once.
 
-The states here are made by hand: two that move and share an input, each by a cause of its own, are rare.
+The states here are made by hand: two that move and share an input, each by a cause of its own, are
+rare.
 """
 
 from __future__ import annotations
