@@ -131,8 +131,12 @@ def test_a_link_that_stalls_for_a_moment_goes_on_and_counts_what_it_dropped(
     middlemen[0].go_on()
     seen = len(got)
     wait(lambda: len(got) > seen + 100)
-    lost = source.facts()["lost_on_link"]
-    assert isinstance(lost, int)
+
+    def missing() -> int:
+        so_far = list(got)
+        return so_far[-1] + 1 - len(so_far)
+
+    # It goes on sending, and where its process gets no time it may lose more just now.
+    wait(lambda: 0 < missing() == source.facts()["lost_on_link"])
     bridge.close()
     assert len(set(got)) == len(got)
-    assert got[-1] + 1 - len(got) == lost > 0
