@@ -71,11 +71,11 @@ class Route:
         "_closed",
         "_dropped",
         "_dropping",
-        "_give",
         "_hand",
         "_handed",
         "_loss",
         "_losses",
+        "_put",
         "_queue",
         "_queue_policy",
         "_records",
@@ -121,7 +121,7 @@ class Route:
         self.last_time: float | None = None
         self._dropped: dict[str, int] = {}
         self._dropping = threading.Lock()
-        self._hand = hand
+        self._hand: Deliver | None = hand
         self._transfer = transfer
         self.check = check
         self._watch = watch
@@ -136,7 +136,7 @@ class Route:
         self._queue_policy = queue
         self._queue: BoundedQueue[Message] | None = None  # from the first message on
         self._worker: threading.Thread | None = None
-        self._give: Deliver = self._hand_over if queue is None else self._queue_first
+        self._put: Deliver | None = None  # that of the queue
 
     def deliver(self, message: Message) -> None:
         """Take one message, in the thread in which it arrived. Never raises."""
@@ -152,7 +152,13 @@ class Route:
                 check(message)
             if self._transfer is not None:
                 message = self._transfer(message)
-            self._give(message)
+            put = self._put
+            if put is not None:
+                put(message)
+            elif self._queue_policy is None:
+                self._hand_over(message)
+            else:
+                self._queue_first(message)
         except Exception as error:  # noqa: BLE001 - whatever a consumer raises is counted here
             self._fail(error)
         if self._loss:
@@ -174,7 +180,8 @@ class Route:
 
     def drain(self, timeout: float) -> bool:
         """Wait until what is queued was handed over; False when time ran out."""
-        return self._queue is None or self._queue.drain(timeout)
+        queue = self._queue
+        return queue is None or queue.drain(timeout)
 
     @property
     def closed(self) -> bool:
@@ -185,14 +192,17 @@ class Route:
         """Hand over nothing more; what is queued is lost and counted. Waits for nothing."""
         with self._dropping:
             self._closed = True
-        if self._queue is not None:
-            self._queue.close(discard=True)
+            queue = self._queue
+        if queue is not None:
+            queue.close(discard=True)
 
     def close(self) -> None:
         """Stop, and wait a second at most for a message that the worker has in hand."""
         self.stop()
         if self._worker is not None and self._worker is not threading.current_thread():
             self._worker.join(_WORKER_SECONDS)
+        # They refer back to the route, which is to be gone with its last user.
+        self._hand = self._put = self._queue = None
 
     def status(self) -> RouteStatus:
         """Return the counters as they are now."""
@@ -224,17 +234,19 @@ class Route:
                     daemon=True,
                 )
                 self._worker.start()
-        if self._queue is None:
+            queue = self._queue
+        if queue is None:
             self.drop("closed")
             return
-        self._give = self._queue.put
-        self._queue.put(message)
+        self._put = queue.put
+        queue.put(message)
 
     def _hand_over(self, message: Message) -> None:
-        if self._closed:
+        hand = self._hand  # read first: it is there until the route is closed
+        if self._closed or hand is None:
             self.drop("closed")
             return
-        self._hand(message)
+        hand(message)
         self._handed += 1
         watch = self._watch
         if watch is not None and watch.component.is_alert:

@@ -123,8 +123,9 @@ class Channel:
         under way, since that may be what asked for the close. May go on calling `deliver`, which
         does nothing any more. May raise: the link counts as closed all the same.
         """
-        assert self._close_given is not None, "the constructor saw to that"
-        self._close_given()
+        close, self._close_given = self._close_given, None  # most of them know the channel
+        assert close is not None, "the constructor saw to that"
+        close()
 
 
 class Source(Channel):

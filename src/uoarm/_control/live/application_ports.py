@@ -35,6 +35,30 @@ _log = logging.getLogger("uoarm.commands")
 _LAST_SECONDS = 0.5
 
 
+@define(eq=False)
+class _Heard:
+    """The route that is heard, if there is one: what its messages come to is told to it.
+
+    Attributes:
+        on_raised: told what a callback of the application raised first.
+    """
+
+    on_raised: Callable[[str], None]
+    route: Route | None = None
+    _has_raised: bool = False
+
+    def raised(self, text: str) -> None:
+        if self.route is not None:
+            self.route.last_error = text
+        if not self._has_raised:
+            self._has_raised = True
+            self.on_raised(text)
+
+    def count_drop(self, reason: str) -> None:
+        if self.route is not None:
+            self.route.take_back(reason)
+
+
 class OutputReceiver:
     """The application's inbox, into which the route of one plan at a time delivers.
 
@@ -49,12 +73,10 @@ class OutputReceiver:
     """
 
     def __init__(self, queue: QueuePolicy, on_raised: Callable[[str], None]) -> None:
-        self.inbox = Inbox(queue, self._count_drop, self._raised)
-        self._on_raised = on_raised
-        self._has_raised = False
+        self._heard = _Heard(on_raised)
+        self.inbox = Inbox(queue, self._heard.count_drop, self._heard.raised)
         self.arrived = 0
         self.began = 0
-        self._heard: Route | None = None
 
     def route(
         self, provider: LiveComponent, output: str, user: str, mode: ValidationMode, clock: Clock
@@ -65,7 +87,7 @@ class OutputReceiver:
         """
 
         def arrive(message: Message) -> None:
-            if route is self._heard:
+            if route is self._heard.route:
                 self.arrived += 1
                 self.inbox.put(message)
             else:
@@ -78,20 +100,9 @@ class OutputReceiver:
 
     def hear(self, route: Route | None) -> None:
         """Let the messages of this route through from now on, and of no other."""
-        if route is not self._heard:
-            self._heard = route
+        if route is not self._heard.route:
+            self._heard.route = route
             self.began = self.arrived
-
-    def _raised(self, text: str) -> None:
-        if self._heard is not None:
-            self._heard.last_error = text
-        if not self._has_raised:
-            self._has_raised = True
-            self._on_raised(text)
-
-    def _count_drop(self, reason: str) -> None:
-        if self._heard is not None:
-            self._heard.take_back(reason)
 
 
 @frozen

@@ -27,7 +27,7 @@ class ConnectionRuntime:
         receiver: what the application reads.
         ports: where the application touches the plan that runs.
         losses: what is accounted for.
-        handle: the `Connection` that the application holds; None before it has it.
+        handle: the `Connection` that the application holds; None before it has it, and at its end.
         context: of its request, to which spans of other threads belong.
     """
 
@@ -47,6 +47,7 @@ class ConnectionRuntime:
         if is_over:
             killed = record.state is ConnectionState.CLOSED and not record.cause
             self.receiver.inbox.close(discard=killed)
+            self.handle = None  # which refers to this
 
     def routes(self) -> tuple[RouteStatus, ...]:
         """Return the counters of the routes that belong to this connection alone."""
