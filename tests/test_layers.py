@@ -19,6 +19,7 @@ ROOT = Path(uoarm.__file__).parent
 LAYERS = [
     {
         "errors",
+        "_interrupts",
         "_version",
         "_origin",
         "_raised",

@@ -431,8 +431,10 @@ class Bridge(ABC):
 
         May be overridden. Both are then done in the caller's thread, which saves changes of thread,
         and nobody gives them up: nothing in them may wait for the framework, nor for a lock that
-        somebody holds who does, nor run foreign code that may hang. They may still raise. Must
-        itself return at once.
+        somebody holds who does, nor run foreign code that may hang. They may still raise. Where
+        this is wrong, the caller of a request hangs with no limit; in the main thread Ctrl-C ends
+        that when it comes for the second time, as the first waits for the end of the request.
+        Must itself return at once.
         """
         del endpoint
         return False

@@ -2,7 +2,8 @@
 
 One thread at a time owns the state: whoever posts an event while nobody does. It works until no
 event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is quick and no
-event needs a thread of its own.
+event needs a thread of its own. Ctrl-C, which may be raised after any call in the main thread,
+waits until what that thread has begun is whole.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from uoarm._control.runtime.performer import Performer
 from uoarm._control.runtime.revisions import Revisions, StagedRevision
 from uoarm._control.runtime.timer import Timer
 from uoarm._dataplane import Clock
+from uoarm._interrupts import Uninterrupted
 from uoarm._resolve import keep_candidates
 from uoarm._spans import current, span
 from uoarm._workers import WorkerPool
@@ -95,8 +97,9 @@ class Executor:
 
     def post(self, event: ev.Event) -> None:
         """Take an event. Quick: what follows from it may be done later, in other threads."""
-        self._events.append(event)
-        self._work()
+        with Uninterrupted():
+            self._events.append(event)
+            self._work()
 
     def _work(self) -> None:
         # Whoever finds the state owned leaves its event to the owner, which looks once more after
@@ -127,18 +130,21 @@ class Executor:
     def _request(
         self, runtime: ConnectionRuntime, event: ev.Requested, step_name: str, timeout: float
     ) -> None:
-        self.live.runtimes[runtime.id] = runtime
-        self._lanes.reserve(event.waiter)
-        self.post(event)
         try:
-            if self._lanes.is_quick(event.waiter):  # sharing what is open costs no hop
-                self._lanes.drive(event.waiter)
-            else:
+            with Uninterrupted():
+                self.live.runtimes[runtime.id] = runtime
+                self._lanes.reserve(event.waiter)
+                self.post(event)
+                is_quick = self._lanes.is_quick(event.waiter)
+                if is_quick:  # sharing what is open costs no hop
+                    self._lanes.drive(event.waiter)
+            if not is_quick:
                 _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
         except BaseException as error:
-            self._lanes.abandon(event.waiter)
-            self.kill(runtime.id, str(error), is_failure=True)
-            self.live.runtimes.pop(runtime.id, None)
+            with Uninterrupted():
+                self._lanes.abandon(event.waiter)
+                self.kill(runtime.id, str(error) or type(error).__name__, is_failure=True)
+                self.live.runtimes.pop(runtime.id, None)
             raise
 
     def kill(self, identity: str, cause: str = "", *, is_failure: bool = False) -> None:
@@ -216,9 +222,10 @@ class Executor:
 
     def _ask(self, event: ev.Killed | ev.Stopped) -> None:
         """Post an event and do what follows from it in this thread, until it is done."""
-        self._lanes.reserve(event.waiter)
-        self.post(event)
-        self._lanes.drive(event.waiter)
+        with Uninterrupted():
+            self._lanes.reserve(event.waiter)
+            self.post(event)
+            self._lanes.drive(event.waiter)
 
     def report(self, event: HealthEvent, *, is_avoided: bool = False) -> None:
         """Take a change of health; one of a channel that was closed is no news."""
