@@ -1,11 +1,13 @@
 """A ROS 2 process that rosbridge servers are measured on: sources, an echo, a service.
 
-Sources publish only while somebody listens to them. Texts begin with their number and the time at
-which they left, in nanoseconds of the monotonic clock.
+Sources publish only while somebody listens to them. As many further topics as the argument says
+have one latched message each. Texts begin with their number and the time at which they left, in
+nanoseconds of the monotonic clock.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from array import array
@@ -14,7 +16,7 @@ from typing import Any
 
 import rclpy
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -46,6 +48,9 @@ def main() -> None:
     echo = node.create_publisher(String, "/bench/out", qos)
     node.create_subscription(String, "/bench/in", echo.publish, qos)
     node.create_service(SetBool, "/bench/toggle", _toggle)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for number in range(int(sys.argv[1]) if sys.argv[1:] else 0):
+        node.create_publisher(String, f"/bench/t{number}", latched).publish(String(data="first"))
     print("ready", flush=True)
     rclpy.spin(node)
 

@@ -28,6 +28,7 @@ from bench.tables import at, print_table, row
 
 SECONDS = 4.0
 HERE = Path(__file__).parent
+PLUGINS = ("rosbridge", "ros2")
 SOURCES = {
     "hz100": ("texts", 100, 1000),
     "hz4000": ("texts", 4000, 1000),
@@ -82,12 +83,17 @@ async def own_server(
 
 
 @asynccontextmanager
-async def serving(file: Path) -> AsyncIterator[tuple[str, int]]:
-    """Run `uoarm serve` with a configuration; yields its address and process id."""
+async def serving(file: Path, checkout: Path = HERE.parent) -> AsyncIterator[tuple[str, int]]:
+    """Run `uoarm serve` of a checkout with a configuration; yields its address and process id."""
+    plugins = (checkout / "plugins" / f"uoarm-{name}" / "src" for name in PLUGINS)
+    sources = [checkout, checkout / "src", *plugins]
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
         stdout=asyncio.subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(HERE.parent), "PYTHONUNBUFFERED": "1"},
+        cwd=checkout,
+        env={
+            **os.environ, "PYTHONPATH": os.pathsep.join(map(str, sources)), "PYTHONUNBUFFERED": "1"
+        },
     )  # fmt: skip
     assert process.stdout is not None
     try:

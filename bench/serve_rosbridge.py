@@ -1,9 +1,11 @@
 """Rosbridge servers side by side on one ROS 2, measured by the same client in the same steps.
 
 `python -m bench.serve_rosbridge` measures `uoarm serve` with the ROS 2 plugin; with
-`--rosbridge ws://HOST:PORT` also the server there, which must be in the same ROS_DOMAIN_ID. With
-`--process PID` of that server its memory beside a client that never reads is measured, too.
-FASTDDS_BUILTIN_TRANSPORTS, where it is set, should be the same for all; it is told in the title.
+`--before FOLDER` also that of another checkout, and with `--rosbridge ws://HOST:PORT` the server
+there, which must be in the same ROS_DOMAIN_ID. With `--process PID` of that server its memory
+beside a client that never reads is measured, too. All are measured in turns, row by row, as often
+as `--rounds` says. FASTDDS_BUILTIN_TRANSPORTS, where it is set, should be the same for all; it is
+told in the title.
 """
 
 from __future__ import annotations
@@ -16,20 +18,23 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from attrs import frozen
 from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
 
-from bench.serve_clients import busy_seconds, resident, serving, timed
+from bench.serve_clients import HERE, busy_seconds, resident, serving, timed
 from bench.tables import at, print_table
 
 SECONDS = 4.0
 SETTLE_SECONDS = 1.0
 CLIENTS = (1, 50, 100)
+TOPICS = 200
 CONFIGURATION = """
 version: 1
 bridges:
@@ -45,6 +50,9 @@ functions:
   in: {{components: [{{name: in, bridge: ros, input: {{endpoint: [/bench/in]}}}}]}}
   out: {{components: [{{name: out, bridge: ros, output: {{endpoint: [/bench/out]}}}}]}}
 """
+LATCHED = (
+    "  t{0}: {{components: [{{name: t{0}, bridge: ros, output: {{endpoint: [/bench/t{0}]}}}}]}}\n"
+)
 
 
 @frozen
@@ -153,21 +161,50 @@ async def pictures(peer: Peer, compression: str) -> str:
 
 
 async def many(peer: Peer, clients: int) -> str:
-    """Return how long messages take from source to program, for clients that each get 100 Hz."""
-    latencies: list[float] = []
+    """Return how old messages are on arrival at clients that each get 100 Hz, and how many came.
 
-    async def one() -> None:
-        async with client(peer) as reader:
-            await reader.send("subscribe", "hz100", type="std_msgs/String")
-            await reader.receive()
-            begin = time.monotonic() + SETTLE_SECONDS
-            while (now := time.monotonic()) < begin + SECONDS:
-                moment = _stamp(await reader.receive())[1]
-                if now > begin:
-                    latencies.append((time.monotonic_ns() - moment) / 1000)
+    The clients are in a process of their own that does little but read.
+    """
+    address = (peer.url, f"{peer.prefix}hz100", str(clients), str(SECONDS))
+    reader = await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "bench._websocket_reader", *address, stdout=asyncio.subprocess.PIPE
+    )
+    assert reader.stdout is not None
+    await asyncio.wait_for(reader.stdout.readline(), 30)
+    busy = _busy(peer)
+    told = json.loads(await asyncio.wait_for(reader.stdout.readline(), 30))
+    busy = _busy(peer) - busy
+    await reader.wait()
+    ages = f"{told['median']:,.1f} / {told['p99']:,.1f} ms, {told['count'] / SECONDS:,.0f} a second"
+    return f"{ages}, {busy / SECONDS:.0%} of a core (client {told['busy'] / SECONDS:.0%})"
 
-    await asyncio.gather(*(one() for _ in range(clients)))
-    spread = sorted(latencies)
+
+async def topics(peer: Peer) -> str:
+    """Return how long many topics take from the first subscription to the last's first message."""
+    async with client(peer) as reader:
+        busy, start = _busy(peer), time.perf_counter()
+        for number in range(TOPICS):
+            await reader.send("subscribe", f"t{number}", type="std_msgs/String")
+        waiting = {f"{peer.prefix}t{number}" for number in range(TOPICS)}
+        while waiting:
+            waiting.discard((await reader.receive())["topic"])
+        took = time.perf_counter() - start
+        return f"{took:.2f} s, {(_busy(peer) - busy) / TOPICS * 1000:.1f} ms CPU each"
+
+
+async def head_of_line(peer: Peer) -> str:
+    """Return how old small messages are beside 10 pictures a second on the same connection."""
+    ages: list[float] = []
+    async with client(peer) as reader:
+        kind = {"type": "sensor_msgs/Image", "compression": "cbor"}
+        await reader.send("subscribe", "pictures", throttle_rate=100, **kind)
+        await reader.send("subscribe", "hz100", type="std_msgs/String")
+        begin = time.monotonic() + SETTLE_SECONDS
+        while (now := time.monotonic()) < begin + SECONDS:
+            frame = await asyncio.wait_for(reader.socket.recv(), 20)
+            if isinstance(frame, str) and now > begin:
+                ages.append((time.monotonic_ns() - _stamp(json.loads(frame))[1]) / 1000)
+    spread = sorted(ages)
     return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms, {len(spread) / SECONDS:,.0f} a second"
 
 
@@ -212,69 +249,94 @@ def _memory(peer: Peer) -> float:
     return float("nan") if peer.process is None else resident(peer.process)
 
 
-async def measure(peer: Peer) -> list[str]:
-    """Return one column of the table."""
-    trips, calls = await round_trip(peer), await service_call(peer)
-    return [
-        f"{_ms(trips, 0.5)} / {_ms(trips, 0.99)} ms",
-        f"{_ms(calls, 0.5)} / {_ms(calls, 0.99)} ms",
-        *[await flow(peer, source) for source in ("flood", "hz4000", "hz1000")],
-        *[await pictures(peer, compression) for compression in ("none", "cbor", "cbor-raw")],
-        *[await many(peer, clients) for clients in CLIENTS],
-        await never_reading(peer),
-    ]
-
-
 def _ms(samples: list[float], quantile: float) -> str:
     return f"{at(samples, quantile) / 1000:.2f}"
 
 
-WHAT = (
-    "publish, echo of another process, median / p99",
-    "service call, median / p99",
-    "1 KB messages a second to one client from a source of 10,000 Hz",
-    "from a source of 4,000 Hz",
-    "from a source of 1,000 Hz",
-    "pictures of 921,600 B a second, of 600, JSON",
-    "pictures of 921,600 B a second, of 600, CBOR",
-    "pictures of 921,600 B a second, of 600, cbor-raw",
-    *(f"clients at 100 Hz, 1 KB: {clients}, median / p99" for clients in CLIENTS),
-    "memory beside a client that never reads pictures; another one at 100 Hz",
-)
+async def _trips(peer: Peer, measured: Callable[[Peer], Awaitable[list[float]]]) -> str:
+    spread = await measured(peer)
+    return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms"
 
 
-async def run(other: str | None, process: int | None) -> None:
+Measured = Callable[[Peer], Awaitable[str]]
+ROWS: dict[str, Measured] = {
+    "publish, echo of another process, median / p99": partial(_trips, measured=round_trip),
+    "service call, median / p99": partial(_trips, measured=service_call),
+    **{
+        f"1 KB messages a second to one client, of {hertz}": partial(flow, source=source)
+        for source, hertz in (("flood", "10,000"), ("hz4000", "4,000"), ("hz1000", "1,000"))
+    },
+    **{
+        f"pictures of 921,600 B a second, of 600, {name}": partial(pictures, compression=kind)
+        for kind, name in (("none", "JSON"), ("cbor", "CBOR"), ("cbor-raw", "cbor-raw"))
+    },
+    **{
+        f"age at {clients} clients, 100 Hz of 1 KB, median / p99": partial(many, clients=clients)
+        for clients in CLIENTS
+    },
+    f"{TOPICS} topics to one client": topics,
+    "age of 100 Hz of 1 KB beside 10 pictures a second, median / p99": head_of_line,
+    "memory beside a client that never reads pictures; another one at 100 Hz": never_reading,
+}
+
+
+@asynccontextmanager
+async def _own(name: str, checkout: Path, file: Path) -> AsyncIterator[Peer]:
+    async with serving(file, checkout) as (url, process):
+        yield Peer(name, f"{url}rosbridge", "/uoarm/", process)
+
+
+async def _cell(measured: Measured, peer: Peer) -> str:
+    """Return one cell; a server that does not answer in time costs its cell, not the others."""
+    try:
+        return await measured(peer)
+    except (asyncio.TimeoutError, ConnectionClosed, RuntimeError) as error:
+        return f"{type(error).__name__} {error}"
+
+
+async def run(chosen: argparse.Namespace) -> None:
     """Measure and print."""
-    world = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "bench._ros2_world", stdout=asyncio.subprocess.PIPE
-    )
+    arguments = (sys.executable, "-m", "bench._ros2_world", str(TOPICS))
+    world = await asyncio.create_subprocess_exec(*arguments, stdout=asyncio.subprocess.PIPE)
     assert world.stdout is not None
+    rows = {what: one for what, one in ROWS.items() if chosen.only in what}
+    table: list[Sequence[str]] = []
     try:
         await asyncio.wait_for(world.stdout.readline(), 30)
         ceiling = await bare()
-        columns: list[list[str]] = []
-        names: list[str] = []
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "robot.yaml"
+        async with AsyncExitStack() as stack:
+            file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "robot.yaml"
             domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
-            file.write_text(CONFIGURATION.format(domain=domain), encoding="utf-8")
-            async with serving(file) as (url, own):
-                peer = Peer("uoarm serve", f"{url}rosbridge", "/uoarm/", own)
-                names.append(peer.name)
-                columns.append(await measure(peer))
-        if other is not None:
-            names.append(other)
-            columns.append(await measure(Peer(other, other, "/bench/", process)))
+            many_topics = "".join(map(LATCHED.format, range(TOPICS)))
+            file.write_text(CONFIGURATION.format(domain=domain) + many_topics, encoding="utf-8")
+            peers: list[Peer] = []
+            if chosen.before is not None:
+                before = _own("before", chosen.before.resolve(), file)
+                peers.append(await stack.enter_async_context(before))
+            peers.append(await stack.enter_async_context(_own("now", HERE.parent, file)))
+            if chosen.rosbridge is not None:
+                url = chosen.rosbridge
+                peers.append(Peer(url, url, "/bench/", chosen.process))
+            for number in range(chosen.rounds):
+                for what, measured in rows.items():
+                    load = f"{os.getloadavg()[0]:.1f}"
+                    cells = [await _cell(measured, peer) for peer in peers]
+                    table.append((f"{number + 1}: {what}", *cells, load))
+                    print(*table[-1], sep=" | ", file=sys.stderr, flush=True)
     finally:
         world.send_signal(signal.SIGKILL)
         await world.wait()
-    load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "as they come")
     title = (
-        f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, load {load} at the end, transports "
-        f"{transports}, a bare rclpy subscription gets {ceiling} pictures a second"
+        f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, transports {transports}, "
+        f"a bare rclpy subscription gets {ceiling} pictures a second"
     )
-    print_table(title, ("", *names), list(zip(WHAT, *columns, strict=True)))
+    print_table(title, ("", *(peer.name for peer in peers), "load"), sorted(table, key=_what))
+
+
+def _what(line: Sequence[str]) -> int:
+    """Return the place of a line, with the rounds of each row together."""
+    return list(ROWS).index(line[0].partition(": ")[2])
 
 
 def main() -> int:
@@ -282,8 +344,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rosbridge", help="address of another rosbridge server to compare with")
     parser.add_argument("--process", type=int, help="process id of that server")
-    chosen = parser.parse_args()
-    asyncio.run(run(chosen.rosbridge, chosen.process))
+    parser.add_argument("--before", type=Path, help="another checkout to compare with")
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--only", default="", help="measure the rows only that have this in them")
+    asyncio.run(run(parser.parse_args()))
     return 0
 
 
