@@ -28,7 +28,8 @@ class Uninterrupted:
     """Puts Ctrl-C off to the end of a `with` block; a second one is raised at once.
 
     So what hangs in the block can be left still. Does nothing in other threads than the main one,
-    which are never interrupted, and within another such block. Each is for one block.
+    which are never interrupted, and within another such block. One that comes as the block begins
+    is raised before it. Each is for one block.
     """
 
     __slots__ = ("_came", "_handler")
