@@ -29,6 +29,7 @@ from uoarm._control.reconciler.state import (
     RunningOut,
     State,
     names,
+    only_runs_out,
     recently,
 )
 from uoarm.errors import ResolutionError
@@ -391,8 +392,7 @@ class Draft:
             self.actions.append(SetCheck(edge))
 
     def _runs_out(self, component: int) -> bool:
-        """Say whether nobody uses a component but plans that run out."""
-        return self.running_out.keys() >= set(self.components[component].users)
+        return only_runs_out(self.components[component], self.running_out)
 
     def _part_edges(self, placement: Placement) -> tuple[int, ...]:
         """Use the edges of a plan no more; return those that are open, and nobody uses now."""

@@ -40,6 +40,7 @@ __all__ = [
     "State",
     "Switchover",
     "names",
+    "only_runs_out",
     "recently",
 ]
 
@@ -375,12 +376,17 @@ class State(NamedTuple):
     def shared(self) -> tuple[ComponentRecord, ...]:
         """Return the instances that new users share, without those that nobody uses any more."""
         every = (self.components[one] for one in self.serving.values())
-        return tuple(one for one in every if not self.running_out.keys() >= set(one.users))
+        return tuple(one for one in every if not only_runs_out(one, self.running_out))
 
 
 def names(plan: Plan) -> tuple[str, ...]:
     """Return the names of a plan's components, producers first."""
     return tuple(step.component.name for step in plan.steps)
+
+
+def only_runs_out(record: ComponentRecord, running_out: Mapping[str, RunningOut]) -> bool:
+    """Say whether nobody uses an instance but plans that run out."""
+    return running_out.keys() >= set(record.users)
 
 
 def recently(times: Mapping[str, float], now: float) -> frozenset[str]:
