@@ -207,27 +207,26 @@ class Performer:
 
     def _close(self, action: act.Close) -> None:
         ending = self._live.take(action.connection, action.parts, action.placement, action.lost)
-
-        def close() -> ev.Event | None:
-            try:
-                self._live.close(ending, ends=action.ends)
-            except Exception:  # noqa: BLE001 - an end ends, whatever goes wrong
-                _log.exception("closing what %s had open failed", action.connection)
-            return ev.Ended(action.connection) if action.ends else None
-
-        self._call(action, close)
+        ended = ev.Ended(action.connection) if action.ends else None
+        self._end(action, lambda: self._live.close(ending, ends=action.ends), ended)
 
     def _finish(self, action: act.Finish) -> None:
         ending = self._live.take_running_out(action)
+        self._end(action, lambda: self._live.finish(ending), ev.RanOut(action.placement.user))
 
-        def finish() -> ev.Event:
+    def _end(
+        self, action: act.Close | act.Finish, call: Callable[[], None], event: ev.Event | None
+    ) -> None:
+        """Have a call made after which an event is posted whatever goes wrong: an end ends."""
+
+        def end() -> ev.Event | None:
             try:
-                self._live.finish(ending)
-            except Exception:  # noqa: BLE001 - an end ends, whatever goes wrong
-                _log.exception("finishing what %s had open failed", action.connection)
-            return ev.RanOut(action.placement.user)
+                call()
+            except Exception:  # noqa: BLE001 - see above
+                _log.exception("closing what %s had open failed", action.connection)
+            return event
 
-        self._call(action, finish)
+        self._call(action, end)
 
     def _drain(self, action: act.Drain) -> None:
         edges = self._live.edges_of(action.placement)
