@@ -78,6 +78,7 @@ class _Job(Generic[T]):
         self._hangs_in = ""
         self._action = action
         self._on_late = on_late
+        self._is_over = False
         self._finished = threading.Lock()
         self._finished.acquire()
         self._verdict = threading.Lock()
@@ -93,6 +94,7 @@ class _Job(Generic[T]):
         finally:
             _current.job = None
         with self._verdict:
+            self._is_over = True
             self._finished.release()
             late = self.given_up
         if late:
@@ -107,25 +109,38 @@ class _Job(Generic[T]):
 
     def wait(self) -> T:
         """Wait for the result; the deadline may move to an inner step's meanwhile."""
-        while not self._finished.acquire(
-            timeout=max(0.0, min(self.deadline - time.monotonic(), _GLANCE_SECONDS))
-        ):
-            if time.monotonic() < self.deadline:
-                continue
-            with self._verdict:
-                if self._finished.acquire(blocking=False):
-                    break
-                self.given_up = True
-                self._hangs_in = self.step
-                _hanging.add(self._hangs_in)
-            if self.on_give_up is not None:
-                self.on_give_up()
-            raise BridgeTimeoutError(
-                f"{self.step} did not finish within {self.limit:g} s and was given up"
-            )
+        try:
+            self._wait()
+        except BridgeTimeoutError:
+            raise
+        except BaseException:  # Ctrl-C: nobody waits for it any more, as after its deadline
+            if not self._give_up():
+                self._put_away()
+            raise
         if self._error is not None:
             raise self._error
         return self._result
+
+    def _wait(self) -> None:
+        while not self._finished.acquire(
+            timeout=max(0.0, min(self.deadline - time.monotonic(), _GLANCE_SECONDS))
+        ):
+            if time.monotonic() >= self.deadline and self._give_up():
+                raise BridgeTimeoutError(
+                    f"{self.step} did not finish within {self.limit:g} s and was given up"
+                )
+
+    def _give_up(self) -> bool:
+        """Have the result put away when it comes; False where it is there."""
+        with self._verdict:
+            if self._is_over:
+                return False
+            self.given_up = True
+            self._hangs_in = self.step
+            _hanging.add(self._hangs_in)
+        if self.on_give_up is not None:
+            self.on_give_up()
+        return True
 
 
 class _Current(threading.local):

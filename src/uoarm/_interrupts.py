@@ -1,7 +1,8 @@
-"""Ctrl-C while something is half done: it is raised when that is whole, or when it comes again.
+"""Ctrl-C or SIGTERM while something is half done: raised when that is whole, or at a second one.
 
-Python raises KeyboardInterrupt in the main thread, after any call. Where that thread owns what
-others share, half of a change would be lost, and nobody could know which half.
+Python raises KeyboardInterrupt in the main thread, after any call, and so does SIGTERM whatever its
+handler raises, SystemExit most often. Where that thread owns what others share, half of a change
+would be lost, and nobody could know which half.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Any
 
 __all__ = ["Uninterrupted"]
 
-_SIGINT = int(signal.SIGINT)
+_NUMBERS = int(signal.SIGINT), int(signal.SIGTERM)
+_NOTHING: tuple[int, FrameType | None] = 0, None
 
 
 class _Here(threading.local):
@@ -25,27 +27,34 @@ _here = _Here()
 
 
 class Uninterrupted:
-    """Puts Ctrl-C off to the end of a `with` block; a second one is raised at once.
+    """Puts Ctrl-C and SIGTERM off to the end of a `with` block; a second one is raised at once.
 
     So what hangs in the block can be left still. Does nothing in other threads than the main one,
     which are never interrupted, and within another such block. One that comes as the block begins
     is raised before it. Each is for one block.
     """
 
-    __slots__ = ("_came", "_handler")
+    __slots__ = ("_came", "_handlers", "_is_inside")
 
     def __init__(self) -> None:
-        self._handler: Any = None
-        self._came: list[FrameType | None] = []
+        self._handlers: dict[int, Any] | None = None
 
     def __enter__(self) -> None:
-        if threading.get_ident() != threading.main_thread().ident or _here.is_put_off:
+        if _here.is_put_off or threading.get_ident() != threading.main_thread().ident:
             return
-        handler = _signal.getsignal(_SIGINT)
-        if callable(handler):  # what is no function raises nothing
-            _here.is_put_off = True
-            self._handler = handler
-            _signal.signal(_SIGINT, self._note)
+        handlers = {}
+        for number in _NUMBERS:
+            handler = _signal.getsignal(number)
+            if callable(handler):  # what is no function raises nothing
+                handlers[number] = handler
+        self._handlers, self._came, self._is_inside = handlers, _NOTHING, True
+        try:
+            for number in handlers:
+                _signal.signal(number, self._note)
+        except BaseException:  # what came before this, of which Python tells here
+            self._put_back(handlers)
+            raise
+        _here.is_put_off = self._is_inside
 
     def __exit__(
         self,
@@ -53,22 +62,32 @@ class Uninterrupted:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._handler is None:
+        if self._handlers is None:
             return
-        self._put_back()
-        if self._came:
-            self._handler(_SIGINT, self._came.pop())
+        try:
+            self._put_back(self._handlers)
+        finally:  # the one that came is raised, too, where another comes just now
+            (number, frame), self._came = self._came, _NOTHING
+            if number:
+                self._handlers[number](number, frame)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if not self._came:
-            self._came.append(frame)
+        handlers = self._handlers
+        assert handlers is not None, "set before this is a handler"
+        if self._is_inside and self._came is _NOTHING:
+            self._came = number, frame
             return
-        self._came.clear()
-        self._put_back()
-        self._handler(number, frame)
+        self._came = _NOTHING
+        self._put_back(handlers)
+        handlers[number](number, frame)
 
-    def _put_back(self) -> None:
-        """Have the handler that was there before, unless somebody has set another meanwhile."""
-        _here.is_put_off = False
-        if _signal.getsignal(_SIGINT) == self._note:
-            _signal.signal(_SIGINT, self._handler)
+    def _put_back(self, handlers: dict[int, Any]) -> None:
+        """Have the handlers that were there before, where nobody has set others meanwhile.
+
+        Python may raise in between what comes just then: what is not put back yet stays with
+        `_note`, which is outside then, and puts nothing off any more.
+        """
+        _here.is_put_off = self._is_inside = False
+        for number, handler in handlers.items():
+            if _signal.getsignal(number) == self._note:
+                _signal.signal(number, handler)

@@ -1,23 +1,28 @@
-"""Ctrl-C in the midst of a request or a kill: all of it happened, or nothing is left of it."""
+"""Ctrl-C, SIGTERM amid a request, kill, offer, change or close: all is done, or nothing is left."""
 
 from __future__ import annotations
 
+import itertools
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from types import FrameType
+from functools import partial
+from queue import SimpleQueue
+from types import FrameType, SimpleNamespace
+from typing import Any, NoReturn
 
 import pytest
 
-from uoarm import BridgeError, BridgeTimeoutError, RobotManager
+from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _bounded, _interrupts
 from uoarm._interrupts import Uninterrupted
 from uoarm.bridge import HealthEvent, Source
 from uoarm.config import loads
 from uoarm.errors import FailureReason
-from uoarm.model import Deliver, Endpoint, Health, MessageStructure
-from uoarm.testing import MemoryBridge, wait
+from uoarm.model import Deliver, Endpoint, Health, MessageStructure, OfferState
+from uoarm.testing import MemoryBridge, patience, wait
 
 ROBOT = """
 version: 1
@@ -29,6 +34,9 @@ functions:
       - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
          output: {endpoint: [finder]}}
 """
+
+
+OFFERING = ROBOT + "offer: {two: {camera: {output: {endpoint: [seen]}}}}"
 
 
 class Quick(MemoryBridge):
@@ -49,14 +57,16 @@ class Quick(MemoryBridge):
 
 
 class Interrupt:
-    """Sends SIGINT to this process as the `at`-th of uoarm's functions is called here.
+    """Sends this process a signal as the `at`-th of uoarm's functions is called here.
 
     Not as a block begins that puts it off: what comes before it has begun is raised before it.
     """
 
-    def __init__(self, at: int) -> None:
+    def __init__(self, number: signal.Signals, at: int) -> None:
+        self._number = number
         self._left = at
         self.has_come = False
+        limit_begins()
 
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
         del argument
@@ -66,18 +76,52 @@ class Interrupt:
             if not self._left:
                 sys.setprofile(None)
                 self.has_come = True
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(self._number)
 
     def during(self, action: Callable[[], object]) -> bool:
-        """Do something; say whether KeyboardInterrupt was raised."""
+        """Do something; say whether what the signal stands for was raised."""
         sys.setprofile(self)
         try:
             action()
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemExit):
             return True
         finally:
             sys.setprofile(None)
         return False
+
+
+def end(number: int, _: object) -> NoReturn:
+    """End as commands do at SIGTERM."""
+    sys.exit(128 + number)
+
+
+def give_up(number: int, _: object) -> NoReturn:
+    del number
+    raise TimeoutError("it hangs")
+
+
+def limit_begins() -> None:
+    """Have what hangs in the main thread from now on fail, and again what then cleans up."""
+    signal.setitimer(signal.ITIMER_REAL, 2 * patience(), patience())
+
+
+@pytest.fixture(autouse=True)
+def limit() -> Iterator[None]:
+    """Give what hangs in the main thread a limit: nobody else could end it there."""
+    former = signal.signal(signal.SIGALRM, give_up)
+    limit_begins()
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
+
+
+@pytest.fixture(params=[signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "sigterm"])
+def number(request: pytest.FixtureRequest) -> Iterator[signal.Signals]:
+    former = signal.signal(signal.SIGTERM, end)
+    yield request.param
+    signal.signal(signal.SIGTERM, former)
 
 
 @pytest.fixture
@@ -115,12 +159,14 @@ def is_nothing_left(robot: RobotManager) -> bool:
     )
 
 
-def test_a_request_that_is_interrupted_anywhere_leaves_nothing(robot: RobotManager) -> None:
+def test_a_request_that_is_interrupted_anywhere_leaves_nothing(
+    robot: RobotManager, number: signal.Signals
+) -> None:
     at, has_come = 0, True
     while has_come:
         at += 1
         robot.resolve("face")  # what is not known is sought, and that is not quick
-        interrupt = Interrupt(at)
+        interrupt = Interrupt(number, at)
         was_raised = interrupt.during(lambda: robot.request("face"))
         has_come = interrupt.has_come
         if not has_come:  # it was over before
@@ -132,7 +178,7 @@ def test_a_request_that_is_interrupted_anywhere_leaves_nothing(robot: RobotManag
 
 
 def test_a_request_that_fails_and_is_interrupted_anywhere_leaves_nothing(
-    robot: RobotManager, one: Quick
+    robot: RobotManager, one: Quick, number: signal.Signals
 ) -> None:
     def refuse() -> None:
         raise BridgeError("no such device", FailureReason.UNAVAILABLE)
@@ -141,7 +187,7 @@ def test_a_request_that_fails_and_is_interrupted_anywhere_leaves_nothing(
     while has_come:
         at += 1
         robot.resolve("face")
-        interrupt = Interrupt(at)
+        interrupt = Interrupt(number, at)
         try:
             interrupt.during(lambda: robot.request("face"))
         except BridgeError as error:
@@ -152,13 +198,13 @@ def test_a_request_that_fails_and_is_interrupted_anywhere_leaves_nothing(
 
 
 def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
-    robot: RobotManager, one: Quick
+    robot: RobotManager, one: Quick, number: signal.Signals
 ) -> None:
     one.said, at, has_come = False, 0, True
     while has_come:
         at += 1
         robot.resolve("face")
-        interrupt, goes_on = Interrupt(at), threading.Event()
+        interrupt, goes_on = Interrupt(number, at), threading.Event()
         one.before = goes_on.wait
         with suppress(BridgeTimeoutError):
             interrupt.during(lambda: robot.request("face", timeout=0.01))
@@ -171,14 +217,14 @@ def test_a_request_that_is_given_up_and_interrupted_anywhere_leaves_nothing(
 
 
 def test_a_death_that_is_told_in_the_main_thread_and_interrupted_can_be_told_again(
-    robot: RobotManager,
+    robot: RobotManager, number: signal.Signals
 ) -> None:
     lost = HealthEvent("one", Health.LOST, "the cable is out", component="eye")
     at, has_come = 0, True
     while has_come:
         at += 1
         robot.request("face")
-        interrupt = Interrupt(at)
+        interrupt = Interrupt(number, at)
         assert interrupt.during(lambda: robot._executor.report(lost)) is interrupt.has_come, at
         has_come = interrupt.has_come
         robot._executor.report(lost)
@@ -186,11 +232,13 @@ def test_a_death_that_is_told_in_the_main_thread_and_interrupted_can_be_told_aga
     assert at > 50, "the whole of a death was interrupted"
 
 
-def test_a_kill_that_is_interrupted_anywhere_can_be_done_again(robot: RobotManager) -> None:
+def test_a_kill_that_is_interrupted_anywhere_can_be_done_again(
+    robot: RobotManager, number: signal.Signals
+) -> None:
     at, has_come = 0, True
     while has_come:
         at += 1
-        connection, interrupt = robot.request("face"), Interrupt(at)
+        connection, interrupt = robot.request("face"), Interrupt(number, at)
         was_raised = interrupt.during(connection.kill)
         connection.kill()
         has_come = interrupt.has_come
@@ -199,19 +247,76 @@ def test_a_kill_that_is_interrupted_anywhere_can_be_done_again(robot: RobotManag
     assert at > 50, "the whole of a kill was interrupted"
 
 
-def test_what_hangs_in_the_thread_of_the_caller_is_left_by_a_second_interrupt(
-    robot: RobotManager, one: Quick
+def test_an_offer_that_is_interrupted_anywhere_can_be_made_again(number: signal.Signals) -> None:
+    at, has_come = 0, True
+    while has_come:
+        at += 1
+        one, two = Quick("one"), Quick("two")
+        one.emitter("eye", {"type": "integer"})
+        two.taker("seen", {"type": "integer"})
+        interrupt = Interrupt(number, at)
+        with RobotManager(loads(OFFERING), bridges={"one": one, "two": two}) as robot:
+            was_raised = interrupt.during(partial(robot.offer, timeout=patience()))
+            (status,) = robot.offer(timeout=patience())
+            assert status.state is OfferState.OPEN, at
+        has_come = interrupt.has_come
+        assert was_raised is has_come, at
+        assert not one.open_channels + two.open_channels, at
+    assert at > 30, "the whole of an offer was interrupted"
+
+
+def test_a_close_that_is_interrupted_anywhere_closes_all(number: signal.Signals) -> None:
+    at, has_come = 0, True
+    while has_come:
+        at += 1
+        one, two = Quick("one"), Quick("two")
+        one.emitter("eye", {"type": "integer"})
+        two.loop("finder", {"type": "integer"})
+        robot = RobotManager(loads(ROBOT), bridges={"one": one, "two": two})
+        robot.request("face")
+        interrupt = Interrupt(number, at)
+        was_raised = interrupt.during(robot.close)
+        has_come = interrupt.has_come
+        assert was_raised is has_come, at
+        if at == 1:  # it had not begun
+            robot.close()
+        assert (one.closed, two.closed) == (True, True), at
+        wait(partial(is_nothing_left, robot), never=f"interrupted at call {at}")
+    assert at > 50, "the whole of a close was interrupted"
+
+
+def test_a_change_that_is_interrupted_anywhere_can_be_made_again(
+    robot: RobotManager, number: signal.Signals
+) -> None:
+    other = ROBOT.replace("from: camera,", "from: camera, queue: {length: 5},")
+    at, has_come, robots = 0, True, itertools.cycle([loads(other), loads(ROBOT)])
+    while has_come:
+        at += 1
+        connection, wanted, interrupt = robot.request("face"), next(robots), Interrupt(number, at)
+        interrupt.during(partial(robot.apply, wanted, timeout=patience()))
+        assert not robot._revisions._staged, at
+        robot.apply(wanted, timeout=patience())
+        assert robot.config.functions == wanted.functions, at
+        connection.kill()
+        has_come = interrupt.has_come
+        wait(lambda: is_nothing_left(robot), never=f"interrupted at call {at}")
+    assert at > 50, "the whole of a change was interrupted"
+
+
+@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+def test_what_hangs_in_the_thread_of_the_caller_is_left_by_a_second_signal(
+    robot: RobotManager, one: Quick, number: signal.Signals, second: signal.Signals
 ) -> None:
     passed = []
 
     def hang() -> None:
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(number)
         passed.append("the first, which waits for the end of the request")
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(second)
         passed.append("the second")
 
     one.before = hang
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt if second is signal.SIGINT else SystemExit):
         robot.request("face")
     assert len(passed) == 1
     wait(lambda: is_nothing_left(robot))
@@ -219,27 +324,70 @@ def test_what_hangs_in_the_thread_of_the_caller_is_left_by_a_second_interrupt(
     robot.request("face").kill()
 
 
-def test_the_handler_of_an_application_is_called_at_the_end_and_stays() -> None:
-    called = []
+@pytest.fixture
+def called() -> Iterator[list[int]]:
+    """Return the signals of which an application's handlers were told."""
+    told: list[int] = []
 
     def handle(number: int, frame: FrameType | None) -> None:
-        called.append(number)
+        told.append(number)
 
-    before = signal.signal(signal.SIGINT, handle)
-    try:
+    former = [(one, signal.signal(one, handle)) for one in (signal.SIGINT, signal.SIGTERM)]
+    yield told
+    for number, handler in former:
+        signal.signal(number, handler)
+
+
+def test_the_handlers_of_an_application_are_called_at_the_end_and_stay(
+    called: list[int], number: signal.Signals
+) -> None:
+    handler = signal.getsignal(signal.SIGINT)
+    signal.signal(signal.SIGTERM, handler)
+    with Uninterrupted():
         with Uninterrupted():
-            with Uninterrupted():
-                signal.raise_signal(signal.SIGINT)
-            assert not called, "the outer block goes on"
-        assert called == [signal.SIGINT]
-        assert signal.getsignal(signal.SIGINT) is handle
+            signal.raise_signal(number)
+        assert not called, "the outer block goes on"
+    assert called == [number]
+    assert signal.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGTERM) is handler
+    with Uninterrupted():
+        signal.signal(number, signal.SIG_IGN)
+    assert signal.getsignal(number) is signal.SIG_IGN, "set meanwhile, by somebody else"
+    with Uninterrupted():
+        assert signal.getsignal(number) is signal.SIG_IGN
+
+
+@pytest.mark.parametrize("at", range(1, 5))
+def test_one_that_comes_as_a_block_begins_or_ends_is_raised_and_so_are_all_later(
+    number: signal.Signals, at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python raises amid it: where it sets the second handler, or has put only one back."""
+    left = at
+
+    def set_handler(one: int, handler: Any) -> Any:
+        nonlocal left
+        left -= 1
+        if not left:
+            signal.raise_signal(number)
+        return signal.signal(one, handler)
+
+    real = SimpleNamespace(getsignal=signal.getsignal, signal=set_handler)
+    monkeypatch.setattr(_interrupts, "_signal", real)
+    with pytest.raises((KeyboardInterrupt, SystemExit)), Uninterrupted():
+        pass
+    assert left <= 0
+    for one in (signal.SIGINT, signal.SIGTERM):
+        with pytest.raises((KeyboardInterrupt, SystemExit)):
+            signal.raise_signal(one)
+    passed = []
+
+    def put_off() -> None:
         with Uninterrupted():
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN, "set meanwhile, by somebody else"
-        with Uninterrupted():
-            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    finally:
-        signal.signal(signal.SIGINT, before)
+            signal.raise_signal(number)
+            passed.append("all of it")
+
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        put_off()
+    assert passed
 
 
 def test_other_threads_leave_the_handler_alone() -> None:
@@ -253,3 +401,18 @@ def test_other_threads_leave_the_handler_alone() -> None:
     thread.start()
     thread.join()
     assert seen == [signal.getsignal(signal.SIGINT)]
+
+
+def test_what_comes_of_a_step_whose_waiter_was_interrupted_is_put_away() -> None:
+    goes_on, late = threading.Event(), SimpleQueue[str]()
+
+    def work() -> str:
+        os.kill(os.getpid(), signal.SIGINT)
+        goes_on.wait()
+        return "a bridge"
+
+    with pytest.raises(KeyboardInterrupt):
+        _bounded.run("starting it", patience(), work, on_late=late.put)
+    assert late.empty()
+    goes_on.set()
+    assert late.get(timeout=patience()) == "a bridge"

@@ -32,6 +32,7 @@ from uoarm._control.runtime.revisions import Revisions
 from uoarm._control.services import Services
 from uoarm._dataplane import Clock
 from uoarm._hints.applications import MessageType, T
+from uoarm._interrupts import Uninterrupted
 from uoarm._mistakes import choose
 from uoarm._resolve import Unavailable
 from uoarm.bridge import Bridge, HealthEvent, Registry
@@ -566,15 +567,19 @@ class RobotManager:
         return self._executor.live.emergency_stop.is_held
 
     def close(self) -> None:
-        """Kill every connection and close every bridge. Once is enough; bounded in time."""
-        self._discovery.close()
-        self._candidates.close()
-        self._staleness.close()
-        self._offers.close()
-        self._executor.close()
-        for failure in self._bridges.close():
-            _log.warning("%s", failure)
-        self._events.close()
+        """Kill every connection and close every bridge. Idempotent; bounded in time.
+
+        In the main thread Ctrl-C and SIGTERM wait for its end; a second one is raised at once.
+        """
+        with Uninterrupted():
+            self._discovery.close()
+            self._candidates.close()
+            self._staleness.close()
+            self._offers.close()
+            self._executor.close()
+            for failure in self._bridges.close():
+                _log.warning("%s", failure)
+            self._events.close()
 
     def _with_rates(self, findings: tuple[BridgeFindings, ...]) -> tuple[BridgeFindings, ...]:
         shared = [route for one in self._executor.edges() if (route := one.status()) is not None]

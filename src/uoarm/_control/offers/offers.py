@@ -13,6 +13,7 @@ from uoarm._control.offers.offered_function import Functions, OfferedFunction
 from uoarm._control.runtime.event_dispatcher import EventDispatcher
 from uoarm._control.runtime.timer import Timer
 from uoarm._dataplane import Clock
+from uoarm._interrupts import Uninterrupted
 from uoarm._workers import WorkerPool
 from uoarm.bridge import Bridge, HealthEvent
 from uoarm.errors import UoarmError
@@ -256,6 +257,10 @@ class Offers:
 
     def follow(self) -> None:
         """Offer what the configuration in force offers, where it has begun, and nothing else."""
+        with Uninterrupted():
+            self._follow()
+
+    def _follow(self) -> None:
         with self._lock:
             wanted = self._robot().offers
             if self._closed.is_set() or not self._has_begun or not (wanted or self._keepers):

@@ -2,8 +2,8 @@
 
 One thread at a time owns the state: whoever posts an event while nobody does. It works until no
 event is left, calls nothing foreign meanwhile and waits for nothing, so that a post is quick and no
-event needs a thread of its own. Ctrl-C, which may be raised after any call in the main thread,
-waits until what that thread has begun is whole.
+event needs a thread of its own. Ctrl-C and SIGTERM, which may be raised after any call in the main
+thread, wait until what that thread has begun is whole.
 """
 
 from __future__ import annotations
@@ -169,12 +169,13 @@ class Executor:
             staged.difference.superseded,
             staged.difference.functions,
         )
-        self._revisions.expect(staged)
-        self._lanes.reserve(event.waiter)
-        self.post(event)
         step_name = f"changing to revision {event.revision} of the configuration"
         deadline = time.monotonic() + timeout
         try:
+            with Uninterrupted():
+                self._revisions.expect(staged)
+                self._lanes.reserve(event.waiter)
+                self.post(event)
             _bounded.run(step_name, timeout, lambda: self._lanes.drive(event.waiter))
         except BaseException:
             self._lanes.abandon(event.waiter)
