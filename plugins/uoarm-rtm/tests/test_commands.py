@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +20,7 @@ from uoarm_rtm._nameserver import NameServer
 
 from uoarm.bridge import Bridge
 from uoarm.model import Role
+from uoarm.testing import patience
 
 Start = Callable[..., Peer]
 PUSH = {"dataport.interface_type": "corba_cdr", "dataport.dataflow_type": "push"}
@@ -150,3 +153,34 @@ def test_the_commands_are_those_of_uoarm(names: str, peer: Start, tmp_path: Path
     command = [sys.executable, "-m", "uoarm", "rtm", "list", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
     assert [row["component"] for row in json.loads(done.stdout)] == ["Worker.rtc"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_naming_service_that_is_ended_as_it_starts_leaves_nothing(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    program = f"""
+import signal, sys
+from uoarm_rtm import _nameserver
+from uoarm_rtm.__main__ import main
+started = _nameserver._serves_soon
+def interrupted(process, *where):
+    print(process.pid)
+    signal.raise_signal({int(number)})
+    return started(process, *where)
+_nameserver._serves_soon = interrupted
+sys.exit(main(["nameserver", "--port", "0"]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=patience(),
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    process = int(done.stdout.split()[0])
+    with pytest.raises(ProcessLookupError):
+        os.kill(process, 0)
+    assert not list(tmp_path.iterdir())

@@ -6,7 +6,9 @@ import argparse
 import json
 import os
 import signal
+import subprocess
 import sys
+import threading
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -170,14 +172,26 @@ def _set_lines(found: Any) -> Iterable[str]:
 def _nameserver(port: int, address: str, folder: Path | None) -> int:
     from uoarm_rtm._nameserver import NameServer  # noqa: PLC0415 - imports the middleware
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    is_over, was_asked = threading.Event(), threading.Event()
+
+    def end() -> None:
+        was_asked.set()
+        is_over.set()
+
+    # In a thread: a handler must neither raise in what is half done nor take a lock that it holds.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: threading.Thread(target=end).start())
     with NameServer(port, address, folder) as server:
         sys.stdout.write(f"naming service {server.address}\n")
         sys.stdout.flush()
-        try:
-            return server.process.wait()
-        except KeyboardInterrupt:
-            return 0
+        threading.Thread(target=_see_end, args=(server.process, is_over), daemon=True).start()
+        is_over.wait()
+        return 0 if was_asked.is_set() else server.process.wait()
+
+
+def _see_end(process: subprocess.Popen[bytes], is_over: threading.Event) -> None:
+    process.wait()
+    is_over.set()
 
 
 def _fail(error: Exception, status: int) -> int:
