@@ -12,10 +12,10 @@ def main() -> None:
     Until it has been imported nothing is open, so that SIGINT may end the process as SIGTERM does,
     by itself: an exception could be lost, or told as another one, within any module's import.
     """
-    former = signal.getsignal(signal.SIGINT)
-    if former is signal.default_int_handler:  # not where it is ignored, as it is with nohup
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from uoarm.cli import main as command  # noqa: PLC0415 - what takes its time
 
-    signal.signal(signal.SIGINT, former)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     command()

@@ -20,6 +20,7 @@ LAYERS = [
     {
         "errors",
         "_interrupts",
+        "_run_as_module",
         "_version",
         "_origin",
         "_raised",

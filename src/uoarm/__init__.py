@@ -13,7 +13,7 @@ The layers, from the top; imports go down only:
     uoarm.model         frozen values          uoarm.schema    containment, on its own
 """
 
-from uoarm import errors
+from uoarm import _run_as_module, errors  # noqa: F401 - that first, for what it does
 from uoarm._control import AsyncConnection, AsyncRobotManager, Connection, RobotManager
 from uoarm._version import __version__
 from uoarm.errors import (

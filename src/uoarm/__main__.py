@@ -1,5 +1,5 @@
 """`python -m uoarm`."""
 
-from uoarm.cli import main
+from _uoarm_command import main
 
 main()

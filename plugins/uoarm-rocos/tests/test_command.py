@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,10 @@ from uoarm_rocos._command import main
 from uoarm.model import MessageStructure
 
 ANY = MessageStructure(True)
+PROJECT = (Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8")
+[SCRIPT] = re.findall(r'^uoarm-rocos = "(\w+):main"$', PROJECT, re.MULTILINE)
+ENTRY = f"from {SCRIPT} import main; main()"
+"""What the installed script does."""
 
 
 @pytest.mark.parametrize("words", [[], ["simulate"]])
@@ -29,8 +34,7 @@ def test_help_cuts_no_sentence(words: list[str]) -> None:
 @contextmanager
 def simulating(*words: str) -> Iterator[str]:
     """A simulator as a process; the URL that it prints."""
-    code = "from uoarm_rocos._command import main; main()"
-    command = [sys.executable, "-c", code, "simulate", *words]
+    command = [sys.executable, "-c", ENTRY, "simulate", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
         try:
@@ -38,6 +42,20 @@ def simulating(*words: str) -> Iterator[str]:
         finally:
             process.send_signal(signal.SIGINT)
             assert process.wait(LIMIT) == 0
+
+
+@pytest.mark.parametrize("late", ["attrs", "click"])
+def test_ctrl_c_while_it_imports_ends_it_in_silence(late: str, tmp_path: Path) -> None:
+    waiting = "print('it imports', flush=True)\nimport signal\nwhile True:\n    signal.pause()\n"
+    (tmp_path / f"{late}.py").write_text(waiting)
+    command = [sys.executable, "-c", ENTRY, "simulate", "robot", "--tcp", "0"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout
+        assert process.stdout.readline() == "it imports\n"
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=LIMIT) == ("", "")
+    assert process.returncode == -signal.SIGINT, "a shell shows it as 130"
 
 
 def test_a_robot_over_tcp() -> None:
