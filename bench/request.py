@@ -38,6 +38,15 @@ functions:
         input: {{from: faceDetection, endpoint: ["chain_components:recognise"]}}
         output: {{endpoint: ["chain_components:recognise"]}}
 """
+OTHERS = 1000
+OTHER = """
+  other{0}:
+    components:
+      - name: other{0}
+        bridge: three
+        input: {{endpoint: ["chain_components:recognise"]}}
+        output: {{endpoint: ["chain_components:recognise"]}}
+"""
 
 
 class Collections:
@@ -81,13 +90,19 @@ def main() -> None:
         text = "request of what another connection has open"
         rows.append(_row(text, 300, lambda: _request(near)))
         kept.kill()
+    with uoarm.RobotManager(chain(others=OTHERS)) as crowded:
+        for number in range(OTHERS):
+            crowded.request(f"other{number}")
+        text = f"warm request beside {OTHERS:,} other connections"
+        rows.append(_row(text, 300, lambda: _request(crowded)))
     head = ("a chain of three", "fastest us", "median us", "p99 us", "p99 without collector us")
     print_table("The paper's request", head, rows)
 
 
-def chain(host: str = "false") -> Robot:
-    """Return the robot; `host` is what its bridges say of theirs."""
-    return loads(ROBOT.format(BRIDGE.format(Path(__file__).parent, host)))
+def chain(host: str = "false", others: int = 0) -> Robot:
+    """Return the robot; `host` is what its bridges say of theirs, `others` are functions beside."""
+    text = ROBOT.format(BRIDGE.format(Path(__file__).parent, host))
+    return loads(text + "".join(OTHER.strip("\n").format(n) + "\n" for n in range(others)))
 
 
 def _row(name: str, count: int, sample: Callable[[], tuple[float, float]]) -> tuple[str, ...]:

@@ -153,15 +153,16 @@ def _run(draft: Draft, record: ConnectionRecord) -> None:
 
 def _opened(draft: Draft, event: Opened) -> None:
     batch = draft.batches.pop(event.batch)
+    waiting = draft.waiting_for(batch)
     late = draft.settle(batch, event.done)
     if late:
         draft.actions.append(Close(f"late {event.batch}", "", late))
     record = draft.connections.get(connection_of(batch.user))
     if event.error is not None and record is not None:
         _failed_to_open(draft, record, batch.user, event.error)
-    for identity in tuple(draft.connections):  # also those that waited for this batch
-        record = draft.connections[identity]
-        if record.state is ConnectionState.OPENING or record.next is not None:
+    for identity in waiting:
+        record = draft.connections.get(identity)
+        if record is not None:
             _advance(draft, record)
 
 
