@@ -14,7 +14,7 @@ import pytest
 from tests.server.authority import Authority
 from tests.server.conftest import Serve
 from tests.server.lines import LINES
-from tests.server.talk import SECONDS, Talk
+from tests.server.talk import SECONDS, Talk, TlsSocket
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
 from websockets.sync.client import connect
 
@@ -66,6 +66,7 @@ def url(server: Server, path: str = "/") -> str:
 
 def known_by(authority: Authority, certificate: Path | None) -> ssl.SSLContext:
     context = ssl.create_default_context(cafile=authority.path)
+    context.sslsocket_class = TlsSocket
     if certificate is not None:
         context.load_cert_chain(certificate)
     return context
