@@ -44,8 +44,13 @@ def _hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(candidate_watch, "_SETTLE_SECONDS", 0.0)
 
 
-def follower(manager: RobotManager, lines: list[str], *, as_json: bool = False) -> _up._Follower:
-    return _up._Follower(manager, as_json=as_json, echo=lambda one: lines.append(unstyle(one)))
+def follower(
+    manager: RobotManager, lines: list[str], *, unfed: tuple[str, ...] = (), as_json: bool = False
+) -> _up._Follower:
+    def echo(line: str) -> None:
+        lines.append(unstyle(line))
+
+    return _up._Follower(manager, unfed=unfed, as_json=as_json, echo=echo)
 
 
 def look_until(looking: _up._Follower, lines: list[str], told: str) -> None:
@@ -65,7 +70,10 @@ def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
         lab.loop("faceDetection", IMAGE)
         looking.look()
         assert "+ lab  faceDetection" in lines
-        assert lines[-1] == "faceDetection  cannot be had: no function feeds its input default"
+        assert lines[-1] == (
+            "faceDetection  cannot be had: no function feeds its input default, "
+            "which `unfed` does not name"
+        )
 
         camera = lab.emitter("camera", IMAGE)
         look_until(looking, lines, "-> faceDetection@lab/faceDetection")
@@ -77,6 +85,18 @@ def test_what_appears_is_a_function_that_is_fed_by_what_fits_and_runs() -> None:
         before, revision = len(lines), manager.revision
         looking.look()
         assert (len(lines), manager.revision) == (before, revision)
+
+
+def test_an_input_that_may_stay_without_a_feed_keeps_its_component_from_nothing() -> None:
+    lab, lines = MemoryBridge("lab", {}), list[str]()
+    lab.loop("base", IMAGE)
+    with RobotManager(loads(EMPTY), bridges={"lab": lab}) as manager:
+        looking = follower(manager, lines, unfed=("def*",))
+        look_until(looking, lines, "base@lab/base")
+        assert lines[-1] == "base  base@lab/base"
+        revision = manager.revision
+        looking.look()
+        assert manager.revision == revision
 
 
 def test_a_plugin_that_cannot_go_without_options_says_which_a_file_must_give() -> None:
@@ -156,7 +176,7 @@ def test_the_command_serves_until_it_is_told_to_end(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     file = tmp_path / "robot.yaml"
     file.write_text(EMPTY, encoding="utf-8")
-    arguments = ["up", "-f", str(file), "--port", "0", "--every", "100"]
+    arguments = ["up", "-f", str(file), "--port", "0", "--every", "100", "--unfed", "*"]
     done = CliRunner().invoke(main, arguments)
     assert done.exit_code == 0, done.output
     assert "serving ws://127.0.0.1:" in done.output

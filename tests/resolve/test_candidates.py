@@ -131,7 +131,9 @@ functions:
     ]
     without = matched(loads(wanted % ""), findings).functions["face"]
     assert without.components == ()
-    assert without.passed_over[0][1] == "no function feeds its input input"
+    assert without.passed_over[0][1] == (
+        "no function feeds its input input, which `unfed` does not name"
+    )
     more = ", options: {activate: true}, map: {tm: {const: 0}, other: {const: 1}}"
     (eye,) = matched(loads(wanted % more), findings).functions["face"].components
     assert eye.inputs[0].mapping == {"tm": {"const": 0}}  # nothing has a field `other`

@@ -364,7 +364,7 @@ class _Matching:
             there = [one for one in there if place in one.given.topics]
             return there[0] if there else ""
         if not feeds:
-            return f"no function feeds its input {name}"
+            return f"no function feeds its input {name}, which `unfed` does not name"
         if not there or (waits and there[0] is not feeds[0]):
             return f"its input {name} could be fed by {feeds[0].given.reference}, which has nothing"
         alike = [str(one.given.reference) for one in feeds if one.rank == there[0].rank]

@@ -44,15 +44,30 @@ _RESOLVE_SECONDS = 10.0
     show_default=True,
     help="Seconds between two looks.",
 )
+@click.option(
+    "--unfed",
+    metavar="PATTERN",
+    multiple=True,
+    help="Inputs that nothing need feed, such as cmd_vel, or '*'; several times for several.",
+)
 @json_option
 def up(
-    file: str | None, *, host: str, port: int, access: Path | None, every: float, as_json: bool
+    file: str | None,
+    *,
+    host: str,
+    port: int,
+    access: Path | None,
+    every: float,
+    unfed: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Serve whatever there is, without a configuration.
 
     Every component that bridges see provides a function of its name. Plugins that the file does not
     mention are asked with their default options. The inputs of components are fed by what is proven
-    to fit. Tells what comes and goes, and what each function would run on or why it cannot be had,
+    to fit; one with an input that nothing feeds is none, unless --unfed names that input.
+
+    Tells what comes and goes, and what each function would run on or why it cannot be had,
     until Ctrl-C or SIGTERM. Nothing is written to a file.
     """
     registry = Registry()
@@ -64,9 +79,10 @@ def up(
         stop_file = stop_file_of(file or "uoarm up")
         with RobotManager(robot, registry=registry, stop_file=stop_file) as manager:
             chosen = Settings(host=host, port=port, access=access)
+            follower = _Follower(manager, unfed=unfed, as_json=as_json)
             manager.offer(timeout=0)  # what fails is in the log and in the status
             try:
-                with stopping(manager), _following(_Follower(manager, as_json=as_json), every):
+                with stopping(manager), _following(follower, every):
                     run(manager, chosen, lambda server: say(server, chosen, err=as_json))
             except OSError as error:
                 cannot_listen(error)
@@ -77,14 +93,21 @@ class _Follower:
 
     Args:
         manager: of the robot; others may change its configuration, too.
+        unfed: patterns of inputs that may stay without a feed.
         as_json: whether a line of JSON is printed in place of text.
         echo: prints a line.
     """
 
     def __init__(
-        self, manager: RobotManager, *, as_json: bool, echo: Callable[[str], None] = click.echo
+        self,
+        manager: RobotManager,
+        *,
+        unfed: tuple[str, ...] = (),
+        as_json: bool,
+        echo: Callable[[str], None] = click.echo,
     ) -> None:
         self._manager = manager
+        self._unfed = unfed
         self._as_json = as_json
         self._echo = echo
         self._findings: tuple[BridgeFindings, ...] = ()
@@ -100,7 +123,7 @@ class _Follower:
         revision = self._manager.revision
         base = self._manager.history()[-1].robot
         assert base is not None, "a manager has one from the beginning"
-        grown = add_functions(base, findings)
+        grown = add_functions(base, findings, unfed=self._unfed)
         if grown is not base:
             self._manager.apply(grown, revision=revision)
         before, self._findings = self._findings, findings

@@ -16,7 +16,9 @@ _MOST_FUNCTIONS = 500
 _ABOUT_ITSELF = "@"  # begins the names of ports that are about the component, not part of it
 
 
-def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
+def add_functions(
+    robot: Robot, findings: Iterable[BridgeFindings], *, unfed: tuple[str, ...] = ()
+) -> Robot:
     """Return a robot with a function for each output and service that is seen and not named.
 
     Such a function names nobody: it needs what has that name in that framework, so that it is
@@ -28,13 +30,14 @@ def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
     Args:
         robot: the configuration, which stays as it is otherwise.
         findings: what its bridges see. Beyond five hundred functions nothing is added.
+        unfed: patterns of inputs that may stay without a feed.
     """
     known = {one.needs for one in robot.functions.values() if one.needs is not None}
     taken = {*robot.functions, *(one.name for one in robot.components())}
     more: dict[str, Function] = {}
     for each in findings:
         for found in each.components if each.bridge in robot.bridges else ():
-            for wanted, need in _needs(each.bridge, found):
+            for wanted, need in _needs(each.bridge, found, unfed):
                 if need in known or len(robot.functions) + len(more) >= _MOST_FUNCTIONS:
                     continue
                 name = new_name(wanted, taken)
@@ -42,7 +45,9 @@ def add_functions(robot: Robot, findings: Iterable[BridgeFindings]) -> Robot:
     return evolve(robot, functions={**robot.functions, **more}) if more else robot
 
 
-def _needs(bridge: str, found: FoundComponent) -> Iterator[tuple[str, Need]]:
+def _needs(
+    bridge: str, found: FoundComponent, unfed: tuple[str, ...]
+) -> Iterator[tuple[str, Need]]:
     """Yield what would be needed of a component, and a name for it."""
     for role in (Role.OUTPUT, Role.SERVICE):
         ports = [one for one in found.ports if one.endpoint.role is role]
@@ -57,6 +62,7 @@ def _needs(bridge: str, found: FoundComponent) -> Iterator[tuple[str, Need]]:
                 names=(glob.escape(found.name),),
                 ports=(glob.escape(port),) if len(ports) > 1 else (),
                 prefer=(bridge,),
+                unfed=unfed if role is Role.OUTPUT else (),
             )
             is_plain = port == "default" or (len(ports) == 1 and role is Role.OUTPUT)
             yield found.name if is_plain else f"{found.name}_{port}", need
