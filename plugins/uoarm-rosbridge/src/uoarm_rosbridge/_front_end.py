@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from uoarm.server.front_end import Backend, Client, FrontEnd, MakeSession, Session, hookimpl
+from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._session import RosbridgeSession
 
@@ -10,10 +11,10 @@ __all__ = ["uoarm_front_ends"]
 
 
 def _start(backend: Backend) -> MakeSession:
-    hub = Hub()
+    hub, addresses = Hub(), Addresses(backend.robot)
 
     def make_session(client: Client) -> Session:
-        return RosbridgeSession(client, backend, hub)
+        return RosbridgeSession(client, backend, hub, addresses)
 
     return make_session
 

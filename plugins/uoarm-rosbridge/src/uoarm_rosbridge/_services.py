@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from uoarm.errors import BridgeError, UsageError
-from uoarm.model import Message, show_value
-from uoarm.server.front_end import Backend, Client, LimitError, Operation
+from uoarm.model import Message, Role, show_value
+from uoarm.server.front_end import Backend, Client, LimitError, Operation, UnknownError
+from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._arguments import read_arguments
 from uoarm_rosbridge._fragments import fragment_size
 from uoarm_rosbridge._hub import Hub
@@ -27,6 +28,7 @@ class Services:
         client: its limits and its rights.
         backend: where functions are called.
         hub: where clients call one another.
+        addresses: of functions, which clients may call by them.
         tell: sends one message to the client, in fragments of a size, 0 for none.
         ask: sends another client's request; raises BusyError where it leaves too much unread.
         cancel_goals: asks for the end of all the client's goals to an action.
@@ -37,6 +39,7 @@ class Services:
         client: Client,
         backend: Backend,
         hub: Hub,
+        addresses: Addresses,
         tell: Callable[[Fields, int], None],
         ask: Callable[[Fields], None],
         cancel_goals: Callable[[Place], None],
@@ -45,6 +48,7 @@ class Services:
         self._limits = client.limits
         self._backend = backend
         self._hub = hub
+        self._addresses = addresses
         self._tell = tell
         self._ask = ask
         self._cancel_goals = cancel_goals
@@ -116,6 +120,9 @@ class Services:
             return {"return_code": 0, "goals_canceling": []}
         self._client.require(Operation.CALL, place.right)
         if not place.function:
+            hint = self._addresses.hint(place.name, Role.SERVICE, self._client)
+            if hint and not self._hub.provides(place.name):
+                raise UnknownError(hint)
             given = {} if arguments is None else arguments
             return await self._hub.call(place.name, given, timeout)
         return await self._backend.call(place.wanted, arguments, read_arguments, timeout)

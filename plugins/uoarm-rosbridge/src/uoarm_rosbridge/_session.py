@@ -26,6 +26,7 @@ from uoarm.server.front_end import (
     without_frames,
 )
 from uoarm_rosbridge._actions import Actions
+from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._fragments import Fragments, split
 from uoarm_rosbridge._goal import GoalStatus
 from uoarm_rosbridge._hub import Hub
@@ -62,17 +63,17 @@ class RosbridgeSession:
     rosbridge answers with silence is answered here with a `status` message of level `error`.
     """
 
-    def __init__(self, client: Client, backend: Backend, hub: Hub) -> None:
+    def __init__(self, client: Client, backend: Backend, hub: Hub, addresses: Addresses) -> None:
         self._client = client
         self._level = _WARNING
         self._numbers = itertools.count(1)
         self._fragments = Fragments(2 * client.limits.message_bytes)
         self._fragments_held = client.account.hold(Held.FRAGMENTS)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._topics = Topics(client, backend, hub, self._fail, self._warn)
+        self._topics = Topics(client, backend, hub, addresses, self._fail, self._warn)
         self._actions = Actions(client, backend, hub.actions, self._fail, self.ask)
         cancel = self._actions.cancel_all
-        self._services = Services(client, backend, hub, self.tell, self.ask, cancel)
+        self._services = Services(client, backend, hub, addresses, self.tell, self.ask, cancel)
         topics, services, actions = self._topics, self._services, self._actions
         self._operations = {
             "advertise": _Operation(("topic", "type"), topics.advertise),

@@ -10,8 +10,9 @@ from typing import Any
 from attrs import define
 
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
-from uoarm.model import Message, MessageStructure
+from uoarm.model import Message, MessageStructure, Role
 from uoarm.server.front_end import Backend, Client, Feed, FeedKey, LimitError, Operation
+from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Place, find_place
 from uoarm_rosbridge._publication import Publication
@@ -50,6 +51,7 @@ class Topics:
         client: its limits and its outbox.
         backend: where functions are opened.
         hub: where clients publish to one another.
+        addresses: of functions, which clients may ask for by them.
         fail: tells the client what went wrong with a message of its.
         warn: tells the client what it should know of a message of its.
     """
@@ -59,12 +61,14 @@ class Topics:
         client: Client,
         backend: Backend,
         hub: Hub,
+        addresses: Addresses,
         fail: Callable[[Fields, BaseException], None],
         warn: Callable[[Fields, str], None],
     ) -> None:
         self._client = client
         self._backend = backend
         self._hub = hub
+        self._addresses = addresses
         self._fail = fail
         self._warn = warn
         self._publications: dict[str, Publication | None] = {}
@@ -158,8 +162,15 @@ class Topics:
         else:
             self._hub.advertise(place.name, _type_in(fields), self)
             self._publications[place.name] = None
+            self._hint(place, Role.INPUT, fields)
         if fields.get("latch") is True:
             self._latched.add(place.name)
+
+    def _hint(self, place: Place, role: Role, fields: Fields) -> None:
+        """Tell the client where a function is which it asks for by its own address."""
+        hint = self._addresses.hint(place.name, role, self._client)
+        if hint:
+            self._warn(fields, hint)
 
     def _publish_between_clients(self, place: Place, fields: Fields, message: Message) -> None:
         if not isinstance(message, dict):
@@ -189,6 +200,7 @@ class Topics:
             listening.opening = asyncio.ensure_future(self._join(place, listening, fields))
         else:
             self._hub.listen(place.name, _type_in(fields), subscription)
+            self._hint(place, Role.OUTPUT, fields)
         self._listening[place.name] = listening
         return listening
 

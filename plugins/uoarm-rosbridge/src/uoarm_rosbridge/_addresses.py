@@ -1,0 +1,64 @@
+"""Functions by the addresses that their ports have in their frameworks, such as `/chatter`.
+
+A client that was written for another rosbridge server asks for these, which are topics and services
+between clients here: it is told where the robot's are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from uoarm import RobotManager
+from uoarm.model import Function, Input, Output, Robot, Role, Service
+from uoarm.server.front_end import Client, Operation
+from uoarm_rosbridge._names import topic_of
+
+__all__ = ["Addresses"]
+
+
+class Addresses:
+    """What functions are called here whose ports have an address; in the loop's thread.
+
+    Args:
+        manager: of the robot, whose configuration may change.
+    """
+
+    def __init__(self, manager: RobotManager) -> None:
+        self._manager = manager
+        self._robot: Robot | None = None
+        self._known: dict[tuple[Role, str], tuple[str, str]] = {}
+
+    def hint(self, name: str, role: Role, client: Client) -> str:
+        """Say where a client finds what it asks for by its address; empty: no function is there.
+
+        Args:
+            name: a topic or service.
+            role: of the port that the client means.
+            client: it is told of what it may see.
+        """
+        robot = self._manager.config
+        if robot is not self._robot:
+            self._robot = robot
+            every = (one for function in robot.functions.values() for one in _places(function))
+            self._known = dict(reversed(tuple(every)))  # of several the first, as for a request
+        function, topic = self._known.get((role, name), ("", ""))
+        if not function or not client.role.allows(Operation.SEE, function):
+            return ""
+        return f"{name} is between clients here; that of the robot is {topic}"
+
+
+def _places(function: Function) -> Iterator[tuple[tuple[Role, str], tuple[str, str]]]:
+    """Yield each part of an address that could be a name here, with the function and its topic."""
+    for one in function.components:
+        open_inputs = [port for port in one.inputs if port.source is None]
+        ports: list[tuple[Role, Sequence[Input | Output | Service]]] = [
+            (Role.OUTPUT, one.outputs),
+            (Role.INPUT, open_inputs),
+            (Role.SERVICE, () if one.service is None else (one.service,)),
+        ]
+        for role, several in ports:
+            for port in several:
+                name = port.endpoint.port if len(several) > 1 else ""
+                for part in port.endpoint.address:
+                    if part.startswith("/"):
+                        yield (role, part), (function.name, topic_of(function.name, name))
