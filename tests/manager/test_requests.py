@@ -21,7 +21,7 @@ from uoarm import (
     StatusEvent,
     UsageError,
 )
-from uoarm.bridge import Bridge, Capabilities, Source
+from uoarm.bridge import Bridge, Capabilities, Description, Source
 from uoarm.config import loads
 from uoarm.model import ConnectionState, Deliver, Endpoint, MessageStructure, StatusMap
 from uoarm.testing import MemoryBridge, patience, wait
@@ -337,3 +337,39 @@ def test_asyncio_reads_waits_and_kills(make_robot: Make) -> None:
     values, status = asyncio.run(play())
     assert values == list(range(10))
     assert not status.connections
+
+
+class Mute(MemoryBridge):
+    """A bridge of a framework that says nothing of its messages."""
+
+    def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:
+        super().describe(endpoint, timeout=timeout)
+        return Description()
+
+
+@pytest.mark.parametrize(
+    ("port", "name", "key"),
+    [
+        ("output: {endpoint: [eye]}", "output.default", "structure"),
+        ("service: {endpoint: [ask]}", "request", "request"),
+    ],
+)
+def test_a_structure_that_nobody_states_is_asked_for_by_its_key(
+    port: str, name: str, key: str
+) -> None:
+    lab = Mute("lab", {})
+    lab.emitter("eye", {})
+    lab.service("ask", {}, {}, lambda one: one)
+    text = (
+        "version: 1\nbridges: {lab: {plugin: memory}}\nfunctions:\n"
+        f"  see: {{components: [{{name: eye, bridge: lab, {port}}}]}}\n"
+    )
+    with (
+        RobotManager(loads(text), bridges={"lab": lab}) as robot,
+        pytest.raises(ResolutionError) as caught,
+    ):
+        robot.resolve("see")
+    assert (
+        f"the structure of '{name}' is not known to bridge 'lab': declare it in the "
+        f"configuration, as `{key}` beside its `endpoint`"
+    ) in str(caught.value)

@@ -16,6 +16,7 @@ from uoarm.model import Component, Endpoint, MessageStructure
 __all__ = ["Hold", "StructureCache"]
 
 _DESCRIBE_SECONDS = 30.0
+_OF_SERVICES = ("request", "reply")
 
 Hold: TypeAlias = Callable[[Component, Structures], "Structures | Unavailable"]
 """Says whether structures may be used: what it returns takes their place."""
@@ -104,9 +105,10 @@ class StructureCache:
             elif said is not None:
                 found[name] = said
             else:
+                key = name if name in _OF_SERVICES else "structure"
                 raise _UnknownError(
                     f"the structure of {name!r} is not known to bridge {component.bridge!r}: "
-                    "declare it in the configuration"
+                    f"declare it in the configuration, as `{key}` beside its `endpoint`"
                 )
 
         for role, ports in (("input", component.inputs), ("output", component.outputs)):
