@@ -342,8 +342,8 @@ def test_asyncio_reads_waits_and_kills(make_robot: Make) -> None:
 class Mute(MemoryBridge):
     """A bridge of a framework that says nothing of its messages."""
 
-    def describe(self, endpoint: Endpoint, *, timeout: float = 5.0) -> Description:
-        super().describe(endpoint, timeout=timeout)
+    def _describe(self, endpoint: Endpoint) -> Description:
+        super()._describe(endpoint)
         return Description()
 
 
