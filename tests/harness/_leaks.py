@@ -15,6 +15,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -100,14 +101,16 @@ class Holdings:
             if self._settings.get(what) != settings.get(what)
         ]
 
+    def _new_threads(self) -> Iterator[threading.Thread]:
+        for one in threading.enumerate():
+            if one not in self._threads and not isinstance(one, threading._DummyThread):
+                yield one
+
     def _found(self, name: str, kept: tuple[str, ...]) -> list[str]:
-        found = [
-            f"thread {one.name!r}"
-            for one in threading.enumerate()
-            if one not in self._threads
-            and one.name not in _IDLE_THREADS
-            and not isinstance(one, threading._DummyThread)
-        ]
+        # One that has taken the place of another of its name, which has ended, is not one more.
+        new = Counter(one.name for one in self._new_threads() if one.name not in _IDLE_THREADS)
+        new -= Counter(one.name for one in self._threads if not one.is_alive())
+        found = [f"thread {one!r}" for one in new.elements()]
         if _starts != self._starts:
             found += [f"process {pid}: {text}" for pid, text in processes_of(name).items()]
         extra = _descriptors() - self._descriptors

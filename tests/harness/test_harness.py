@@ -109,6 +109,36 @@ def test_what_a_fixture_of_several_tests_holds_is_no_leak(run: Run) -> None:
     assert found.ret == 0
 
 
+def test_a_thread_that_takes_the_place_of_one_of_its_name_is_no_leak_and_two_are(run: Run) -> None:
+    found = run(
+        """
+        import threading
+        import pytest
+
+        @pytest.fixture(scope="module")
+        def held():
+            gates = [threading.Event()]
+            threading.Thread(target=gates[0].wait, name="reads").start()
+            yield gates
+            for gate in gates:
+                gate.set()
+
+        @pytest.mark.parametrize("count", [1, 2])
+        def test_replaced(held, count):
+            held[-1].set()
+            for _ in range(count):
+                held.append(threading.Event())
+                threading.Thread(target=held[-1].wait, name="reads").start()
+
+        def test_after(held):
+            pass
+        """,
+        set_up="from tests.harness import _leaks\n_leaks.patience = lambda: 1.0",
+    )
+    found.assert_outcomes(passed=3, errors=1)
+    found.stdout.fnmatch_lines(["*test_replaced?2? left behind:", "thread 'reads'"])
+
+
 def test_a_process_that_outlives_the_run_fails_the_run_and_is_ended(run: Run) -> None:
     found = run("""
         import subprocess

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 
 import pytest
 
 from uoarm._host import remote_bridge
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Transport
 from uoarm._host.transport.zenoh_transport import ZenohTransport
@@ -36,7 +36,7 @@ def ends(request: pytest.FixtureRequest) -> Iterator[tuple[Transport, Transport]
     near: Transport
     far: Transport
     if request.param == "socket":
-        one, other = socket.socketpair()
+        one, other = LinkSockets.make()
         near, far = SocketTransport(one, "near"), SocketTransport(other, "far")
     else:
         place = f"tcp/127.0.0.1:{free_port()}"

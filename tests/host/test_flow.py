@@ -206,7 +206,7 @@ def test_a_message_that_cannot_be_written_is_refused_and_uses_no_number(ends: En
     assert incoming.lost == 0
 
 
-def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) -> None:
+def test_a_closed_receiver_takes_nothing_more(ends: Ends) -> None:
     near, far = ends
     taker = _Taker()
     incoming = taker.incoming(near)
@@ -214,10 +214,15 @@ def test_a_closed_receiver_takes_nothing_more_and_its_thread_ends(ends: Ends) ->
     outgoing.send(1)
     wait(lambda: taker.got == [1])
     incoming.close()
-    incoming.join(patience())
+    others = _Taker()
+    behind = FlowReceiver(
+        near, "flow/2", name="test", take=others.take, ended=others.endings.append
+    )
     outgoing.send(2)
-    assert not incoming._thread.is_alive()
+    FlowSender(far, "flow/2", patience=patience()).send("behind it")
+    wait(lambda: others.got == ["behind it"])
     assert taker.got == [1]
+    behind.close()
 
 
 def _counters() -> SharedCounters:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import select
-import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from tests.host.hosted import ANY, Events, at
 from tests.processes import lives
 
 from uoarm._host.process import process_connection
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm.errors import BridgeError
 from uoarm.model import Health, Role
 from uoarm.testing import patience, slowness, wait
@@ -34,9 +34,14 @@ class Middleman:
         self._stall = threading.Event()
         self._stalled = threading.Event()
         self._ended = threading.Event()
-        self.near, manager = socket.socketpair()
-        self.far, host = socket.socketpair()
-        self._ends = {host: manager, manager: host}
+        self.near, manager = LinkSockets.make()
+        self.far, host = LinkSockets.make()
+        self._ends = {
+            host.requests: manager.requests,
+            manager.requests: host.requests,
+            host.incoming: manager.outgoing,
+            manager.incoming: host.outgoing,
+        }
         self._thread = threading.Thread(target=self._run, name="middleman")
         self._thread.start()
 
@@ -53,7 +58,7 @@ class Middleman:
         return self._close()
 
     def _close(self) -> None:
-        for one in self._ends:
+        for one in (*self._ends, *self._ends.values()):
             one.close()
 
     def stall(self) -> None:
@@ -74,12 +79,11 @@ def middlemen(monkeypatch: pytest.MonkeyPatch, nothing_is_left: None) -> Iterato
     """Have every host connected to a middleman."""
     made: list[Middleman] = []
 
-    def detour() -> tuple[socket.socket, socket.socket]:
+    def detour() -> tuple[LinkSockets, LinkSockets]:
         made.append(Middleman())
         return made[-1].near, made[-1].far
 
-    connected = SimpleNamespace(socketpair=detour, socket=socket.socket)
-    monkeypatch.setattr(process_connection, "socket", connected)
+    monkeypatch.setattr(process_connection, "LinkSockets", SimpleNamespace(make=detour))
     yield made
     for one in made:
         one.end()

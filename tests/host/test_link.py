@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from contextlib import suppress
+from queue import SimpleQueue
 from typing import Any
 
 import pytest
@@ -126,22 +127,50 @@ def test_a_token_comes_and_goes(ends: Ends) -> None:
     assert seen == [True, False]
 
 
-def test_waiting_for_a_frame_ends_with_the_subscription(ends: Ends) -> None:
+def test_frames_are_taken_until_the_subscription_ends(ends: Ends) -> None:
     near, far = ends
-    receive, end = near.subscribe("test/frames", 4)
+    got: SimpleQueue[tuple[bytes, bytes]] = SimpleQueue()
+    end = near.subscribe(
+        "test/frames", 4, lambda payload, header: got.put((bytes(payload), header)), "test"
+    )
     _settle(far, near)
-    got: list[object] = []
-
-    def run() -> None:
-        while (frame := receive()) is not None:
-            got.append(frame)
-
-    thread = threading.Thread(target=run)
-    thread.start()
     far.publish("test/frames", b"one", b"1")
+    assert got.get(timeout=patience()) == (b"one", b"1")
     end()
-    thread.join(patience())
-    assert not thread.is_alive()
+    told: SimpleQueue[bytes] = SimpleQueue()
+    near.subscribe("test/others", 4, lambda _, header: told.put(header), "test")
+    near.show_alive("test/again")
+    seen = threading.Event()
+    far.watch_alive("test/again", lambda alive: seen.set())
+    assert seen.wait(patience())
+    far.publish("test/frames", b"two", b"2")
+    far.publish("test/others", b"", b"3")
+    assert told.get(timeout=patience()) == b"3"
+    assert got.empty()
+
+
+def test_who_takes_one_flow_holds_up_no_other_and_no_request(ends: Ends) -> None:
+    near, far = ends
+    gate, taken = threading.Event(), SimpleQueue[bytes]()
+    held: list[bytes] = []
+
+    def hang(_: object, header: bytes) -> None:
+        gate.wait(patience())
+        held.append(header)
+
+    near.subscribe("test/hangs", 8, hang, "test")
+    near.subscribe("test/goes_on", 8, lambda _, header: taken.put(header), "test")
+    near.answer("test/ask", lambda request, reply: reply(request))
+    _settle(far, near)
+    for number in (b"1", b"2", b"3"):
+        far.publish("test/hangs", b"", number)
+    far.publish("test/goes_on", b"", b"other")
+    assert far.ask("test/ask", "still", timeout=patience()) == "still"
+    assert taken.get(timeout=patience()) == b"other"
+    assert held == []
+    gate.set()
+    wait(lambda: len(held) == 3)
+    assert held == [b"1", b"2", b"3"]
 
 
 def test_an_error_of_the_engine_does_not_tell_where_that_was_built() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from uoarm._host.transport import frames, socket_transport
 from uoarm._host.transport.codec import Frame
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.testing import patience, wait
@@ -23,13 +24,24 @@ LARGE = bytes(range(256)) * 2**14  # 4 MiB, more than any kernel holds for a soc
 
 
 @pytest.fixture
-def bare() -> Iterator[tuple[SocketTransport, socket.socket]]:
-    """An end, and the bare socket at its other end."""
-    one, other = socket.socketpair()
+def bare() -> Iterator[tuple[SocketTransport, LinkSockets]]:
+    """An end, and the bare sockets at its other end."""
+    one, other = LinkSockets.make()
     near = SocketTransport(one, "near")
     yield near, other
     other.close()
     near.close()
+
+
+class _Taken:
+    """The frames that come at one end."""
+
+    def __init__(self, end: SocketTransport, length: int = 4) -> None:
+        self.got: SimpleQueue[tuple[Frame, bytes]] = SimpleQueue()
+        end.subscribe("test/frames", length, lambda *frame: self.got.put(frame), "test")
+
+    def next(self) -> tuple[Frame, bytes]:
+        return self.got.get(timeout=patience())
 
 
 @given(
@@ -43,10 +55,10 @@ def bare() -> Iterator[tuple[SocketTransport, socket.socket]]:
     )
 )
 def test_frames_of_every_length_arrive_whole_and_in_order(sizes: list[tuple[int, int]]) -> None:
-    one, other = socket.socketpair()
+    one, other = LinkSockets.make()
     near, far = SocketTransport(one, "near"), SocketTransport(other, "far")
     try:
-        receive, _ = far.subscribe("test/frames", len(sizes))
+        taken = _Taken(far, len(sizes))
         sent = [
             (bytes([n]) * length, bytes([n + 1]) * header)
             for n, (length, header) in enumerate(sizes)
@@ -58,7 +70,7 @@ def test_frames_of_every_length_arrive_whole_and_in_order(sizes: list[tuple[int,
 
         writing = threading.Thread(target=write)
         writing.start()
-        got = [receive() for _ in sent]
+        got = [taken.next() for _ in sent]
         writing.join(patience())
         assert got == sent
     finally:
@@ -73,7 +85,7 @@ def _fill(near: SocketTransport, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_frame_that_finds_a_full_link_is_dropped_whole(
-    bare: tuple[SocketTransport, socket.socket], monkeypatch: pytest.MonkeyPatch
+    bare: tuple[SocketTransport, LinkSockets], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, other = bare
     _fill(near, monkeypatch)
@@ -82,25 +94,25 @@ def test_a_frame_that_finds_a_full_link_is_dropped_whole(
     with pytest.raises(BridgeTimeoutError, match="the link has been full"):
         near.publish("test/frames", b"third", b"", must_arrive=True)
     monkeypatch.setattr(socket_transport, "_FULL_SECONDS", patience())
-    far = SocketTransport(other.dup(), "far")
-    receive, _ = far.subscribe("test/frames", 4)
+    far = SocketTransport(other, "far")
+    taken = _Taken(far)
     near.publish("test/frames", b"fourth", b"last")
-    assert receive() == (LARGE, b"first")
-    assert receive() == (b"fourth", b"last")
+    assert taken.next() == (LARGE, b"first")
+    assert taken.next() == (b"fourth", b"last")
     far.close()
 
 
-def test_whoever_writes_next_ends_what_was_begun(
-    bare: tuple[SocketTransport, socket.socket], monkeypatch: pytest.MonkeyPatch
+def test_whoever_asks_next_writes_on_at_what_was_begun(
+    bare: tuple[SocketTransport, LinkSockets], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, other = bare
     _fill(near, monkeypatch)
-    monkeypatch.setattr(socket_transport, "_FULL_SECONDS", patience())
-    far = SocketTransport(other.dup(), "far")
+    far = SocketTransport(other, "far")
     far.answer("test/ask", lambda request, reply: reply(request))
-    receive, _ = far.subscribe("test/frames", 4)
-    assert near.ask("test/ask", "behind it", timeout=patience()) == "behind it"
-    assert receive() == (LARGE, b"first")
+    taken = _Taken(far)
+    while taken.got.empty():  # as heartbeats do, over a socket of their own
+        assert near.ask("test/ask", "anything", timeout=patience()) == "anything"
+    assert taken.next() == (LARGE, b"first")
     far.close()
 
 
@@ -119,12 +131,12 @@ class _Interrupted:
 
 
 def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
-    bare: tuple[SocketTransport, socket.socket], monkeypatch: pytest.MonkeyPatch
+    bare: tuple[SocketTransport, LinkSockets], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, other = bare
-    far = SocketTransport(other.dup(), "far")
-    receive, _ = far.subscribe("test/frames", 4)
-    writer = near._writer
+    far = SocketTransport(other, "far")
+    taken = _Taken(far)
+    writer = near._flows._writer
     real: Any = writer._socket
     monkeypatch.setattr(writer, "_socket", _Interrupted(real))
     with pytest.raises(KeyboardInterrupt):
@@ -132,7 +144,7 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
     monkeypatch.setattr(writer, "_socket", real)
     with pytest.raises(BridgeError, match="the link is closed"):
         near.publish("test/frames", b"two", b"")
-    assert receive() == (b"one", b"")
+    assert taken.next() == (b"one", b"")
     far.close()
 
 
@@ -141,36 +153,38 @@ def test_a_write_that_a_signal_interrupts_ends_the_link_and_garbles_nothing(
     [b"\xff" * 16, frames._HEAD.pack(2, 0, 4, 0, 0, 2**31) + b"name"],
     ids=["noise", "a frame of 2 GiB"],
 )
+@pytest.mark.parametrize("place", ["requests", "outgoing"])
 def test_what_is_no_frame_ends_the_link_for_both(
-    bare: tuple[SocketTransport, socket.socket], told: bytes
+    bare: tuple[SocketTransport, LinkSockets], told: bytes, place: str
 ) -> None:
     near, other = bare
-    other.settimeout(patience())
-    other.sendall(told)
-    assert other.recv(1) == b""
+    for one in (other.requests, other.incoming):
+        one.settimeout(patience())
+    getattr(other, place).sendall(told)
+    assert other.requests.recv(1) == other.incoming.recv(1) == b""
     with pytest.raises(BridgeError, match="the link is closed") as caught:
         near.ask("test/ask", None, timeout=patience())
     assert caught.value.reason is FailureReason.UNAVAILABLE
 
 
 def test_a_frame_for_which_there_is_no_memory_ends_the_link(
-    bare: tuple[SocketTransport, socket.socket], monkeypatch: pytest.MonkeyPatch
+    bare: tuple[SocketTransport, LinkSockets], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     near, other = bare
-    other.settimeout(patience())
+    other.requests.settimeout(patience())
 
     def none_left(size: int) -> bytearray:
         raise MemoryError
 
     monkeypatch.setattr(frames, "bytearray", none_left, raising=False)
-    other.sendall(frames._HEAD.pack(2, 0, 4, 0, 0, LONG) + b"name")
-    assert other.recv(1) == b""
+    other.outgoing.sendall(frames._HEAD.pack(0, 0, 4, 0, 0, LONG) + b"name")
+    assert other.requests.recv(1) == b""
     with pytest.raises(BridgeError, match="the link is closed"):
         near.publish("test/frames", b"", b"")
 
 
 def test_who_waits_for_an_answer_hears_of_the_end_at_once(
-    bare: tuple[SocketTransport, socket.socket],
+    bare: tuple[SocketTransport, LinkSockets],
 ) -> None:
     near, other = bare
     said: SimpleQueue[BaseException] = SimpleQueue()
@@ -183,14 +197,14 @@ def test_who_waits_for_an_answer_hears_of_the_end_at_once(
 
     asking = threading.Thread(target=ask)
     asking.start()
-    assert other.recv(1)  # it has asked
-    other.shutdown(socket.SHUT_RDWR)
+    assert other.requests.recv(1)  # it has asked
+    other.requests.shutdown(socket.SHUT_RDWR)
     assert isinstance(said.get(timeout=patience()), BridgeError)
     asking.join(patience())
 
 
 def test_late_questions_that_nobody_answers_are_forgotten(
-    bare: tuple[SocketTransport, socket.socket],
+    bare: tuple[SocketTransport, LinkSockets],
 ) -> None:
     near, _ = bare
     for _ in range(100):
@@ -199,30 +213,38 @@ def test_late_questions_that_nobody_answers_are_forgotten(
 
 
 def test_the_oldest_frames_of_a_subscription_are_lost_first(
-    bare: tuple[SocketTransport, socket.socket],
+    bare: tuple[SocketTransport, LinkSockets],
 ) -> None:
     near, other = bare
-    far = SocketTransport(other.dup(), "far")
-    receive, _ = near.subscribe("test/frames", 2)
-    got: SimpleQueue[Frame] = SimpleQueue()
-    near.listen("test/last", got.put)
+    far = SocketTransport(other, "far")
+    got: list[Frame] = []
+    gate, last = threading.Event(), threading.Event()
+
+    def take(payload: Frame, header: bytes) -> None:
+        gate.wait(patience())
+        got.append(payload)
+
+    near.subscribe("test/frames", 2, take, "test")
+    near.subscribe("test/last", 2, lambda *_: last.set(), "test")
     for number in range(5):
         far.publish("test/frames", bytes([number]), b"")
-    far.publish("test/last", b"", b"now")
-    assert got.get(timeout=patience()) == b"now"
-    assert [receive(), receive()] == [(b"\x03", b""), (b"\x04", b"")]
+    far.publish("test/last", b"", b"")
+    assert last.wait(patience())
+    gate.set()
+    wait(lambda: len(got) == 3)
+    assert got == [b"\x00", b"\x03", b"\x04"]
     far.close()
 
 
-def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, socket.socket]) -> None:
+def test_nothing_is_heard_after_an_end(bare: tuple[SocketTransport, LinkSockets]) -> None:
     near, other = bare
-    far = SocketTransport(other.dup(), "far")
+    far = SocketTransport(other, "far")
     seen: list[bytes] = []
     near.listen("test/one", seen.append)()
     near.answer("test/ask", lambda request, reply: reply(request))()
     with pytest.raises(BridgeError, match="nobody answers at test/ask"):
         far.ask("test/ask", None, timeout=patience())
-    far.publish("test/one", b"", b"late")
+    far.tell("test/one", b"late")
     near.answer("test/ask", lambda request, reply: reply(request))
     assert far.ask("test/ask", "told", timeout=patience()) == "told"
     assert seen == []

@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import signal
-import socket
 import sys
 import threading
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from typing import Any
 from uoarm._host.agent.dispatcher import RequestDispatcher
 from uoarm._host.process.limits import die_with_parent, limit_memory, outlive_parent
 from uoarm._host.transport import keys
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
@@ -71,9 +71,9 @@ def main() -> int:
     threading.Thread(target=_watch_manager, args=(main_thread,), daemon=True).start()
     # In a thread: a handler must not take the lock that the thread it interrupts may hold.
     signal.signal(signal.SIGTERM, lambda *_: threading.Thread(target=main_thread.end).start())
-    for inherited in (orders["link"], orders["counters"]):
+    for inherited in (*orders["link"], orders["counters"]):
         os.set_inheritable(inherited, False)  # processes that the bridge starts have no part in it
-    transport = SocketTransport(socket.socket(fileno=orders["link"]))
+    transport = SocketTransport(LinkSockets.inherited(orders["link"]))
     try:
         bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
     except UoarmError as error:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import atexit
 import logging
 import os
-import socket
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import IO, Any
 
 from uoarm._host.process.host_process import HostProcess, host_command
 from uoarm._host.process.settings import HostSettings
 from uoarm._host.transport import keys
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.liveness import Heartbeat, LivenessMonitor
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
@@ -73,15 +74,15 @@ class ProcessConnection:
         self._transport = SocketTransport(near, spec.name)
         self._transport.watch_alive(keys.ALIVE, self._liveness.seen)
         try:
-            with counted, far:  # the host has inherited them, or there is none
-                passed = far.fileno(), counted.fileno()
+            with counted, closing(far):  # the host has inherited them, or there is none
+                passed = *far.descriptors, counted.fileno()
                 self._started = HostProcess(spec.name, command, variables, self._exited, passed)
                 self._started.tell(
                     {
                         "name": spec.name,
                         "plugin": spec.plugin,
                         "options": dict(spec.options),
-                        "link": far.fileno(),
+                        "link": far.descriptors,
                         "counters": counted.fileno(),
                         "parent": os.getpid(),
                         "memory": settings.memory_bytes,
@@ -199,8 +200,8 @@ class ProcessConnection:
         self._liveness.die(self._given_up)
 
 
-def _shared_with_host(name: str) -> tuple[IO[bytes], socket.socket, socket.socket]:
-    """Make the file of the counters, and two sockets that are connected.
+def _shared_with_host(name: str) -> tuple[IO[bytes], LinkSockets, LinkSockets]:
+    """Make the file of the counters, and both ends of a link.
 
     Raises:
         BridgeError: UNAVAILABLE, such as where the disk is full.
@@ -208,7 +209,7 @@ def _shared_with_host(name: str) -> tuple[IO[bytes], socket.socket, socket.socke
     try:
         counted = SharedCounters.make_file()
         try:
-            return counted, *socket.socketpair()
+            return counted, *LinkSockets.make()
         except OSError:
             counted.close()
             raise

@@ -209,12 +209,12 @@ class FlowSender:
 
 
 class FlowReceiver:
-    """The receiving end of a flow: a thread that takes one message after the other.
+    """The receiving end of a flow: takes one message after the other.
 
     Args:
         transport: carries it.
         key: name of the flow on the link.
-        name: for the thread.
+        name: of whoever takes, for records and for a thread of its own.
         take: the consumer; what it raises is counted and told to the sending end.
         ended: told, after the last message, how the flow ended.
         counter: where how many messages the consumer has taken is written down.
@@ -248,9 +248,7 @@ class FlowReceiver:
         self.last_error = ""
         self._records = LimitedLog(_log)
         self.latency = 0.0
-        self._receive, self._end = transport.subscribe(key, 2 * _WINDOW)
-        self._thread = threading.Thread(target=self._run, name=f"uoarm-from-{name}", daemon=True)
-        self._thread.start()
+        self._end = transport.subscribe(key, 2 * _WINDOW, self._receive, f"uoarm-from-{name}")
 
     def handled(self) -> Handled:
         """Return how far it is, for the sending end."""
@@ -269,17 +267,14 @@ class FlowReceiver:
             pause.wait(_GLANCE_SECONDS)
         return self._number >= number
 
-    def join(self, timeout: float) -> None:
-        """Wait until a `take` under way has finished, unless this is called from within it."""
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout)
-
-    def _run(self) -> None:
+    def _receive(self, frame: Frame, header: bytes) -> None:
+        if self._closed:
+            return
         try:
-            while (frame := self._receive()) is not None and not self._closed:
-                self._handle(*frame)
+            self._handle(frame, header)
         except BridgeError as error:
             _log.debug("%s ended with its link: %s", self._key, error)
+            self.close()
 
     def _handle(self, frame: Frame, header: bytes) -> None:
         told = _header(header)
@@ -326,7 +321,7 @@ class FlowReceiver:
             return
         self._confirmed, self._confirmed_at = self._number, now
         header = msgpack.packb(astuple(self.handled()))
-        self._transport.publish(f"{self._key}/handled", b"", header, must_arrive=True)
+        self._transport.tell(f"{self._key}/handled", header)
 
 
 def _header(octets: bytes) -> tuple[int, int, int, Ending | None] | None:

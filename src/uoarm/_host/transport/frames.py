@@ -26,6 +26,7 @@ _JOINED_OCTETS = 2**14  # a short frame is written as one piece
 _MOST_OCTETS = 2**30
 _STEP_MICROSECONDS = 20_000
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
+_AT_ONCE = _NO_SIGNAL | getattr(socket, "MSG_DONTWAIT", 0)
 
 
 class Received(NamedTuple):
@@ -102,6 +103,19 @@ class FrameWriter:
             self._writing.release()
         if not has_begun:
             raise _full(key, seconds)
+
+    def write_on(self) -> None:
+        """Write of a frame that was begun what the kernel takes now. Waits for nobody."""
+        if not self._rest or not self._writing.acquire(blocking=False):
+            return
+        try:
+            if self._rest and not self._is_torn:
+                self._is_torn = True
+                with suppress(OSError):  # there is no room, or who reads the link tells its end
+                    self._rest = self._rest[self._socket.send(self._rest, _AT_ONCE) :]
+                self._is_torn = False
+        finally:
+            self._writing.release()
 
     def shut(self) -> None:
         """Have both ends know that no more is said."""

@@ -1,14 +1,14 @@
-"""The transport between a manager and a host that it started: two connected sockets.
+"""The transport between a manager and a host that it started: connected sockets.
 
-Nothing listens and nothing lies in a folder: the host inherits its end. One thread at either end
-reads, and hands on what it read; whoever sends writes by itself.
+Nothing listens and nothing lies in a folder: the host inherits its end. Requests, answers and signs
+of life have a socket and a thread of their own, so that they wait for no message and for nobody who
+takes one. Whoever sends writes by itself.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +17,9 @@ from queue import Empty, SimpleQueue
 from typing import Any, final
 
 from uoarm._host.transport.codec import Frame, pack
+from uoarm._host.transport.frame_flows import FrameFlows
 from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
+from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.transport import (
     ANSWER_SECONDS,
     LinkLostError,
@@ -31,7 +33,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason, UoarmEr
 
 __all__ = ["SocketTransport"]
 
-_ASK, _ANSWER, _PUBLISH, _TOKEN = range(4)
+_ASK, _ANSWER, _TELL, _TOKEN = range(4)
 _FULL_SECONDS = 0.2
 _MUST_ARRIVE_SECONDS = 5.0
 _JOIN_SECONDS = 2.0
@@ -40,26 +42,26 @@ _log = logging.getLogger("uoarm")
 
 @final
 class SocketTransport(Transport):
-    """One end of a pair of connected sockets.
+    """One end of connected sockets.
 
     Args:
-        connected: this end, which belongs to the transport from now on.
-        name: for its thread.
+        sockets: this end, which belongs to the transport from now on.
+        name: for its threads.
     """
 
-    def __init__(self, connected: socket.socket, name: str = "manager") -> None:
+    def __init__(self, sockets: LinkSockets, name: str = "manager") -> None:
         super().__init__()
-        self._reader = FrameReader(connected)
-        self._writer = FrameWriter(connected)
+        self._reader = FrameReader(sockets.requests)
+        self._writer = FrameWriter(sockets.requests)
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._asked: dict[int, Callable[[Frame | None], object]] = {}
         self._late: dict[int, float] = {}
         self._answering: dict[str, Callable[[Any, Reply], None]] = {}
-        self._frames: dict[str, _Ring] = {}
         self._listening: dict[str, Callable[[bytes], None]] = {}
         self._tokens: set[str] = set()
         self._watching: dict[str, Callable[[bool], None]] = {}
+        self._flows = FrameFlows(sockets.incoming, sockets.outgoing, name, self._shut)
         self._thread = threading.Thread(target=self._run, name=f"uoarm-link-{name}", daemon=True)
         self._thread.start()
 
@@ -114,25 +116,26 @@ class SocketTransport(Transport):
         """Send one frame."""
         try:
             limit = _MUST_ARRIVE_SECONDS if must_arrive else _FULL_SECONDS
-            self._write(_PUBLISH, key, 0, header, payload, limit)
-        except BridgeTimeoutError:
+            self._flows.write(key, header, payload, limit)
+        except BridgeTimeoutError:  # which is an OSError, too
             if must_arrive:
                 raise
+        except OSError as error:
+            self._shut()
+            raise _closed(f"sending to {key}") from error
 
     def subscribe(
-        self, key: str, length: int
-    ) -> tuple[Callable[[], tuple[Frame, bytes] | None], Callable[[], None]]:
-        """Return a function that waits for the next frame, and one that ends the subscription."""
-        ring = self._frames[key] = _Ring(length)
+        self, key: str, length: int, take: Callable[[Frame, bytes], object], name: str
+    ) -> Callable[[], None]:
+        """Have frames at a key handed to `take`, in the thread that read them where it is quick."""
+        return self._flows.subscribe(key, length, take, name)
 
-        def end() -> None:
-            self._end(self._frames, key, ring)
-            ring.end()
-
-        return ring.get, end
+    def tell(self, key: str, header: bytes) -> None:
+        """Send a header to who listens at a key."""
+        self._write(_TELL, key, 0, header, b"", _MUST_ARRIVE_SECONDS)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have the headers of frames at a key handed to `take`, in the transport's thread."""
+        """Have headers that are told at a key handed to `take`, in the transport's thread."""
         self._listening[key] = take
         return lambda: self._end(self._listening, key, take)
 
@@ -152,13 +155,17 @@ class SocketTransport(Transport):
         """End everything of this end; the other one is told that its tokens have gone."""
         with self._lock:
             self._watching.clear()
-        self._writer.shut()
+        self._shut()
         if threading.current_thread() is not self._thread:
             self._thread.join(_JOIN_SECONDS)
         self._lose()
-        for ring in list(self._frames.values()):
-            ring.end()
+        self._flows.close()
         self._writer.close()
+
+    def _shut(self) -> None:
+        """Have both ends know that no more is said."""
+        self._writer.shut()
+        self._flows.shut()
 
     @staticmethod
     def _end(table: dict[str, Any], key: str, kept: object) -> None:
@@ -173,7 +180,7 @@ class SocketTransport(Transport):
     def _write(
         self, kind: int, key: str, number: int, header: bytes, payload: bytes, seconds: float
     ) -> None:
-        """Write a frame, after what is left of the one before.
+        """Write a frame to the socket of requests, after what is left of the one before.
 
         Raises:
             BridgeTimeoutError: the link was full for so long, and none of it was written.
@@ -181,12 +188,13 @@ class SocketTransport(Transport):
         """
         if threading.current_thread() is self._thread:
             seconds = _FULL_SECONDS  # it must go on reading, or both ends might wait for each other
+        self._flows.write_on()  # nobody else may come to write there for long
         try:
             self._writer.write(kind, key, number, header, payload, seconds)
         except BridgeTimeoutError:  # which is an OSError, too
             raise
         except OSError as error:
-            self._writer.shut()
+            self._shut()
             raise _closed(f"sending to {key}") from error
 
     def _run(self) -> None:
@@ -199,16 +207,12 @@ class SocketTransport(Transport):
         except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
             _log.warning("a link ended: %s: %s", type(error).__name__, error)
         finally:
-            self._writer.shut()
+            self._shut()
             self._lose()
 
     def _take(self, frame: Received) -> None:
         key = frame.key
-        if frame.kind == _PUBLISH:
-            ring = self._frames.get(key)
-            if ring is not None:
-                ring.put((frame.payload, frame.header))
-                return
+        if frame.kind == _TELL:
             listener = self._listening.get(key)
             if listener is not None:
                 listener(frame.header)
@@ -248,24 +252,6 @@ class SocketTransport(Transport):
                 self._asked.popitem()[1](None)
         for seen in gone:
             seen(False)
-
-
-class _Ring:
-    """The newest frames of a subscription, from the thread that reads to the one that takes."""
-
-    def __init__(self, length: int) -> None:
-        self._length = length
-        self._frames: SimpleQueue[tuple[Frame, bytes] | None] = SimpleQueue()
-        self.get = self._frames.get
-
-    def put(self, frame: tuple[Frame, bytes]) -> None:
-        if self._frames.qsize() >= self._length:
-            with suppress(Empty):
-                self._frames.get_nowait()
-        self._frames.put(frame)
-
-    def end(self) -> None:
-        self._frames.put(None)
 
 
 def _closed(step: str) -> LinkLostError:

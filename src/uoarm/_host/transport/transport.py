@@ -94,17 +94,31 @@ class Transport(ABC):
 
     @abstractmethod
     def subscribe(
-        self, key: str, length: int
-    ) -> tuple[Callable[[], tuple[Frame, bytes] | None], Callable[[], None]]:
-        """Return a function that waits for the next frame, and one that ends the subscription.
+        self, key: str, length: int, take: Callable[[Frame, bytes], object], name: str
+    ) -> Callable[[], None]:
+        """Have payload and header of each frame at a key handed to `take`; returns what ends it.
 
-        The first returns (payload, header), or None when the subscription has ended. At most
-        `length` frames wait; the oldest are lost first.
+        One frame after the other, in order, in a thread of the transport's, which has this name if
+        it serves nobody else. `take` may block: no other subscription waits long for it. At most
+        `length` frames wait; the oldest are lost first. After the end no `take` begins; one under
+        way finishes alone. It must not raise.
+        """
+
+    @abstractmethod
+    def tell(self, key: str, header: bytes) -> None:
+        """Send a header to who listens at a key.
+
+        Raises:
+            LinkLostError: the link is closed.
+            BridgeTimeoutError: the link has been full for 5 s.
         """
 
     @abstractmethod
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have the headers of frames at a key handed to `take`, in the transport's thread."""
+        """Have headers that are told at a key handed to `take`, in the transport's thread.
+
+        `take` must not block.
+        """
 
     @abstractmethod
     def show_alive(self, key: str) -> None:

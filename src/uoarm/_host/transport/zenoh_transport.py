@@ -9,6 +9,7 @@ import copy
 import json
 import logging
 import re
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -139,26 +140,38 @@ class ZenohTransport(Transport):
             )
 
     def subscribe(
-        self, key: str, length: int
-    ) -> tuple[Callable[[], tuple[Frame, bytes] | None], Callable[[], None]]:
-        """Return a function that waits for the next frame, and one that ends the subscription."""
+        self, key: str, length: int, take: Callable[[Frame, bytes], object], name: str
+    ) -> Callable[[], None]:
+        """Have frames at a key handed to `take`, in a thread of their own."""
         with _wrapped(f"subscribing to {key}"):
             ring: Any = zenoh.handlers.RingChannel(length)
             subscriber = self._session.declare_subscriber(self._prefix + key, ring)
-        waiting = subscriber.handler
+        undeclare = self._keep(subscriber)
+        ended = threading.Event()
 
-        def receive() -> tuple[bytes, bytes] | None:
-            try:
-                sample = waiting.recv()
-            except zenoh.ZError:
-                return None
-            header = sample.attachment
-            return sample.payload.to_bytes(), b"" if header is None else header.to_bytes()
+        def run() -> None:
+            while not ended.is_set():
+                try:
+                    sample = subscriber.handler.recv()
+                except zenoh.ZError:  # it has ended
+                    return
+                header = sample.attachment
+                if not ended.is_set():
+                    take(sample.payload.to_bytes(), b"" if header is None else header.to_bytes())
 
-        return receive, self._keep(subscriber)
+        def end() -> None:
+            ended.set()
+            undeclare()
+
+        threading.Thread(target=run, name=name, daemon=True).start()
+        return end
+
+    def tell(self, key: str, header: bytes) -> None:
+        """Send a header to who listens at a key."""
+        self.publish(key, b"", header, must_arrive=True)
 
     def listen(self, key: str, take: Callable[[bytes], None]) -> Callable[[], None]:
-        """Have the headers of frames at a key handed to `take`, in Zenoh's thread."""
+        """Have headers that are told at a key handed to `take`, in Zenoh's thread."""
 
         def handle(sample: zenoh.Sample) -> None:
             header = sample.attachment

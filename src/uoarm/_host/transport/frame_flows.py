@@ -1,0 +1,190 @@
+"""The frames of all flows of a link, over a socket for each way: who writes and who takes them.
+
+One thread reads and, as a rule, takes what it read by itself. Where a `take` lasts, another thread
+reads on, and the one that is in it goes on as the thread of that flow: so no flow waits long for
+another one, and no message for the wake-up of a second thread.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+from uoarm._host.transport.codec import Frame
+from uoarm._host.transport.frames import FrameReader, FrameWriter, Received
+from uoarm._host.transport.subscription import Subscription, Take
+from uoarm.errors import BridgeTimeoutError
+
+__all__ = ["FrameFlows"]
+
+_FRAME = 0
+_SHORT_OCTETS = 2**14  # as much is written whole or not at all
+_STUCK_SECONDS = 0.02
+_LOOK_SECONDS = 0.02
+_IDLE_LOOKS = 50  # then it sleeps until there is something to look at
+_JOIN_SECONDS = 2.0
+_log = logging.getLogger("uoarm")
+
+
+class FrameFlows:
+    """One end of the flows. All methods may be called from any thread.
+
+    Args:
+        incoming: the socket that is read here, and nowhere else.
+        outgoing: the socket that is written.
+        name: for its threads.
+        ended: told when no more comes, in the thread that read.
+    """
+
+    def __init__(
+        self,
+        incoming: socket.socket,
+        outgoing: socket.socket,
+        name: str,
+        ended: Callable[[], object],
+    ) -> None:
+        self._incoming = incoming
+        self._reader = FrameReader(incoming)
+        self._writer = FrameWriter(outgoing)
+        self._name = name
+        self._tell_end = ended
+        self._subscriptions: dict[str, Subscription] = {}
+        self._lock = threading.Lock()
+        self._taking: Subscription | None = None  # what the thread that reads takes just now
+        self._taken = 0  # how often it has begun to take something
+        self._is_watched = threading.Event()
+        self._closing = threading.Event()
+        self._watching = threading.Thread(
+            target=self._watch, name=f"uoarm-watch-{name}", daemon=True
+        )
+        self._watching.start()
+        with self._lock:
+            self._reading = self._start_reading()
+
+    def write(self, key: str, header: bytes, payload: Frame, seconds: float) -> None:
+        """Write a frame, after what is left of the one before.
+
+        Raises:
+            BridgeTimeoutError: the link was full for so long, and none of it was written.
+            BridgeError: REFUSED: it is too long.
+            OSError: the link is closed.
+        """
+        if threading.get_ident() == self._reading.ident:
+            # While it waits nobody reads; if the other end does the same, both wait in vain.
+            if len(payload) <= _SHORT_OCTETS:
+                with suppress(BridgeTimeoutError):
+                    self._writer.write(
+                        _FRAME, key, 0, header, payload, min(_STUCK_SECONDS, seconds)
+                    )
+                    return
+            self._read_elsewhere()
+        self._writer.write(_FRAME, key, 0, header, payload, seconds)
+
+    def write_on(self) -> None:
+        """Write of a frame that was begun what the kernel takes now. Waits for nobody."""
+        self._writer.write_on()
+
+    def subscribe(self, key: str, length: int, take: Take, name: str) -> Callable[[], None]:
+        """Have the frames at a key taken; returns what ends it."""
+        kept = self._subscriptions[key] = Subscription(take, length, name)
+
+        def end() -> None:
+            if self._subscriptions.get(key) is kept:
+                del self._subscriptions[key]
+            kept.end()
+
+        return end
+
+    def shut(self) -> None:
+        """Have both ends know that no more is said."""
+        self._writer.shut()
+        with suppress(OSError):  # it is closed, or the other end is
+            self._incoming.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """End every subscription and close the sockets; a `take` that hangs finishes alone."""
+        self.shut()
+        with self._lock:
+            self._closing.set()
+            self._is_watched.set()
+            reading = None if self._taking is not None else self._reading
+        for one in (reading, self._watching):
+            if one is not None and one is not threading.current_thread():
+                one.join(_JOIN_SECONDS)
+        for subscription in list(self._subscriptions.values()):
+            subscription.end()
+        self._writer.close()
+        self._incoming.close()
+
+    def _start_reading(self) -> threading.Thread:
+        """Start a thread that reads once this one lets go of the lock, which it has."""
+        thread = threading.Thread(target=self._read, name=f"uoarm-flows-{self._name}", daemon=True)
+        thread.start()
+        return thread
+
+    def _read(self) -> None:
+        """Read, and take what is read, until the end, or until another thread reads on."""
+        with self._lock:
+            pass
+        try:
+            while (frame := self._reader.read()) is not None:
+                instead = self._take(frame)
+                del frame  # or it would be kept until the next one comes
+                if instead is not None:
+                    instead.run_here()
+                    return
+        except Exception as error:  # noqa: BLE001 - such as no memory for a long frame
+            if not self._closing.is_set():
+                _log.warning("a link ended: %s: %s", type(error).__name__, error)
+        self._tell_end()
+
+    def _take(self, frame: Received) -> Subscription | None:
+        """Have a frame taken; return whose thread this one is now, None where it is to read on."""
+        subscription = self._subscriptions.get(frame.key)
+        if subscription is None or not subscription.begin(frame.payload, frame.header):
+            return None
+        with self._lock:
+            self._taking = subscription
+            self._taken += 1
+        if not self._is_watched.is_set():
+            self._is_watched.set()
+        subscription.take(frame.payload, frame.header)
+        with self._lock:
+            if self._taking is not subscription:
+                return subscription
+            self._taking = None
+        return None
+
+    def _read_elsewhere(self, taken: int | None = None) -> None:
+        """Have another thread read on, while the one that reads is in a `take`.
+
+        Args:
+            taken: nothing is done unless it is the `take` of this number.
+        """
+        with self._lock:
+            if self._taking is None or self._closing.is_set() or taken not in (None, self._taken):
+                return
+            try:
+                self._reading = self._start_reading()
+            except RuntimeError:  # there are too many threads
+                return
+            self._taking.hand_over()
+            self._taking = None
+
+    def _watch(self) -> None:
+        """Look whether the thread that reads is in the same `take` as at the last look."""
+        while self._is_watched.wait() and not self._closing.is_set():
+            idle, before = 0, self._taken
+            while idle < _IDLE_LOOKS and not self._closing.wait(_LOOK_SECONDS):
+                now = self._taken
+                if now == before:
+                    idle += 1
+                    self._read_elsewhere(now)
+                else:
+                    idle, before = 0, now
+            self._is_watched.clear()
+            if self._taken != before or self._closing.is_set():  # it began before it was cleared
+                self._is_watched.set()
