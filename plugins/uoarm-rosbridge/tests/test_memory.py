@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+import threading
 import urllib.request
 
-from ros import Enter, Ros, Serve, eventually, frame, open_socket, url
+import pytest
+from components import script
+from ros import Enter, Ros, Serve, eventually, frame, open_socket, opened, url
 
+from uoarm import RobotManager
 from uoarm.server import Limits, Server
+from uoarm.server.streams import _feed_registry
+from uoarm.server.streams._feed import Feed
+from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.testing import patience
 
 
@@ -96,3 +103,32 @@ def test_a_provider_that_does_not_read_is_not_cut_off_by_those_who_ask_it(serve:
         refused = [asker.receive()["values"] for _ in range(20)]
         assert any("leaves too much unread" in one for one in refused), refused
         assert "/s" in other.call("/rosapi/services", {})["services"]
+
+
+def test_what_stood_before_a_busy_loop_is_let_go_of(
+    serve: Serve, robot: RobotManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, feeds, gate = [0.0], list[tuple[LoopMailbox, Feed]](), threading.Event()
+
+    def make(mailbox: LoopMailbox, limit: int) -> Feed:
+        feeds.append((mailbox, Feed(mailbox, limit, lambda: now[0])))
+        return feeds[-1][1]
+
+    def busy() -> None:
+        gate.wait(patience())
+
+    monkeypatch.setattr(_feed_registry, "Feed", make)
+    server = serve(Limits())
+    with Ros(url(server)) as client:
+        client.send(op="subscribe", topic="/uoarm/numbers")
+        opened(robot, 1)
+        client.call("/rosapi/topics")
+        [(mailbox, feed)] = feeds
+        mailbox.put(busy)
+        script.put(*({"value": value} for value in range(100)))
+        eventually(lambda: feed.number == 100, "all have come")
+        now[0] = 5.0
+        gate.set()
+        assert client.messages(1) == [{"value": 84}]
+        assert client.messages(15)[-1] == {"value": 99}
+        assert "uoarm_serve_dropped_messages 84.0" in figures(server)

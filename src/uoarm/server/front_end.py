@@ -117,6 +117,9 @@ class Outbox(Protocol):
         Older messages of the stream are dropped as its policy says.
         """
 
+    def miss(self, lane: Lane) -> None:
+        """Count a message of a stream that was let go of before it came here; see `Feed.add`."""
+
     def finish(self, lane: Lane, *frames: bytes) -> None:
         """Add the last message of a stream, after all that waits of it; it is never dropped."""
 

@@ -156,6 +156,10 @@ class Subscription:
         else:
             self.lane.dropped += 1
 
+    def miss(self) -> None:
+        """Count a message that was let go of before it came here."""
+        self._outbox.miss(self.lane)
+
     def refuse(self, envelope: Envelope, error: MessageError) -> None:
         """Count a message that has no form, and tell why."""
         del envelope

@@ -225,7 +225,7 @@ class Topics:
             self._stop(place)
             self._fail(fields, error)
             return
-        feed.add(listening.subscription)
+        feed.add(listening.subscription, missed=listening.subscription.miss)
 
     def _ended(self, place: Place, fields: Fields, state: str, cause: str) -> None:
         """Wait for a provider that failed to come back; what ended in another way has ended."""

@@ -85,6 +85,10 @@ class Stream:
             self._due = now + self._every
         self._outbox.put(self.lane, envelope.written(self._key, self._write))
 
+    def miss(self) -> None:
+        """Count a message that was let go of before it came here."""
+        self._outbox.miss(self.lane)
+
     def refuse(self, envelope: Envelope, error: MessageError) -> None:
         """Count a message that has no form, and tell why."""
         del envelope
@@ -180,7 +184,8 @@ class ClientStreams:
 
     def begin(self, stream: Stream) -> None:
         """Let the messages of a stream come, first those that wait."""
-        stream.feed.add(stream, functools.partial(stream.prepare, self._registry.encoder))
+        prepare = functools.partial(stream.prepare, self._registry.encoder)
+        stream.feed.add(stream, prepare, None if stream.lane.wants_all else stream.miss)
 
     def own(self, identity: str) -> Stream:
         """Return the client's stream of a connection.
@@ -295,7 +300,8 @@ class ClientStreams:
             min(options.get("length", limits.queue_messages), limits.queue_messages),
             options.get("policy", OverflowPolicy.DROP_OLDEST),
         )
-        return Lane(queue, text, options.get("age", math.inf))
+        wants_all = queue.policy is not OverflowPolicy.LATEST
+        return Lane(queue, text, options.get("age", math.inf), wants_all=wants_all)
 
     def _ended(self, identity: str, state: str, cause: str) -> None:
         """Send the end after the last message, and free the name."""

@@ -12,8 +12,10 @@ from typing import Protocol, TypeAlias
 from attrs import define, field, frozen
 
 from uoarm._control import Connection
+from uoarm._dataplane import Clock
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
+from uoarm.server.streams._backlog import Backlog
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 
@@ -55,11 +57,15 @@ class Envelope:
         number: counts the feed's messages from 1; a gap is a loss.
         message: the message as it came.
         octets: of memory that it holds, where that is known already.
+        came: when, in seconds of the feed's clock.
+        is_late: whether only those get it who want all.
     """
 
     number: int
     message: Message
     _octets: int | None = None
+    came: float = 0.0
+    is_late: bool = field(default=False, init=False)
     _long: bool | None = field(default=None, init=False)
     _written: dict[str, bytes | MessageError] = field(factory=dict, init=False)
     _writing: dict[str, asyncio.Future[object]] = field(factory=dict, init=False)
@@ -128,6 +134,10 @@ Prepare: TypeAlias = Callable[[Envelope], "asyncio.Future[object] | None"]
 """Begins to write a message beside the loop for a listener; None: it need not wait for that."""
 
 
+Missed: TypeAlias = Callable[[], None]
+"""Counts a message as lost to a listener."""
+
+
 class Listener(Protocol):
     """What a client has on a feed. Called in the loop's thread; must not wait."""
 
@@ -147,9 +157,13 @@ class Feed:
     In order: while a long message is being written for somebody, those behind it wait for it.
     What `Backend.join` returns is open. Only the server calls `take` and `finish`.
 
+    When the loop gets to its messages too late for longer than a second, late ones go only to those
+    who want all; see `Backlog`.
+
     Args:
         mailbox: the way into the loop.
         limit: messages that wait for the loop; then the oldest is lost, as a gap in the numbers.
+        clock: seconds.
 
     Attributes:
         connection: the one whose messages these are; None until it is open.
@@ -157,14 +171,17 @@ class Feed:
         end: state and cause, once no more will come.
     """
 
-    def __init__(self, mailbox: LoopMailbox, limit: int) -> None:
+    def __init__(self, mailbox: LoopMailbox, limit: int, clock: Clock = time.monotonic) -> None:
         self._mailbox = mailbox
+        self._clock = clock
         self._waiting: deque[Envelope] = deque(maxlen=limit)
         self._number = 0
         self._pending = False
         self._is_writing = False
         self._is_done = False
-        self._listeners: dict[Listener, Prepare | None] = {}
+        self._listeners: dict[Listener, tuple[Prepare | None, Missed | None]] = {}
+        self._heard_since = 0.0
+        self._backlog = Backlog()
         self.connection: Connection | None = None
         self.lost = 0
         self.end: tuple[str, str] | None = None
@@ -179,19 +196,28 @@ class Feed:
         self._number += 1
         if len(self._waiting) == self._waiting.maxlen:
             self.lost += 1
-        self._waiting.append(Envelope(self._number, message))
+        self._waiting.append(Envelope(self._number, message, came=self._clock()))
         if not self._pending:
             self._pending = True
             self._mailbox.put(self._hand_out)
 
-    def add(self, listener: Listener, prepare: Prepare | None = None) -> None:
+    def add(
+        self,
+        listener: Listener,
+        prepare: Prepare | None = None,
+        missed: Missed | None = None,
+    ) -> None:
         """Hand messages to a listener from now on; to the first one what came before it, too.
 
         Args:
             listener: takes them.
             prepare: asked about each message first; what it begins is waited for.
+            missed: called instead for each message that comes to be late while the loop is busy,
+                so that what is new is there sooner; None: the listener gets all.
         """
-        self._listeners[listener] = prepare
+        if not self._listeners:
+            self._heard_since = self._clock()  # nobody was late for what waited for the first
+        self._listeners[listener] = prepare, missed
         if self._is_done:
             assert self.end is not None, "only what has ended is done"
             _end(listener, *self.end)
@@ -251,11 +277,13 @@ class Feed:
         """Hand out one message, or have it written first; False when none can be handed out."""
         if not self._can_hand():
             return False
-        envelope = self._waiting.popleft()
+        envelope = self._next()
         writing = [
             future
-            for prepare in tuple(self._listeners.values())
-            if prepare is not None and (future := prepare(envelope)) is not None
+            for prepare, missed in tuple(self._listeners.values())
+            if prepare is not None
+            and not (envelope.is_late and missed)
+            and (future := prepare(envelope)) is not None
         ]
         if writing:
             self._is_writing = True
@@ -264,15 +292,27 @@ class Feed:
         self._hand_one(envelope)
         return True
 
+    def _next(self) -> Envelope:
+        """Take the oldest message that waits, and settle who gets it."""
+        waiting, envelope = len(self._waiting), self._waiting.popleft()
+        came = max(envelope.came, self._heard_since)
+        envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
+        if not self._waiting:
+            self._backlog.worked_off()
+        return envelope
+
     def _written(self, envelope: Envelope) -> None:
         self._is_writing = False
         self._hand_one(envelope)
         self._hand_out()
 
     def _hand_one(self, envelope: Envelope) -> None:
-        for listener in tuple(self._listeners):
+        for listener, (_, missed) in tuple(self._listeners.items()):
             try:
-                _offer(listener, envelope)
+                if envelope.is_late and missed is not None:
+                    missed()
+                else:
+                    _offer(listener, envelope)
             except Exception:  # noqa: BLE001 - a listener of a front end may raise anything
                 self._drop(listener)
 

@@ -33,6 +33,7 @@ class Lane:
         text: whether its frames are text frames.
         age: seconds after which a message that waits is dropped, where there are 16 newer ones: a
             client that reads too slowly gets what is new, and a few messages are never lost.
+        wants_all: whether what is late already, since the server was busy, is for it, too.
         dropped: messages that this client lost here.
         sent: messages that were handed to the socket.
         waiting: when they came, and messages in their pieces; oldest first.
@@ -43,6 +44,7 @@ class Lane:
     policy: QueuePolicy
     text: bool
     age: float = math.inf
+    wants_all: bool = False
     dropped: int = 0
     sent: int = 0
     waiting: deque[tuple[float, tuple[bytes, ...]]] = field(factory=deque)
@@ -165,6 +167,11 @@ class Outbox:
         self._drop_stale(lane)
         while self._is_over() and self._drop_somewhere():
             pass
+
+    def miss(self, lane: Lane) -> None:
+        """Count a message of a stream that was let go of before it came here."""
+        lane.dropped += 1
+        self.dropped += 1
 
     def finish(self, lane: Lane, *frames: bytes) -> None:
         """Add the last message of a stream, after all that waits of it; it is never dropped."""
@@ -289,8 +296,7 @@ class Outbox:
 
     def _drop(self, lane: Lane) -> None:
         self._forget(lane)
-        lane.dropped += 1
-        self.dropped += 1
+        self.miss(lane)
 
     def _drop_stale(self, lane: Lane) -> None:
         now = self._clock()
