@@ -205,6 +205,8 @@ async def head_of_line(peer: Peer) -> str:
             if isinstance(frame, str) and now > begin:
                 ages.append((time.monotonic_ns() - _stamp(json.loads(frame))[1]) / 1000)
     spread = sorted(ages)
+    if not spread:
+        return "none came"
     return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms, {len(spread) / SECONDS:,.0f} a second"
 
 
@@ -227,13 +229,22 @@ async def never_reading(peer: Peer) -> str:
     return f"{grown:+.1f} MB/s; the other {count / SECONDS:.0f} a second"
 
 
-async def bare() -> str:
-    """Return the pictures a second that a process gets that does nothing but subscribe."""
-    reader = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "bench._ros2_reader", str(SECONDS), stdout=asyncio.subprocess.PIPE
-    )
+async def bare(*arguments: str) -> dict[str, float]:
+    """Return what a process gets that does nothing but subscribe; see `bench._ros2_reader`."""
+    command = (sys.executable, "-m", "bench._ros2_reader", str(SECONDS), *arguments)
+    reader = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
+    assert reader.stdout is not None
     told, _ = await asyncio.wait_for(reader.communicate(), 30)
-    return f"{float(told):,.0f}"
+    got: dict[str, float] = json.loads(told)
+    return got
+
+
+async def bare_beside() -> str:
+    """Return how old small messages are beside pictures where no server is between."""
+    told = await bare("small")
+    if "p99" not in told:
+        return "none came"
+    return f"{told['median']:.2f} / {told['p99']:.2f} ms, {told['small']:,.0f} a second"
 
 
 def _busy(peer: Peer) -> float:
@@ -258,6 +269,7 @@ async def _trips(peer: Peer, measured: Callable[[Peer], Awaitable[list[float]]])
     return f"{_ms(spread, 0.5)} / {_ms(spread, 0.99)} ms"
 
 
+BESIDE = "age of 100 Hz of 1 KB beside 10 pictures a second, median / p99"
 Measured = Callable[[Peer], Awaitable[str]]
 ROWS: dict[str, Measured] = {
     "publish, echo of another process, median / p99": partial(_trips, measured=round_trip),
@@ -275,7 +287,7 @@ ROWS: dict[str, Measured] = {
         for clients in CLIENTS
     },
     f"{TOPICS} topics to one client": topics,
-    "age of 100 Hz of 1 KB beside 10 pictures a second, median / p99": head_of_line,
+    BESIDE: head_of_line,
     "memory beside a client that never reads pictures; another one at 100 Hz": never_reading,
 }
 
@@ -303,7 +315,7 @@ async def run(chosen: argparse.Namespace) -> None:
     table: list[Sequence[str]] = []
     try:
         await asyncio.wait_for(world.stdout.readline(), 30)
-        ceiling = await bare()
+        ceiling = (await bare())["pictures"]
         async with AsyncExitStack() as stack:
             file = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "robot.yaml"
             domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
@@ -321,7 +333,8 @@ async def run(chosen: argparse.Namespace) -> None:
                 for what, measured in rows.items():
                     load = f"{os.getloadavg()[0]:.1f}"
                     cells = [await _cell(measured, peer) for peer in peers]
-                    table.append((f"{number + 1}: {what}", *cells, load))
+                    without = await bare_beside() if what == BESIDE else ""
+                    table.append((f"{number + 1}: {what}", *cells, without, load))
                     print(*table[-1], sep=" | ", file=sys.stderr, flush=True)
     finally:
         world.send_signal(signal.SIGKILL)
@@ -329,9 +342,11 @@ async def run(chosen: argparse.Namespace) -> None:
     transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "as they come")
     title = (
         f"rosbridge v2 on ROS 2, {os.cpu_count()} cores, transports {transports}, "
-        f"a bare rclpy subscription gets {ceiling} pictures a second"
+        f"a bare rclpy subscription gets {ceiling:,.0f} pictures a second"
     )
-    print_table(title, ("", *(peer.name for peer in peers), "load"), sorted(table, key=_what))
+    print_table(
+        title, ("", *(peer.name for peer in peers), "bare rclpy", "load"), sorted(table, key=_what)
+    )
 
 
 def _what(line: Sequence[str]) -> int:
