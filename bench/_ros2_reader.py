@@ -18,7 +18,8 @@ from std_msgs.msg import String
 
 from bench.tables import at
 
-_SETTLE_SECONDS = 2.0
+_FIRST_SECONDS = 10.0
+_SETTLE_SECONDS = 1.0
 _DEPTH = 100
 
 
@@ -46,6 +47,9 @@ def main(seconds: float, *, small: bool) -> None:
         while time.perf_counter() < end:
             executor.spin_once(timeout_sec=0.1)
 
+    limit = time.perf_counter() + _FIRST_SECONDS
+    while not (came and (ages or not small)) and time.perf_counter() < limit:
+        spin(0.1)
     spin(_SETTLE_SECONDS)
     came.clear()
     ages.clear()

@@ -99,6 +99,14 @@ async def client(peer: Peer) -> AsyncIterator[Reader]:
         yield Reader(socket, peer.prefix)
 
 
+async def begin(peer: Peer) -> str:
+    """Wait for a first message: a server may look for ROS 2 only when it is asked for a topic."""
+    async with client(peer) as reader:
+        await reader.send("subscribe", "hz100", type="std_msgs/String")
+        await reader.receive()
+    return "begun"
+
+
 async def round_trip(peer: Peer) -> list[float]:
     """Return sorted microseconds from publishing to the echo of another ROS 2 process."""
     async with client(peer) as reader:
@@ -329,6 +337,8 @@ async def run(chosen: argparse.Namespace) -> None:
             if chosen.rosbridge is not None:
                 url = chosen.rosbridge
                 peers.append(Peer(url, url, "/bench/", chosen.process))
+            for peer in peers:
+                print(peer.name, await _cell(begin, peer), file=sys.stderr, flush=True)
             for number in range(chosen.rounds):
                 for what, measured in rows.items():
                     load = f"{os.getloadavg()[0]:.1f}"
