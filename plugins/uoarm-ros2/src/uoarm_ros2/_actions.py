@@ -73,6 +73,7 @@ class Action:
         self._goals: dict[str, _Goal] = {}
         self._listeners: tuple[ActionSource, ...] = ()
         self._new_id = import_type(_UUID)
+        self._station = station
         self._client = station.action_client(import_type(type_name), name)
         self._was_ready = False
         services = (f"{name}/_action/{each}" for each in ("send_goal", "get_result"))
@@ -114,7 +115,7 @@ class Action:
         deadline = time.monotonic() + timeout
         what = f"action {self.name}"
         goal = self._write_goal(message)
-        with rclpy_errors(what):
+        with self._station.calling(what):
             self.wait(min(wait, timeout))
             first = Presence()
 

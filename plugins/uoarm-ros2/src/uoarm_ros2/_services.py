@@ -15,7 +15,7 @@ from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import Endpoint, Health, Message
 from uoarm_ros2._agreement import Agreement
 from uoarm_ros2._graph import Graph, Presence
-from uoarm_ros2._middleware import Station, rclpy_errors
+from uoarm_ros2._middleware import Station
 from uoarm_ros2._read import reader
 from uoarm_ros2._schema import structure_of
 from uoarm_ros2._shape import Record, shape_of
@@ -107,7 +107,7 @@ class Caller:
         """
         deadline = time.monotonic() + timeout
         request = self._write(message)
-        with rclpy_errors(self._what):
+        with self._station.calling(self._what):
             if not (self._greeted and self.ready()):
                 self._meet(timeout, wait)
             require_agreement(self.agreement)

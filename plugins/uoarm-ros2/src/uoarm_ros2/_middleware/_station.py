@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from rclpy.action.graph import get_action_names_and_types
@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 
+from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._action_client import SharedActionClient
 from uoarm_ros2._middleware._errors import rclpy_errors
 from uoarm_ros2._middleware._goal_server import GoalEntity, GoalRequest, GoalServer
@@ -40,6 +41,7 @@ from uoarm_ros2._qos import Policies
 __all__ = ["Station"]
 
 _TICK_SECONDS = 0.2
+_GOING = frozenset({FailureReason.UNAVAILABLE, FailureReason.RAISED})
 _AT_ONCE = Duration(seconds=0)
 _SUBSCRIPTION_EVENTS = {
     "deadline": "RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED",
@@ -102,6 +104,24 @@ class Station:
     def is_cut_off(self) -> bool:
         """Whether the context was shut down although the station was not stopped."""
         return not self._stopping and not self._context.ok()
+
+    @contextmanager
+    def calling(self, what: str) -> Iterator[None]:
+        """Have what is raised in a block name what was called.
+
+        Once the station is stopped, what it holds goes one after the other: a server of its own may
+        be away, or a client invalid, before the handles are.
+
+        Raises:
+            BridgeError: as `rclpy_errors`; with CLOSED, too, for what is away or raised since then.
+        """
+        try:
+            with rclpy_errors(what):
+                yield
+        except BridgeError as error:
+            if self._stopping and error.reason in _GOING:
+                raise BridgeError(f"{what}: the bridge was closed", FailureReason.CLOSED) from error
+            raise
 
     def call_soon(self, act: Callable[[], None]) -> None:
         """Have something done in this station's thread, after what it is at; from any thread."""
