@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgpack
@@ -225,14 +225,19 @@ def test_a_closed_receiver_takes_nothing_more(ends: Ends) -> None:
     behind.close()
 
 
-def _counters() -> SharedCounters:
+@pytest.fixture
+def counters() -> Iterator[SharedCounters]:
+    """Counters that are let go of: a thread that is still at a message may hold them."""
     with SharedCounters.make_file() as file:
-        return SharedCounters(file.fileno(), gives=True)
+        made = SharedCounters(file.fileno(), gives=True)
+    yield made
+    made.close()
 
 
-def test_a_message_counts_as_taken_from_when_something_comes_of_it(ends: Ends) -> None:
+def test_a_message_counts_as_taken_from_when_something_comes_of_it(
+    ends: Ends, counters: SharedCounters
+) -> None:
     near, far = ends
-    counters = _counters()
     taken, given = counters.counter(), counters.counter()
     assert taken is not None
     assert given is not None
@@ -275,10 +280,11 @@ class _Calls(Bridge):
         pass
 
 
-def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(ends: Ends) -> None:
+def test_what_a_framework_hands_over_when_its_source_is_closed_counts_as_taken(
+    ends: Ends, counters: SharedCounters
+) -> None:
     """The manager knows so that these messages are lost, also where it shares no memory."""
     near, far = ends
-    counters = _counters()
     taken = counters.counter()
     assert taken is not None
     bridge, endpoint = _Calls(), Endpoint("calls", "camera", Role.OUTPUT, ("camera",))
@@ -346,8 +352,9 @@ def test_drained_is_what_has_left_the_buffers_of_the_framework_too(ends: Ends) -
     outgoing.close()
 
 
-def test_a_counter_that_is_given_out_anew_leaves_what_it_was() -> None:
-    counters = _counters()
+def test_a_counter_that_is_given_out_anew_leaves_what_it_was(
+    counters: SharedCounters,
+) -> None:
     first = counters.counter()
     assert first is not None
     first.set(7)
