@@ -1,21 +1,26 @@
-"""What the command `uoarm` begins with: Ctrl-C ends it in silence while it still imports.
+"""What our commands begin with: Ctrl-C ends them in silence while they still import.
 
-It is no part of the package, whose import is most of what there is to wait for.
+It is no part of a package, whose import is most of what there is to wait for.
 """
 
 import signal
+from importlib import import_module
 
 
 def main() -> None:
-    """Import the command line and run it.
+    """Run the command `uoarm`."""
+    run("uoarm.cli")
+
+
+def run(module: str) -> None:
+    """Import a module and call its `main`.
 
     Until it has been imported nothing is open, so that SIGINT may end the process as SIGTERM does,
     by itself: an exception could be lost, or told as another one, within any module's import.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from uoarm.cli import main as command  # noqa: PLC0415 - what takes its time
-
+    command = import_module(module).main
     if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     command()

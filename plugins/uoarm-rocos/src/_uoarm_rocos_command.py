@@ -1,17 +1,8 @@
-"""What the command `uoarm-rocos` begins with: Ctrl-C ends it in silence while it still imports.
+"""What the command `uoarm-rocos` begins with: Ctrl-C ends it in silence while it still imports."""
 
-It is no part of the package, whose import is most of what there is to wait for.
-"""
-
-import signal
+from _uoarm_command import run  # type: ignore[import-untyped]  # one module has no py.typed
 
 
 def main() -> None:
-    """Import the command line and run it. Until then nothing is open."""
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from uoarm_rocos._command import main as command  # noqa: PLC0415 - what takes its time
-
-    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    command()
+    """Run the command."""
+    run("uoarm_rocos._command")
