@@ -102,7 +102,7 @@ def main() -> None:
 def chain(host: str = "false", others: int = 0) -> Robot:
     """Return the robot; `host` is what its bridges say of theirs, `others` are functions beside."""
     text = ROBOT.format(BRIDGE.format(Path(__file__).parent, host))
-    return loads(text + "".join(OTHER.strip("\n").format(n) + "\n" for n in range(others)))
+    return loads(text + "".join(map(OTHER.format, range(others))))
 
 
 def _row(name: str, count: int, sample: Callable[[], tuple[float, float]]) -> tuple[str, ...]:

@@ -120,9 +120,10 @@ class Services:
             return {"return_code": 0, "goals_canceling": []}
         self._client.require(Operation.CALL, place.right)
         if not place.function:
-            hint = self._addresses.hint(place.name, Role.SERVICE, self._client)
-            if hint and not self._hub.provides(place.name):
-                raise UnknownError(hint)
+            if not self._hub.provides(place.name):
+                hint = self._addresses.hint(place.name, Role.SERVICE, self._client)
+                if hint:
+                    raise UnknownError(hint)
             given = {} if arguments is None else arguments
             return await self._hub.call(place.name, given, timeout)
         return await self._backend.call(place.wanted, arguments, read_arguments, timeout)
