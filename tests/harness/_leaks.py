@@ -21,7 +21,7 @@ from pathlib import Path
 
 from uoarm.testing import patience, wait
 
-__all__ = ["Holdings", "end_processes", "maker", "processes_of"]
+__all__ = ["Holdings", "end_processes", "maker", "processes_of", "variables_of"]
 
 MARK = "UOARM_TEST_MADE_BY"
 _RUN = f"{os.getpid()}-{time.monotonic_ns()}"
@@ -30,6 +30,7 @@ _DESCRIPTORS = Path("/proc/self/fd")
 _GLANCE_SECONDS = 0.01
 # These come by themselves with a library's first use and stay for the next one.
 _OF_LIBRARIES = re.compile(r"anon_inode:|/dev/(u?random|null)$|/memfd:|.*\.(so|py|zip|db)$")
+_END_OF_VARIABLES = 48  # of the fields that follow the name in /proc/PID/stat; see proc_pid_stat(5)
 _IDLE_THREADS = {"uoarm-step"}  # the core's own, which end by themselves
 
 _STARTING = {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn", "os.system"}
@@ -127,11 +128,31 @@ def processes_of(name: str = "") -> dict[int, str]:
         if not folder.name.isdigit() or int(folder.name) == os.getpid():
             continue
         with suppress(OSError):  # it ended meanwhile, or is another user's
-            entries = (folder / "environ").read_bytes().decode(errors="replace").split("\0")
+            entries = variables_of(folder).decode(errors="replace").split("\0")
             made = [one for one in entries if one.startswith(MARK)]
             if made and (made[0] == wanted if name else made[0].startswith(wanted)):
                 command = (folder / "cmdline").read_bytes().decode(errors="replace")
                 found[int(folder.name)] = command.replace("\0", " ")[:200]
+    return found
+
+
+def variables_of(process: Path) -> bytes:
+    """Return the environment that a process was started with.
+
+    A start returns as soon as the kernel has let go of the old program, which is before the new
+    one's variables are in place: until then there are none to read, and no end of them is known.
+    """
+
+    def are_in_place() -> bool:
+        (process / "exe").readlink()  # fails for a thread of the kernel and for what has ended
+        fields = (process / "stat").read_bytes().rpartition(b")")[2].split()
+        return fields[_END_OF_VARIABLES] != b"0"
+
+    found = (process / "environ").read_bytes()
+    if not found:
+        with suppress(AssertionError):
+            wait(are_in_place)
+        found = (process / "environ").read_bytes()
     return found
 
 

@@ -13,6 +13,7 @@ import pytest
 import xdist.plugin
 from tests.harness import ORDER, SPARE_WORKERS
 from tests.harness._delays import DELAYS
+from tests.harness._leaks import maker, variables_of
 from tests.harness._needs import MODULES, NEEDS
 from tests.tiers import BY_DEFAULT, NAMES, TIERS
 
@@ -81,6 +82,15 @@ def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
     for number, says in enumerate(LEAKS.values()):
         found.stdout.fnmatch_lines([f"*test_leaking?{number}-* left behind:", f"*{says}*"])
     assert "processes left behind" not in found.stdout.str()
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
+def test_the_maker_of_a_process_is_known_as_soon_as_it_is_started() -> None:
+    for _ in range(50):
+        with maker("a start"), subprocess.Popen(["sleep", "1000"]) as process:
+            found = variables_of(Path("/proc", str(process.pid)))
+            process.kill()
+        assert b"a start" in found
 
 
 def test_what_a_fixture_of_several_tests_holds_is_no_leak(run: Run) -> None:
