@@ -86,7 +86,7 @@ def test_a_leak_fails_the_test_that_made_it_by_name(run: Run) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="only Linux tells of them")
 def test_the_maker_of_a_process_is_known_as_soon_as_it_is_started() -> None:
-    for _ in range(50):
+    for _ in range(300):
         with maker("a start"), subprocess.Popen(["sleep", "1000"]) as process:
             found = variables_of(Path("/proc", str(process.pid)))
             process.kill()
