@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import contextlib
 from array import array
+from datetime import datetime, timezone
+from enum import Enum
 from typing import Any
+from uuid import UUID
 
 import cbor2
 import numpy as np
@@ -12,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uoarm._wire._binary import read_binary, write_binary
+from uoarm._wire._binary import _ENCODERS, _encode_other, read_binary, write_binary
 from uoarm._wire._cbor_scan import scan_cbor
 from uoarm.errors import ControlMessageError, MessageError
 from uoarm.model import Budget, Spending
@@ -38,6 +41,48 @@ def read(data: bytes, depth: int = 64) -> Any:
 @given(values)
 def test_what_is_written_is_read_back(value: object) -> None:
     assert read(write_binary(value)) == value
+
+
+class Text(str):
+    __slots__ = ()
+
+
+class Kind(Enum):
+    A = 1
+
+
+OTHERS = (
+    array("f", [1.0]),
+    memoryview(b"ab"),
+    bytearray(b"ab"),
+    np.arange(3),
+    np.float32(1.5),
+    np.float64(1.5),
+    np.bool_(True),
+    Text("a"),
+    (1, 2),
+    float("nan"),
+    2**70,
+    "\ud800",
+    datetime(2026, 1, 1, tzinfo=timezone.utc),
+    UUID(int=1),
+    Kind.A,
+    {1: 2},
+    object(),
+)
+
+
+@given(st.recursive(values | st.sampled_from(OTHERS), lambda inner: st.lists(inner, max_size=4)))
+def test_what_is_written_quickly_is_what_all_encoders_write(value: Any) -> None:
+    def write(*, quickly: bool) -> bytes | None:
+        try:
+            if quickly:
+                return write_binary({"value": value})
+            return cbor2.dumps({"value": value}, encoders=_ENCODERS, default=_encode_other)
+        except (MessageError, cbor2.CBOREncodeError, ValueError):
+            return None
+
+    assert write(quickly=True) == write(quickly=False)
 
 
 @pytest.mark.parametrize("code", list("bBhHiIqQfd"))
