@@ -22,7 +22,7 @@ from typing import Any, Generic, TypeVar
 from uoarm._workers import WorkerPool
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 
-__all__ = ["run"]
+__all__ = ["Step", "run"]
 
 T = TypeVar("T")
 
@@ -30,6 +30,22 @@ _log = logging.getLogger("uoarm")
 _GLANCE_SECONDS = 0.05
 _HANGING_EACH = 16
 _HANGING_IN_ALL = 256
+
+
+class Step:
+    """The name of a step, put together where it is told: in most steps it never is.
+
+    Args:
+        *parts: shown one after another; values that do not change.
+    """
+
+    __slots__ = ("_parts",)
+
+    def __init__(self, *parts: object) -> None:
+        self._parts = parts
+
+    def __str__(self) -> str:
+        return "".join(map(str, self._parts))
 
 
 class _Hanging:
@@ -47,10 +63,10 @@ class _Hanging:
         with self._lock:
             self.steps -= Counter({step: 1})
 
-    def check(self, step: str) -> None:
+    def check(self, step: str | Step) -> None:
         """Refuse to begin a step of which too many hang."""
         with self._lock:
-            same, every = self.steps[step], self.steps.total()
+            same, every = self.steps[str(step)], self.steps.total()
         if same >= _HANGING_EACH or every >= _HANGING_IN_ALL:
             which = f"{same} of these" if same >= _HANGING_EACH else f"{every} calls of frameworks"
             raise BridgeError(
@@ -64,7 +80,7 @@ class _Job(Generic[T]):
 
     def __init__(
         self,
-        step: str,
+        step: str | Step,
         limit: float,
         action: Callable[[], T],
         on_late: Callable[[T], None] | None,
@@ -136,7 +152,7 @@ class _Job(Generic[T]):
             if self._is_over:
                 return False
             self.given_up = True
-            self._hangs_in = self.step
+            self._hangs_in = str(self.step)
             _hanging.add(self._hangs_in)
         if self.on_give_up is not None:
             self.on_give_up()
@@ -161,7 +177,7 @@ os.register_at_fork(after_in_child=_forget_threads)
 
 
 def run(
-    step: str,
+    step: str | Step,
     limit: float,
     action: Callable[[], T],
     *,
@@ -200,7 +216,7 @@ def run(
 
 def _run_inside(
     outer: _Job[Any],
-    step: str,
+    step: str | Step,
     limit: float,
     action: Callable[[], T],
     on_late: Callable[[T], None] | None,

@@ -168,6 +168,25 @@ def test_an_inner_step_that_hangs_is_the_one_that_is_named() -> None:
     gate.set()
 
 
+def test_the_name_of_a_step_is_put_together_only_where_it_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    told: list[Endpoint] = []
+
+    def tell(endpoint: Endpoint) -> str:
+        told.append(endpoint)
+        return "the camera"
+
+    monkeypatch.setattr(Endpoint, "__str__", tell)
+    bridge = Puppet()
+    bridge.open_source(ENDPOINT, ANY, lambda _: None).close()
+    assert not told
+    bridge.step = fail
+    with pytest.raises(BridgeError, match="bridge 'b': opening the camera failed: ZeroDivision"):
+        bridge.open_source(ENDPOINT, ANY, lambda _: None)
+    assert told == [ENDPOINT]
+
+
 def test_inner_steps_share_the_outer_thread() -> None:
     threads: list[int] = []
 

@@ -15,6 +15,7 @@ from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
 from uoarm import _bounded
+from uoarm._bounded import Step
 from uoarm.bridge._border import translated
 from uoarm.bridge._calls import CallsUnderWay, CallUnderWay
 from uoarm.bridge._channel import Channel, Sink, Source
@@ -96,7 +97,7 @@ class Bridge(ABC):
         """
         if endpoint.command is not None or self._is_closed:
             return False
-        with translated(f"bridge {self.name!r}: looking at {endpoint}"):
+        with translated(Step(f"bridge {self.name!r}: looking at ", endpoint)):
             return self._is_quick(endpoint)
 
     @final
@@ -107,7 +108,7 @@ class Bridge(ABC):
             BridgeError: it does not exist, is not available, or cannot be understood.
             BridgeTimeoutError: no answer within `timeout` seconds.
         """
-        found = self._step(f"describing {endpoint}", timeout, lambda: self._describe(endpoint))
+        found = self._step(Step("describing ", endpoint), timeout, lambda: self._describe(endpoint))
         if not isinstance(found, Description):
             raise self._broken("_describe", "a Description", found)
         return found
@@ -154,7 +155,7 @@ class Bridge(ABC):
         try:
             return self._opened(
                 Source,
-                f"opening {endpoint}",
+                Step("opening ", endpoint),
                 timeout,
                 lambda: self._open_source(endpoint, structure, gate.give),
                 gate,
@@ -177,7 +178,7 @@ class Bridge(ABC):
         """
         sink = self._opened(
             Sink,
-            f"opening {endpoint}",
+            Step("opening ", endpoint),
             timeout,
             lambda: self._open_sink(endpoint, structure),
             is_quick=self.is_quick(endpoint),
@@ -227,7 +228,7 @@ class Bridge(ABC):
                 self._pending_calls.end(call, outer)
 
         return self._step(
-            f"calling {endpoint}",
+            Step("calling ", endpoint),
             timeout,
             begin,
             on_give_up=lambda: self._pending_calls.cancel(call),
@@ -275,7 +276,7 @@ class Bridge(ABC):
         self._require(self.capabilities.serve, "serve")
         return self._opened(
             Channel,
-            f"serving {endpoint}",
+            Step("serving ", endpoint),
             timeout,
             lambda: self._serve(endpoint, structures, handler),
         )
@@ -459,7 +460,7 @@ class Bridge(ABC):
 
     def _step(
         self,
-        what: str,
+        what: str | Step,
         timeout: float,
         action: Callable[[], T],
         on_late: Callable[[T], None] | None = None,
@@ -469,7 +470,7 @@ class Bridge(ABC):
     ) -> T:
         if self._is_closed:
             raise BridgeError(f"bridge {self.name!r} is closed: {what}", FailureReason.CLOSED)
-        step = f"bridge {self.name!r}: {what}"
+        step = Step(f"bridge {self.name!r}: ", what)
         with translated(step):
             return _bounded.run(
                 step,
@@ -483,7 +484,7 @@ class Bridge(ABC):
     def _opened(
         self,
         kind: type[C],
-        what: str,
+        what: str | Step,
         timeout: float,
         action: Callable[[], C],
         gate: Gate | None = None,
@@ -506,7 +507,7 @@ class Bridge(ABC):
     def _adopt(
         self,
         kind: type[C],
-        what: str,
+        what: str | Step,
         channel: C,
         on_late: Callable[[Channel], object] | None = None,
     ) -> C:
@@ -531,7 +532,7 @@ class Bridge(ABC):
             text = f"bridge {self.name!r} cannot {what}"
             raise BridgeError(text, FailureReason.UNSUPPORTED)
 
-    def _broken(self, what: str, expected: str, got: object) -> BridgeError:
+    def _broken(self, what: str | Step, expected: str, got: object) -> BridgeError:
         text = (
             f"bridge {self.name!r} breaks the contract: {what} returned "
             f"{type(got).__name__}, expected {expected}"
