@@ -82,7 +82,7 @@ def test_a_robot_with_wrong_parameters_has_no_plan() -> None:
     [
         ("limits: {least: 0, most: 1}, neer: 1.0", "parameters.neer", "did you mean 'near'"),
         ("limits: {least: 0, most: 1}, near: far", "parameters.near", "expected a number"),
-        ("near: 1.0", "components[0]", "the parameter limits: it has no value"),
+        ("near: 1.0", "components[0]", "comes whole, in 'message'"),
     ],
 )
 def test_check_tells_the_place_of_a_wrong_parameter(
@@ -94,6 +94,15 @@ def test_check_tells_the_place_of_a_wrong_parameter(
     assert done.exit_code == 3, done.output
     assert f"{place}: " in done.output
     assert told in done.output
+
+
+def test_check_tells_the_place_of_an_endpoint_that_can_be_nowhere(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    written = ROBOT.replace("PARAMETERS", "").replace(":clip", ":Named.left")
+    file.write_text(written, encoding="utf-8")
+    done = CliRunner().invoke(main, ["check", str(file)])
+    assert done.exit_code == 3, done.output
+    assert "endpoint: tests.local.typed_parts:Named.left is a method" in done.output
 
 
 def test_check_takes_parameters_that_fit_and_modules_that_are_not_there(tmp_path: Path) -> None:

@@ -119,6 +119,7 @@ def test_what_has_no_hint_has_no_structure() -> None:
         (f"{HERE}:chang", FailureReason.NOT_FOUND, "did you mean 'change'"),
         (f"{HERE}:NOT_CALLABLE", FailureReason.BAD_ENDPOINT, "expected a function or a class"),
         ("nothing", FailureReason.BAD_ENDPOINT, "module:attribute"),
+        (f"{HERE}:Eye.__iter__", FailureReason.BAD_ENDPOINT, f"is a method, .* write '{HERE}:Eye'"),
     ],
 )
 def test_a_bad_address_is_one_clear_error(address: str, reason: FailureReason, part: str) -> None:

@@ -16,7 +16,7 @@ from uoarm.config._assignments import assignables, installation
 from uoarm.config._build import bridge_options
 from uoarm.config._loops import Topic, feedback_loops
 from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components, offers
-from uoarm.errors import UoarmError
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 
 __all__ = ["PluginChecker"]
 
@@ -87,6 +87,9 @@ class PluginChecker:
                 wrong = self._wrong(kind, tuple(map(str, address)), given, options)
             except (Exception, SystemExit) as error:  # noqa: BLE001 - a component may raise anything
                 sentence = str(error) if isinstance(error, UoarmError) else text_of(error)
+                if isinstance(error, BridgeError) and error.reason is FailureReason.BAD_ENDPOINT:
+                    yield self._problem((*ports[0].path, "endpoint"), sentence)
+                    continue
                 told = f"it cannot be had here: {sentence}"
                 self._absent.append(self._problem(component.path, told))
                 continue

@@ -18,13 +18,17 @@ __all__ = ["build_parameters", "parameter_mistakes"]
 
 
 def parameter_mistakes(
-    accepted: Mapping[str, inspect.Parameter], hints: Mapping[str, Any], given: Options
+    accepted: Mapping[str, inspect.Parameter],
+    hints: Mapping[str, Any],
+    message: str | None,
+    given: Options,
 ) -> dict[str, str]:
     """Return what is wrong with parameters, by name; nothing where they fit.
 
     Args:
         accepted: the parameters of a function or class, without the one that takes messages.
         hints: their type hints; what has none, or one without a structure, takes everything.
+        message: the name of the parameter that takes messages, where a function has one.
         given: the values in the configuration.
     """
     found: dict[str, str] = {}
@@ -42,7 +46,8 @@ def parameter_mistakes(
             found[name] = f"there is no such parameter: {hint}"
     for name in sorted(named - given.keys()):
         if accepted[name].default is inspect.Parameter.empty:
-            found[name] = "it has no value: give it one under `parameters`"
+            whole = f"; each message comes whole, in {message!r}" if message else ""
+            found[name] = f"it has no value: give it one under `parameters`{whole}"
     return found
 
 

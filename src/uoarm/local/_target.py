@@ -156,8 +156,7 @@ class Target:
 
     def parameter_mistakes(self, given: Options) -> dict[str, str]:
         """Return what is wrong with a component's parameters, by name."""
-        accepted, hints = self._accepted(given)
-        return parameter_mistakes(accepted, hints, given)
+        return parameter_mistakes(*self._accepted(given), given)
 
     def require_parameters(self, given: Options) -> None:
         """Refuse parameters that do not fit.
@@ -183,16 +182,19 @@ class Target:
         self.require_parameters(given)
         return build_parameters(self._accepted(given)[1], given, self.name) if given else {}
 
-    def _accepted(self, given: Options) -> tuple[dict[str, inspect.Parameter], dict[str, Any]]:
-        """Return the parameters of a component, and their hints."""
+    def _accepted(
+        self, given: Options
+    ) -> tuple[dict[str, inspect.Parameter], dict[str, Any], str | None]:
+        """Return the parameters of a component, their hints, and which takes messages, if one."""
         try:
             accepted = {one.name: one for one in self._parameters(self.value)}
         except ValueError:  # what is written in C may have no signature
-            return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}
-        if not self.is_class:
-            accepted.pop(self.first_unfilled(self.value, given) or "", None)
-            return accepted, self.hints(self.value)
-        return accepted, self.hints(self.value.__init__)
+            return {"_": inspect.Parameter("_", inspect.Parameter.VAR_KEYWORD)}, {}, None
+        if self.is_class:
+            return accepted, self.hints(self.value.__init__), None
+        message = self.first_unfilled(self.value, given)
+        accepted.pop(message or "", None)
+        return accepted, self.hints(self.value), message
 
     def own(self, name: str) -> Any:
         """Return an attribute of the class, not of its metaclass, where `__call__` always is."""
@@ -371,6 +373,7 @@ def find(address: Sequence[str], modules: Modules) -> Target:
     if not colon or not module_name or not attribute:
         text = f"expected one string 'module:attribute', got {list(address)}"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
+    owner: Any = None
     value: Any = _import(module_name, modules)
     for part in attribute.split("."):
         if not hasattr(value, part):
@@ -378,7 +381,14 @@ def find(address: Sequence[str], modules: Modules) -> Target:
             hint = f"; did you mean {close[0]!r}?" if close else ""
             text = f"module {module_name!r} has no {attribute!r}{hint}"
             raise BridgeError(text, FailureReason.NOT_FOUND)
-        value = getattr(value, part)
+        owner, value = value, getattr(value, part)
+    if inspect.isclass(owner) and inspect.isfunction(inspect.getattr_static(owner, part)):
+        text = (
+            f"{name} is a method, which needs an object: write {name.rpartition('.')[0]!r}, which "
+            f"is built with the component's parameters; its __call__ takes the messages of an "
+            f"`input`, and {part} those of an input of that name under `inputs`"
+        )
+        raise BridgeError(text, FailureReason.BAD_ENDPOINT)
     if not callable(value):
         text = f"{name} is a {type(value).__name__}: expected a function or a class"
         raise BridgeError(text, FailureReason.BAD_ENDPOINT)
