@@ -258,6 +258,27 @@ def test_a_missing_module_is_named_as_it_was_written(tmp_path: Path) -> None:
     assert caught.value.reason is FailureReason.NOT_FOUND
 
 
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        ("from typing import Any\n\nwho: Ani = 1", r"NameError: .*'Ani' .* \(fails.py, line 3\)$"),
+        ("import other", r"ZeroDivisionError: .* \(other.py, line 2\)$"),
+        ("who = (", r"SyntaxError: .* \(fails.py, line 1\)$"),
+        (
+            "from other_names import x",
+            r"name 'x' from 'other_names' .*\(fails.py, line 1\)",
+        ),
+    ],
+)
+def test_what_fails_as_a_module_is_imported_is_told_with_its_line(
+    tmp_path: Path, code: str, told: str
+) -> None:
+    place = folder(tmp_path, "failing", fails=code, other="\nwho = 1 / 0", other_names="")
+    with pytest.raises(BridgeError, match=told) as caught:
+        call(place, "fails:who", None)
+    assert "uoarm.local" not in str(caught.value)
+
+
 def test_an_object_of_a_folder_can_be_pickled_by_the_program(tmp_path: Path) -> None:
     place = folder(
         tmp_path,

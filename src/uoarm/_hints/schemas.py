@@ -145,7 +145,10 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
         return _tuple(arguments, depth)
     if origin is dict and arguments[0] is str:
         return {"type": "object", "additionalProperties": schema_of(arguments[1], depth + 1)}
-    raise HintError(f"the type hint {hint!r} has no message structure: declare one")
+    raise HintError(
+        f"the type hint {hint!r} has no message structure: write a TypedDict or a dataclass of its "
+        "fields, or list[float] and the like, or declare it with @uoarm.local.structure"
+    )
 
 
 def _annotated(schema: Mapping[str, object], notes: Iterable[object]) -> Mapping[str, object]:

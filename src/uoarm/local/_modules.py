@@ -21,6 +21,7 @@ import os
 import re
 import sys
 import threading
+import traceback
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.abc import MetaPathFinder
@@ -34,6 +35,7 @@ __all__ = ["Modules", "written_name"]
 __path__: list[str] = []  # a package, as the import system sees it: its finder is below
 
 _PREFIX = f"{__name__}."
+_NAME = re.compile(rf"{re.escape(_PREFIX)}\w+\.?")
 _INSTALLED = {"site-packages", "dist-packages"}
 _VERSION = re.compile("_g([0-9a-f]+)_")  # no octet is written so
 _users: Counter[str] = Counter()
@@ -81,6 +83,18 @@ class Modules:
         own = _own_name(self._package, self._folders, name)
         return importlib.import_module(own or name)
 
+    def place_of(self, error: BaseException) -> str:
+        """Return the last line of these modules that an error came through: ` (arm.py, line 14)`.
+
+        Nothing where it came through none, as a mistake of syntax, whose text names the line.
+        """
+        place = ""
+        for frame, line in traceback.walk_tb(error.__traceback__):
+            file = PurePath(frame.f_code.co_filename)
+            if any(file.is_relative_to(one) for one in self._folders):
+                place = f" ({file.name}, line {line})"
+        return place
+
     def close(self) -> None:
         """Forget the modules, where nobody else has this version of them; else they stay. Once."""
         if not self._is_version:
@@ -97,9 +111,9 @@ class Modules:
             vars(sys.modules[__name__]).pop(self._package[len(_PREFIX) :], None)
 
 
-def written_name(name: str) -> str:
-    """Return the name that a module has in its folder."""
-    return name[len(_PREFIX) :].partition(".")[2] if name.startswith(_PREFIX) else name
+def written_name(text: str) -> str:
+    """Return the name that a module has in its folder, or a text with such names."""
+    return _NAME.sub("", text)
 
 
 def _own_name(package: str, folders: Sequence[str], name: str) -> str:

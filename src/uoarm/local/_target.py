@@ -15,8 +15,9 @@ from attrs import field, frozen
 from uoarm._hints.annotations import HintError
 from uoarm._hints.convert import reader, writer
 from uoarm._hints.schemas import schema_of
+from uoarm._raised import text_of
 from uoarm.bridge import Description
-from uoarm.errors import BridgeError, FailureReason
+from uoarm.errors import BridgeError, FailureReason, UoarmError
 from uoarm.local._modules import Modules, written_name
 from uoarm.local._parameters import build_parameters, parameter_mistakes
 from uoarm.model import Endpoint, Message, MessageStructure, Options, Role, Schema
@@ -366,7 +367,8 @@ def find(address: Sequence[str], modules: Modules) -> Target:
 
     Raises:
         BridgeError: NOT_FOUND for a module or attribute that is not there, UNAVAILABLE when a
-            package that the module needs is not installed, BAD_ENDPOINT for anything else.
+            package that the module needs is not installed, RAISED for what its code raises,
+            BAD_ENDPOINT for anything else.
     """
     name = address[0] if len(address) == 1 else ""
     module_name, colon, attribute = name.partition(":")
@@ -423,4 +425,11 @@ def _import(name: str, modules: Modules) -> Any:
         text = f"module {name!r} needs the package {missing!r}, which is not installed"
         raise BridgeError(text, FailureReason.UNAVAILABLE) from error
     except ImportError as error:
-        raise BridgeError(f"module {name!r}: {error}", FailureReason.UNAVAILABLE) from error
+        text = f"module {name!r}: {written_name(str(error))}{modules.place_of(error)}"
+        raise BridgeError(text, FailureReason.UNAVAILABLE) from error
+    except UoarmError:
+        raise
+    except Exception as error:
+        told = written_name(text_of(error))
+        text = f"importing module {name!r} failed: {told}{modules.place_of(error)}"
+        raise BridgeError(text, FailureReason.RAISED) from error
