@@ -89,17 +89,8 @@ ALONE = {
     "schema": {"schema"},
     "_wire": {"_wire", "model", "errors"},
     "_yaml": {"_yaml"},
-    "local": {
-        "local",
-        "bridge",
-        "_hints",
-        "model",
-        "errors",
-        "_mistakes",
-        "_raised",
-        "_spelling",
-        "_workers",
-    },  # fmt: skip
+    "local": {"local", "bridge", "_hints", "model", "errors"}
+    | {"_mistakes", "_raised", "_spelling", "_workers"},
 }
 
 # Within a package: what each folder may import of it; what is not in a folder may import all.
