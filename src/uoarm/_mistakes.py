@@ -5,7 +5,7 @@ They are for schemas of anybody; a schema with meanings of its own has words of 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
@@ -38,14 +38,22 @@ _BOUNDS: Mapping[str, str] = {
     "exclusiveMinimum": "more than",
     "exclusiveMaximum": "less than",
 }
+_SIZES: Mapping[str, tuple[str, str]] = {
+    f"{bound}{name}": (words, of)
+    for bound, words in (("min", "at least"), ("max", "at most"))
+    for name, of in (("Items", "entries"), ("Properties", "keys"), ("Length", "characters"))
+}
 
 
-def mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
+def mistakes(
+    error: ValidationError, speller: Speller, write: Callable[[object], str] = clip
+) -> Iterator[Mistake]:
     """Put one error of the validator into our own words.
 
     Args:
-        error: of a value that was read from JSON or YAML.
+        error: of a value.
         speller: guesses what misspelt words were meant to be.
+        write: puts a value into words; unless given, one that was read from JSON or YAML.
     """
     path: Path = tuple(error.absolute_path)
     value: Any = error.instance
@@ -58,26 +66,27 @@ def mistakes(error: ValidationError, speller: Speller) -> Iterator[Mistake]:
         missing = next(key for key in expected if error.message.startswith(repr(key)))
         yield path, f"the key {clip(missing)} is missing", "", False
     elif keyword == "type":
-        sentence = f"expected {_expected(expected)}, got {clip(value)}"
+        sentence = f"expected {_expected(expected)}, got {write(value)}"
         yield path, sentence, _type_hint(expected, value), False
     elif keyword == "const":
-        yield path, f"expected {expected}, got {clip(value)}", "", False
+        yield path, f"expected {expected}, got {write(value)}", "", False
     elif keyword == "enum":
-        sentence = f"expected {any_of(expected)}, got {clip(value)}"
+        sentence = f"expected {any_of(expected)}, got {write(value)}"
         yield path, sentence, near(value, expected, speller), False
     elif keyword == "pattern":
-        yield path, f"expected text that matches {expected}, got {clip(value)}", "", False
+        yield path, f"expected text that matches {expected}, got {write(value)}", "", False
     elif keyword in _BOUNDS:
-        sentence = f"expected {_BOUNDS[keyword]} {expected}, got {clip(value)}"
+        sentence = f"expected {_BOUNDS[keyword]} {expected}, got {write(value)}"
         yield path, sentence, "", False
-    elif keyword in {"minItems", "minProperties", "minLength"}:
-        yield path, f"expected at least {expected}, got {clip(value)}", "", False
+    elif keyword in _SIZES:
+        bound, of = _SIZES[keyword]
+        yield path, f"expected {bound} {expected} {of}, got {len(value)}", "", False
     elif keyword == "uniqueItems":
         yield path, "the same entry stands here twice", "", False
     elif keyword in {"anyOf", "oneOf"}:
-        yield path, f"{clip(value)} is none of the {len(expected)} forms allowed", "", False
+        yield path, f"{write(value)} is none of the {len(expected)} forms allowed", "", False
     else:
-        yield path, f"{keyword}: expected {clip(expected)}, got {clip(value)}", "", False
+        yield path, f"{keyword}: expected {clip(expected)}, got {write(value)}", "", False
 
 
 def _unknown_keys(

@@ -160,7 +160,7 @@ def test_a_service_is_called_from_a_framework(stage: Callable[[str], Stage]) -> 
     there = stage(DOUBLE)
     assert there.offer().state is OfferState.OPEN
     assert served(there, 21) == 42
-    with pytest.raises(MessageError, match="maximum"):
+    with pytest.raises(MessageError, match="expected at most 1000, got 2000"):
         served(there, 2000)
     status = there.robot.status().offers[0]
     assert (status.calls, status.failed) == (1, 1)

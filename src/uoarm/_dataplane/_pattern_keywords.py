@@ -47,7 +47,7 @@ def _additional_properties(
         if name in known or any(_found(pattern, name) for pattern in patterns):
             continue
         if rule is False:
-            yield ValidationError(f"the additional member {name!r} is not allowed")
+            yield ValidationError("unknown field", path=(name,))
         else:
             yield from validator.descend(instance[name], rule, name)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,6 +11,9 @@ from attrs import define, field
 
 from uoarm._dataplane._compiled_check import Accepts, compile_check
 from uoarm._dataplane._route import Watched
+from uoarm._mistakes import mistakes
+from uoarm._spelling import Speller
+from uoarm._yaml import Path, clip
 from uoarm.errors import MessageError
 from uoarm.model import Message, MessageStructure, Schema, ValidationMode
 
@@ -20,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["make_check"]
 
 _SAMPLE_EVERY = 128
+_LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
 class Producer(Protocol):
@@ -119,8 +124,8 @@ class _Judgement:
         error = next(self._whole().iter_errors(message), None)
         if error is None:
             return ""
-        path = ".".join(str(part) for part in error.absolute_path) or "the message"
-        return f"{path}: {_shorten(_sentence(error))}"
+        path, sentence = _sentence(error)
+        return f"{'.'.join(map(str, path)) or 'the message'}: {_shorten(sentence)}"
 
     def _judge(self, part: Schema) -> Accepts:
         validator: Validator | None = None
@@ -147,15 +152,36 @@ def _judgement(structure: MessageStructure) -> _Judgement:
     return _Judgement(structure.schema)
 
 
-def _sentence(error: ValidationError) -> str:
-    """Return what is wrong; of missing fields the validator names one in each error."""
-    if error.validator != "required" or not isinstance(error.instance, Mapping):
-        return error.message
-    required: Any = error.validator_value
-    missing = [repr(name) for name in required if name not in error.instance]
-    if len(missing) == 1:
-        return f"the field {missing[0]} is missing"
-    return f"the fields {', '.join(missing[:-1])} and {missing[-1]} are missing"
+def _sentence(error: ValidationError) -> tuple[Path, str]:
+    """Return the place and what is wrong; the validator names one missing field in each error."""
+    path: Path = tuple(error.absolute_path)
+    rules: Any = error.schema
+    if error.validator == "required" and isinstance(error.instance, Mapping):
+        missing = [repr(name) for name in rules["required"] if name not in error.instance]
+        if len(missing) == 1:
+            return path, f"the field {missing[0]} is missing"
+        return path, f"the fields {', '.join(missing[:-1])} and {missing[-1]} are missing"
+    if error.validator == "additionalProperties":
+        known = rules.get("properties", {})
+        return (
+            path,
+            f"unknown field ({Speller().guess_or_list(str(path[-1]), known, 'known fields')})",
+        )
+    path, sentence, hint, _ = next(mistakes(error, Speller(), _write))
+    return path, f"{sentence} ({hint})" if hint and error.validator != "type" else sentence
+
+
+def _write(value: Any) -> str:
+    """Put a value of a message into words; long ones are not looked at as a whole."""
+    if isinstance(value, int) and abs(value) >= _LONG:
+        return f"a whole number of {value.bit_length()} bits"
+    if isinstance(value, str | int | float | None):
+        return clip(value)
+    if getattr(value, "ndim", 0):
+        return f"an array of {' x '.join(map(str, value.shape))} {value.dtype}"
+    if isinstance(value, bytes | bytearray | memoryview):
+        return f"{len(value)} octets"
+    return reprlib.repr(value)
 
 
 def _shorten(text: str, limit: int = 300) -> str:

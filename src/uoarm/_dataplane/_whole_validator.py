@@ -7,6 +7,7 @@ within a range only where `x-nonfinite` says so; patterns are read as the proof 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, TypeAlias
@@ -26,7 +27,17 @@ _KINDS: Mapping[str, frozenset[type]] = {
     "integer": frozenset({int}),
     "number": frozenset({int, float}),
 }
-_BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+_BOUNDS: Mapping[str, Callable[[Any, Any], bool]] = {
+    "minimum": operator.ge,
+    "maximum": operator.le,
+    "exclusiveMinimum": operator.gt,
+    "exclusiveMaximum": operator.lt,
+}
+_SIZES: Mapping[str, tuple[str, Callable[[int, int], bool]]] = {
+    f"{bound}{name}": (kind, holds)
+    for bound, holds in (("min", operator.ge), ("max", operator.le))
+    for name, kind in (("Items", "array"), ("Properties", "object"), ("Length", "string"))
+}
 _RANGE_KEYWORDS = frozenset({"type", "title", "description", *_BOUNDS})
 
 
@@ -50,27 +61,45 @@ def _kind() -> type[Validator]:
             "boolean": numbers("boolean"),
         }
     )
-    ranges = {name: _bounded(Draft202012Validator.VALIDATORS[name]) for name in _BOUNDS}
+    ranges = {name: _bounded(holds) for name, holds in _BOUNDS.items()}
+    sizes = {name: _sized(*one) for name, one in _SIZES.items()}
     kind: type[Validator] = validators.extend(  # type: ignore[no-untyped-call]
         Draft202012Validator,
-        {"items": _items, **ranges, **PATTERN_KEYWORDS},
+        {"type": _type, "items": _items, **ranges, **sizes, **PATTERN_KEYWORDS},
         type_checker=checker,
     )
     return kind
 
 
-def _bounded(keyword: Callable[..., Any]) -> Callable[..., Errors]:
+# The library's own keywords write the whole value into each error, which takes as long as a message
+# is large, and cannot be done for a number of too many digits.
+
+
+def _type(validator: Validator, types: Any, instance: Any, _: object) -> Errors:
+    names = [types] if isinstance(types, str) else types
+    if not any(validator.is_type(instance, one) for one in names):
+        yield ValidationError("of another type")
+
+
+def _sized(kind: str, holds: Callable[[int, int], bool]) -> Callable[..., Errors]:
+    def within(validator: Validator, bound: int, instance: Any, _: object) -> Errors:
+        if validator.is_type(instance, kind) and not holds(len(instance), bound):
+            yield ValidationError("of another size")
+
+    return within
+
+
+def _bounded(holds: Callable[[Any, Any], bool]) -> Callable[..., Errors]:
     """Return a keyword of ranges that knows what is not finite."""
 
     def within(validator: Validator, bound: float, instance: Any, schema: Schema) -> Errors:
-        number = _plain_number(instance)
-        if isinstance(number, float) and not math.isfinite(number):
-            if isinstance(schema, Mapping) and schema.get("x-nonfinite") is True:
-                return
-            if math.isnan(number):
-                yield ValidationError(f"{number!r} is in no range, here up to {bound!r}")
-                return
-        yield from keyword(validator, bound, number, schema) or ()
+        if not validator.is_type(instance, "number"):
+            return
+        number: Any = _plain_number(instance)
+        is_finite = not isinstance(number, float) or math.isfinite(number)
+        allows_all = isinstance(schema, Mapping) and schema.get("x-nonfinite") is True
+        if not (holds(number, bound) or (allows_all and not is_finite)):  # NaN never holds
+            yield ValidationError("out of range")
 
     return within
 
