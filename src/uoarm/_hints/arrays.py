@@ -87,16 +87,20 @@ class NumpyArray:
         return self._checked(cast)
 
     def _checked(self, array: Any) -> Any:
-        if array.ndim != len(self.lengths) or any(
-            wanted not in {None, found}
-            for wanted, found in zip(self.lengths, array.shape, strict=True)
-        ):
-            raise ValueError(f"expected {self}, got one of the shape {array.shape}")
+        text = f"expected {self}, got one of the shape {_shape(array.shape)}"
+        if array.ndim != len(self.lengths):
+            raise ValueError(f"{text}, which a hint says as Shape{_shape(array.shape)}")
+        pairs = zip(self.lengths, array.shape, strict=True)
+        if any(wanted not in {None, found} for wanted, found in pairs):
+            raise ValueError(text)
         return array
 
     def __str__(self) -> str:
-        lengths = " x ".join("any" if one is None else str(one) for one in self.lengths)
-        return f"an array of {self.item.dtype}, {lengths}"
+        return f"an array of {self.item.dtype} of the shape {_shape(self.lengths)}"
+
+
+def _shape(lengths: tuple[int | None, ...]) -> str:
+    return f"({', '.join('any' if one is None else str(one) for one in lengths)})"
 
 
 def _numpy(name: str) -> Any:
