@@ -20,7 +20,7 @@ from uoarm.cli import main
 from uoarm.client import ServerError, connect
 from uoarm.config import loads
 from uoarm.model import Message
-from uoarm.server import Limits, Server, hash_token, make_token
+from uoarm.server import Limits, Server, Settings, hash_token, make_token
 from uoarm.testing import MemoryBridge, patience, wait
 from uoarm.testing._memory_components import Taker
 
@@ -178,3 +178,10 @@ def test_the_command_line_says_who_has_not_stopped(
     memory.mend()
     assert stop("keeper")[0] == 4
     assert stop("keeper", "--release") == (0, "commands are let through again\n")
+
+
+@pytest.mark.parametrize("command", ["stop", "apply", "history"])
+def test_who_names_no_server_asks_the_one_that_serve_starts_here(command: str) -> None:
+    found = {one.name: one.default for one in main.commands[command].params}
+    settings = Settings()
+    assert found["url"] == f"ws://{settings.host}:{settings.port}/"

@@ -23,7 +23,7 @@ _PLACE = re.compile(r"^.*?:(\d+:\d+: \$)", re.MULTILINE)
 
 @click.command()
 @click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
-@remote_options(required=True)
+@remote_options(always=True)
 @click.option("--rollback", type=click.IntRange(0), help="In place of FILE, this revision again.")
 @click.option("--dry-run", is_flag=True, help="Say only what would happen.")
 @click.option("--force", is_flag=True, help="Connections that find no other plan may end for it.")
@@ -69,7 +69,7 @@ def apply(
 
 
 @click.command()
-@remote_options(required=True)
+@remote_options(always=True)
 @json_option
 def history(*, server: Remote, as_json: bool) -> None:
     """Show the revisions of a running robot's configuration.

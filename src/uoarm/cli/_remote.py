@@ -55,6 +55,7 @@ class Remote:
         return context
 
 
+_HERE = "ws://127.0.0.1:9080/"
 _FILE = click.Path(exists=True, dir_okay=False)
 _OPTIONS = (
     click.option("--token", envvar="UOARM_TOKEN", help="Shown to the server; also UOARM_TOKEN."),
@@ -72,12 +73,12 @@ _OPTIONS = (
 )
 
 
-def remote_options(*, required: bool) -> Callable[[_Command], _Command]:
+def remote_options(*, always: bool) -> Callable[[_Command], _Command]:
     """Add the options that name a server: the command is given them as `server: Remote`.
 
     Args:
-        required: whether the command asks a server in any case; else `server` is None without
-            `--url`.
+        always: whether the command asks a server in any case, without `--url` the one that `uoarm
+            serve` starts here by default; else `server` is None without it.
     """
 
     def add(command: _Command) -> _Command:
@@ -87,12 +88,13 @@ def remote_options(*, required: bool) -> Callable[[_Command], _Command]:
             server = None if given["url"] is None else _checked(Remote(**given))
             return command(*arguments, server=server, **options)
 
-        use = "" if required else ": show what runs"
+        use = "." if always else f", {_HERE} or wss://: show what runs."
         address = click.option(
             "--url",
-            required=required,
+            default=_HERE if always else None,
+            show_default=True,
             callback=_checked_url,
-            help=f"Of a running `uoarm serve`, ws://127.0.0.1:9080/ or wss://{use}.",
+            help=f"Of a running `uoarm serve`{use}",
         )
         for option in (*reversed(_OPTIONS), address):
             with_server = option(with_server)

@@ -28,7 +28,7 @@ __all__ = ["status"]
     show_default=True,
     help="Seconds between two looks of --watch.",
 )
-@remote_options(required=False)
+@remote_options(always=False)
 @click.option("--bridges", is_flag=True, help="Show what is known of each framework.")
 @json_option
 def status(

@@ -15,7 +15,7 @@ __all__ = ["stop"]
 
 
 @click.command()
-@remote_options(required=True)
+@remote_options(always=True)
 @click.option("--release", is_flag=True, help="Let commands through again.")
 @json_option
 def stop(*, server: Remote, release: bool, as_json: bool) -> None:
