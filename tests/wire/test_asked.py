@@ -47,6 +47,11 @@ def test_the_server_takes_exactly_what_the_schema_allows(op: str, rest: dict[str
     [
         ({}, "op is missing; expected one of Request"),
         ({"op": "request"}, "did you mean 'Request'"),
+        (
+            {"op": "subscribe", "topic": "/t"},
+            "rosbridge, whose clients connect at /rosbridge; here",
+        ),
+        ({"op": "status"}, "did you mean 'Status'"),
         ({"op": ["x"]}, "got list"),
         ({"op": "Reply", "id": "1"}, "op: expected one of"),
         ({"op": "Request", "id": "1"}, "'type' is a required property"),

@@ -24,6 +24,10 @@ ASKED = tuple(
         Op.CONFIGURE, Op.STOP, Op.DISCOVER,
     )
 )  # fmt: skip
+_OF_ROSBRIDGE = {
+    "advertise", "advertise_action", "advertise_service", "call_service", "publish",
+    "send_action_goal", "subscribe",
+}  # fmt: skip
 _QUICK = {"op", "type", "id", "jsonMessage"}
 _MAX_ID = 128
 _MAX_NAME = 256
@@ -94,6 +98,8 @@ def _wrong_op(fields: Mapping[str, Any]) -> str:
     if "op" not in fields:
         return f"op is missing; {expected}"
     op = fields["op"]
+    if isinstance(op, str) and op in _OF_ROSBRIDGE:
+        return f"op: {op!r} is of rosbridge, whose clients connect at /rosbridge; here {expected}"
     close = difflib.get_close_matches(op[:_SHOWN], ASKED, n=1) if isinstance(op, str) else []
     hint = f"; did you mean {close[0]!r}?" if close else ""
     shown = repr(op[:60]) if isinstance(op, str) else type(op).__name__

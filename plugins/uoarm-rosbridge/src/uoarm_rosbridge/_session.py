@@ -13,7 +13,7 @@ import orjson
 from attrs import frozen
 
 from uoarm.errors import ControlMessageError
-from uoarm.model import Message, Spending, message_octets
+from uoarm.model import Message, Op, Spending, message_octets
 from uoarm.server.front_end import (
     Backend,
     BusyError,
@@ -44,6 +44,7 @@ _REFUSED = {
     "auth": "auth is not served: show a token in the handshake, as Authorization: Bearer TOKEN, as "
     "the subprotocol uoarm.token.TOKEN or as ?token=TOKEN",
 }
+_OF_NATIVE = {one.value for one in Op}
 _ANSWERED = {
     "call_service": ("service_response", "service"),
     "send_action_goal": ("action_result", "action"),
@@ -155,6 +156,10 @@ class RosbridgeSession:
             raise ControlMessageError(_REFUSED[op])
         operation = self._operations.get(op)
         if operation is None:
+            if op in _OF_NATIVE:
+                raise ControlMessageError(
+                    f"the op {op!r} is of the native protocol, whose clients connect at /"
+                )
             known = ", ".join((*self._operations, "fragment"))
             raise ControlMessageError(f"unknown op {op[:60]!r}; expected one of {known}")
         check_fields(fields, operation.needed)
