@@ -128,7 +128,7 @@ def test_a_cut_link_is_noticed_and_another_takes_over_until_it_heals(
         assert "machine 'arm'" in connection.gaps[0].cause
         wait(lambda: tale.told("bridge far", Health.LOST.value, after=cut))
         wait(lambda: not manager.status().machines[0].present)
-        assert manager.status().machines[0].cause == "waiting for machine 'arm': far"
+        assert manager.status().machines[0].cause == "waiting for its bridge far"
         wait(lambda: "bridge far is let go" in host.log)
         mended = time.monotonic()
         cable.mend()

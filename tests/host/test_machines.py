@@ -57,6 +57,17 @@ def test_the_clock_of_a_machine_is_known(tmp_path: Path, port: int) -> None:
         assert abs(status.clock_offset) <= status.clock_error + 1e-6  # it is our own clock
 
 
+def test_what_a_row_says_it_waits_for_is_said_once(tmp_path: Path, port: int) -> None:
+    file = robot(tmp_path, port)
+    far = re.search(r"^  far: .*\n", file.read_text(), re.MULTILINE)
+    assert far is not None
+    file.write_text(file.read_text().replace(far[0], far[0] + far[0].replace("far", "arm")))
+    with RobotManager.from_file(file) as manager:
+        assert _machine(manager).cause == "waiting for its bridges far, arm"
+        told = {one.name: one.cause for one in manager.status().bridges}
+        assert told["far"] == told["arm"] == "waiting for machine 'arm'"
+
+
 def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> None:
     file = robot(tmp_path, port)
     events: list[StatusEvent] = []
@@ -64,8 +75,8 @@ def test_a_machine_that_comes_late_is_waited_for(tmp_path: Path, port: int) -> N
         manager.listen(events.append)
         (status,) = (one for one in manager.status().bridges if one.name == "far")
         assert status.health is Health.DEGRADED
-        assert status.cause == "waiting for machine 'arm': far"
-        assert _machine(manager).cause == "waiting for machine 'arm': far"
+        assert status.cause == "waiting for machine 'arm'"
+        assert _machine(manager).cause == "waiting for its bridge far"
         answers: list[int] = []
         asking = threading.Thread(
             target=lambda: answers.append(manager.call("where", 0, timeout=patience()))

@@ -132,7 +132,7 @@ class TestOtherMachines:
         browser.until(says('[data-card="machine/arm"].is-lost', "not here"))
         assert browser.js("document.querySelectorAll('.edge.runs').length") >= 2
         browser.click('[data-card="machine/arm"]')
-        browser.until(says(".panel .notice", "waiting for machine 'arm'"))
+        browser.until(says(".panel .notice", "waiting for its bridge far"))
         with joined.Joined(tmp_path, f"tls/{place}"):
             browser.until(says('[data-card="machine/arm"].is-ok', "here"))
             browser.until(says(".panel .facts", "give or take"))

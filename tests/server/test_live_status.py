@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -81,8 +82,11 @@ def test_other_machines_are_shown_to_who_may_see_a_function_there(tmp_path: Path
         status = robot.status()
         assert not visible_status(robot.config, status, nobody)["machines"]
         (shown,) = visible_status(robot.config, status, somebody)["machines"]
-        assert shown["cause"] == "waiting for machine 'arm': far"
+        assert shown["cause"] == "waiting for its bridge far"
         with serve_in_thread(robot, Settings(port=0)) as server:
             live = CliRunner().invoke(main, ["status", "--url", url_of(server)])
     assert "machines: 1" in live.output
-    assert "waiting for machine 'arm': far" in live.output
+    (of_machine,) = re.findall(r"^  arm .*", live.output, re.MULTILINE)
+    assert of_machine.split() == ["arm", "no", "waiting", "for", "its", "bridge", "far"]
+    (of_bridge,) = re.findall(r"^  far .*", live.output, re.MULTILINE)
+    assert of_bridge.endswith("  waiting for machine 'arm'")

@@ -157,7 +157,7 @@ class Machines:
             bridges=bridges,
             clock_offset=offset.nanoseconds / 1e9 if offset is not None and known else None,
             clock_error=offset.round_trip / 2e9 if offset is not None and known else None,
-            cause=self._waiting(machine, missing) if missing else "",
+            cause=self._waiting(f"its {_told(missing)}") if missing else "",
         )
 
     def _here(self, machine: str, bridge: str) -> bool:
@@ -179,11 +179,16 @@ class Machines:
         if present and state in {None, Health.LOST}:
             self._heard(HealthEvent(bridge, Health.OK, f"machine {machine!r} has joined"))
         elif not present and state is None:
-            self._heard(HealthEvent(bridge, Health.DEGRADED, self._waiting(machine, [bridge])))
+            cause = self._waiting(f"machine {machine!r}")
+            self._heard(HealthEvent(bridge, Health.DEGRADED, cause))
 
-    def _waiting(self, machine: str, bridges: list[str]) -> str:
-        problem = self._listener.problem
-        return f"waiting for machine {machine!r}: {', '.join(bridges)}{problem}"
+    def _waiting(self, what: str) -> str:
+        """Return the cause of a row; the names that the row itself has are not said again."""
+        return f"waiting for {what}{self._listener.problem}"
+
+
+def _told(bridges: list[str]) -> str:
+    return f"bridge{'s' * (len(bridges) > 1)} {', '.join(bridges)}"
 
 
 class StagedMachines:
