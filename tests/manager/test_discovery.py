@@ -14,7 +14,7 @@ from uoarm._control.discovery import discovery
 from uoarm._control.discovery.discovery import Discovery
 from uoarm.bridge import Description, Discovered
 from uoarm.config import loads, suggest
-from uoarm.model import BridgeFindings, Endpoint, Robot, Role, Schema
+from uoarm.model import BridgeFindings, Endpoint, FoundComponent, Robot, Role, Schema
 from uoarm.testing import ManualClock, MemoryBridge, patience, wait
 
 SMALL = {"type": "integer", "minimum": 0, "maximum": 9}
@@ -87,6 +87,18 @@ def test_a_port_whose_structure_is_huge_is_left_out_and_counted() -> None:
     assert [one.name for one in seen.components] == ["detector", "head"]
     assert seen.left_out == 1
     assert "and 1 ports more, beyond the limit" in str(seen)
+
+
+def test_a_long_detail_of_several_components_is_said_once() -> None:
+    why, short = "there is no such package here: " + "install it, " * 5, "inactive"
+    details = {"a": why, "b": short, "c": why, "d": short}
+    components = tuple(FoundComponent(name, (), detail) for name, detail in details.items())
+    assert str(BridgeFindings("lab", "memory", components)).splitlines()[1:] == [
+        f"  a  ({why})",
+        "  b  (inactive)",
+        "  c  (the same as a)",
+        "  d  (inactive)",
+    ]
 
 
 class Crowded(MemoryBridge):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -33,7 +35,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer]) -> None:
     peer("talker").do("advertise", topic="/numbers")
-    numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64"}
+    numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64", "known": True}
 
     def listed() -> bool:
         status, rows, _ = run("list", "--json")
@@ -46,6 +48,31 @@ def test_nodes_types_and_structures_are_shown(run: Run, peer: Callable[..., Peer
     status, found, _ = run("echo-structure", "/numbers", "--json")
     assert status == 0
     assert found["message"]["structure"]["properties"]["data"]["maximum"] == 2**63 - 1
+
+
+def test_why_types_are_not_known_is_said_once_for_all_nodes_that_talk_them(
+    run: Run, peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("left", "right"):
+        peer(name).do("serve", name=f"/{name}/one")
+        peer(f"{name}_too").do("act", name=f"/{name}/two")
+    for name in [each for each in sys.modules if each.split(".")[0] == "test_msgs"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "test_msgs", None)
+
+    def listed() -> list[str]:
+        lines: list[str] = run("list")[1].splitlines()
+        return lines if len(re.findall("structure unknown", "\n".join(lines))) == 4 else []
+
+    wait(listed)
+    lines = listed()
+    assert "  service /left/one  test_msgs/srv/BasicTypes  (structure unknown)" in lines
+    for kind in ("action", "srv"):
+        assert sum(f"package 'test_msgs.{kind}' cannot" in line for line in lines) <= 1
+    assert [line for line in lines if "the same" in line] == [
+        "  the same as /left",
+        "  the same as /left_too",
+    ]
 
 
 def test_what_is_installed_is_listed_without_a_graph(run: Run) -> None:

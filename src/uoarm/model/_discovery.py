@@ -12,6 +12,9 @@ from uoarm.model._wire import to_json
 
 __all__ = ["BridgeFindings", "FoundComponent", "FoundPort"]
 
+_ONCE = 40
+"""Characters of a detail from which on it is said once, and another component refers to it."""
+
 
 @frozen
 class FoundPort:
@@ -88,8 +91,12 @@ class BridgeFindings:
             return f"{self.bridge}  {self.cause}"
         s = "" if len(self.components) == 1 else "s"
         lines = [f"{self.bridge}  {len(self.components)} component{s}"]
+        said: dict[str, str] = {}
         for one in self.components:
-            lines.append(f"  {one.name}" + (f"  ({one.detail})" if one.detail else ""))
+            detail = one.detail
+            if len(detail) > _ONCE and said.setdefault(detail, one.name) != one.name:
+                detail = f"the same as {said[detail]}"
+            lines.append(f"  {one.name}" + (f"  ({detail})" if detail else ""))
             lines += [f"    {port}" for port in one.ports]
         if self.left_out:
             lines.append(f"  and {self.left_out:,} ports more, beyond the limit")

@@ -112,12 +112,15 @@ def _print(given: argparse.Namespace, found: Any, lines: Any) -> int:
 
 
 def _node_lines(rows: list[Any]) -> Iterable[str]:
+    told: dict[str, str] = {}
     for row in rows:
         yield row["node"]
         for each in row["endpoints"]:
-            yield f"  {each['role']:8}{each['name']}  {each['type']}"
+            unknown = "" if each["known"] else "  (structure unknown)"
+            yield f"  {each['role']:8}{each['name']}  {each['type']}{unknown}"
         if "missing" in row:
-            yield f"  {row['missing']}"
+            first = told.setdefault(row["missing"], row["node"])
+            yield f"  {row['missing'] if first == row['node'] else f'the same as {first}'}"
 
 
 def _type_lines(rows: list[Any]) -> Iterable[str]:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from uoarm.bridge import Bridge, Registry
+from uoarm.bridge import Bridge, Description, Registry
 from uoarm.model import BridgeSpec, Endpoint, Options, Role
 from uoarm_ros2._types import import_type, kind_of, type_mistake
 
@@ -39,8 +39,13 @@ def graph(bridge: Bridge) -> list[Row]:
         {
             "node": each.name,
             "endpoints": [
-                {"role": at.role.value, "name": at.address[0], "type": at.address[1]}
-                for at, _ in each.endpoints
+                {
+                    "role": at.role.value,
+                    "name": at.address[0],
+                    "type": at.address[1],
+                    "known": told != Description(),
+                }
+                for at, told in each.endpoints
             ],
             **({"missing": each.detail} if each.detail else {}),
         }
@@ -57,7 +62,7 @@ def types(bridge: Bridge) -> list[Row]:
             row = found.setdefault(name, {"type": name, "known": "", "nodes": []})
             if component.name not in row["nodes"]:
                 row["nodes"].append(component.name)
-            if not row["known"] and (told.message or told.request):
+            if not row["known"] and told != Description():
                 row["known"] = "installed" if _is_installed(name) else "described by its node"
     return [found[name] for name in sorted(found)]
 

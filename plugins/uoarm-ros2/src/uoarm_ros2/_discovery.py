@@ -12,6 +12,7 @@ from uoarm.errors import BridgeError
 from uoarm.model import Endpoint, Health, MessageStructure, Role
 from uoarm_ros2 import _action_types, _services
 from uoarm_ros2._middleware import rclpy_errors
+from uoarm_ros2._types import of_type
 
 __all__ = ["Attendance", "discovered"]
 
@@ -40,7 +41,7 @@ def discovered(
     """Return every node that is not our own as a component.
 
     `structure` is given a message type and a topic that carries it. Endpoints whose type is not
-    known have no structures; `detail` says why.
+    known have no structures; `detail` says why, once for all types of a package.
     """
     found = []
     with rclpy_errors("looking for nodes"):
@@ -82,7 +83,7 @@ def _component(
     bridge: str, name: str, seen: _Node, structure: Callable[[str, str], MessageStructure]
 ) -> Discovered:
     endpoints: list[tuple[Endpoint, Description]] = []
-    missing: dict[str, str] = {}
+    missing: dict[str, None] = {}
 
     def message(kind: str, topic: str) -> Description:
         return Description(message=structure(kind, topic))
@@ -94,7 +95,9 @@ def _component(
             description = describe(address[1], address[0])
         except BridgeError as error:
             description = Description()
-            missing[address[1]] = str(error)
+            # Without the type: its port has that, and one package lacks many of them.
+            told = str(error).removeprefix(of_type(address[1]))
+            missing.update(dict.fromkeys(told.split("; ")))
         port = address[0].strip("/").replace("/", "_")
         endpoints.append((Endpoint(bridge, name, role, address, port=port), description))
 
@@ -106,7 +109,7 @@ def _component(
         add(Role.SERVICE, address, lambda kind, _: _services.described(kind))
     for address in seen.acts:
         add(Role.SERVICE, address, lambda kind, _: _action_types.described(kind))
-    return Discovered(name, tuple(endpoints), "; ".join(missing.values()))
+    return Discovered(name, tuple(endpoints), "; ".join(missing))
 
 
 class Attendance:

@@ -76,7 +76,7 @@ class TypeFinder:
                 continue
             with self._lock:
                 return self._described.setdefault(key, made)
-        why = "; ".join(asked) or f"no node on {topic} describes it"
+        why = "; ".join(asked) or "no node on its topic describes it"
         text = f"{missing}; {why}; option definitions takes folders of .msg files"
         raise BridgeError(text, FailureReason.NOT_FOUND) from missing
 

@@ -7,7 +7,7 @@ import re
 
 from uoarm.errors import BridgeError, FailureReason
 
-__all__ = ["ACTION", "MESSAGE", "SERVICE", "import_type", "kind_of", "type_mistake"]
+__all__ = ["ACTION", "MESSAGE", "SERVICE", "import_type", "kind_of", "of_type", "type_mistake"]
 
 MESSAGE, SERVICE, ACTION = "msg", "srv", "action"
 _NAME = re.compile(r"[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
@@ -29,6 +29,11 @@ def kind_of(name: str) -> str:
     return name.split("/")[1]
 
 
+def of_type(name: str) -> str:
+    """Return what the errors about a type begin with."""
+    return f"type {name!r}: "
+
+
 def import_type(name: str) -> type:
     """Return the generated class of a type such as `sensor_msgs/msg/Image`.
 
@@ -41,7 +46,7 @@ def import_type(name: str) -> type:
     except ImportError as error:
         missing = f"{package}.{kind}" if error.name is None else error.name
         text = (
-            f"type {name!r}: Python package {missing!r} cannot be imported ({error}); install "
+            f"{of_type(name)}Python package {missing!r} cannot be imported ({error}); install "
             f"ros-<distribution>-{package.replace('_', '-')} (as ros-jazzy-...), have `uoarm ros2 "
             f"build-interfaces` build it of its definitions, or source the workspace that "
             f"provides {package!r}"
@@ -50,6 +55,6 @@ def import_type(name: str) -> type:
     found = getattr(module, type_name, None)
     if not isinstance(found, type):
         known = sorted(each for each in vars(module) if each[:1].isupper())
-        text = f"type {name!r}: package {package!r} has no {kind} {type_name!r}, only {known}"
+        text = f"{of_type(name)}package {package!r} has no {kind} {type_name!r}, only {known}"
         raise BridgeError(text, FailureReason.NOT_FOUND)
     return found
