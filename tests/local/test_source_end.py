@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -125,3 +126,26 @@ def test_a_source_whose_last_listener_leaves_emits_a_message_or_hears_that_it_wa
     wait(lambda: not workers.busy)
     assert (emitted, not_taken) == ([0], [1])
     assert not ended.is_set()
+
+
+def test_what_a_source_raises_is_logged_with_where_it_was_raised(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def numbers() -> Iterator[Number]:
+        yield {"value": int("x")}
+
+    module = ModuleType("ending_source")
+    module.__dict__["numbers"] = numbers
+    monkeypatch.setitem(sys.modules, "ending_source", module)
+    bridge = PythonBridge("python", {})
+    causes: list[str] = []
+    bridge.watch(lambda event: causes.append(event.cause))
+    bridge.open_source(at("numbers", Role.OUTPUT), ANY, lambda _: None, timeout=patience())
+    wait(lambda: causes)
+    bridge.close(timeout=patience())
+    [record] = [one for one in caplog.records if one.name == "uoarm.component.numbers"]
+    [cause] = causes
+    assert cause.startswith("its source raised ValueError: invalid literal for int()")
+    assert record.getMessage() == f"component numbers: {cause}"
+    assert record.exc_info is not None
+    assert "in numbers" in "".join(traceback.format_tb(record.exc_info[2]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ from typing import Any, TypeAlias
 
 from attrs import define, field
 
+from uoarm._raised import LimitedLog, text_of
 from uoarm._workers import WorkerPool
 from uoarm.bridge import (
     Bridge,
@@ -96,6 +98,7 @@ class PythonBridge(Bridge):
         self._services: dict[_Key, Endpoint] = {}
         self._workers = WorkerPool(f"uoarm-{name}-source")
         self._counting = threading.Lock()
+        self._logs: dict[str, LimitedLog] = {}
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return self._of_address(endpoint.address).describe(endpoint)
@@ -217,7 +220,9 @@ class PythonBridge(Bridge):
         if failure is None:
             self.report(Health.FINISHED, "its source has no more messages", channel=channel)
         else:
-            cause = f"its source raised {type(failure).__name__}: {failure}"
+            name, cause = channel.endpoint.component, f"its source raised {text_of(failure)}"
+            log = self._logs.setdefault(name, LimitedLog(f"uoarm.component.{name}"))
+            log.write(logging.WARNING, f"component {name}: {cause}", failure)
             self.report(Health.LOST, cause, channel=channel)
 
 

@@ -49,6 +49,7 @@ class FailureWatch:
     """
 
     def __init__(self, name: str, limits: FailureLimits, clock: Clock, tell: Tell) -> None:
+        self._name = name
         self._rule = FailureRule(limits)
         self._clock = clock
         self._tell = tell
@@ -68,13 +69,19 @@ class FailureWatch:
         """Take in that the component raised, and log it."""
         text = text_of(error)
         self.note(_Deed.raising(place), 0, 1, text)
-        self._records.write(logging.WARNING, f"{place} raised {text}", error)
+        self._records.write(
+            logging.WARNING, f"component {self._name}: {place} raised {text}", error
+        )
 
     def told_later(self, place: str, taken: int, failed: int, text: str) -> None:
         """Take in what a channel tells of messages that were sent before."""
         self.note(_Deed.raising(place), taken, failed, text)
         if failed:
-            self._records.write(logging.WARNING, f"{place} raised {text}")
+            self._log(place, text)
+
+    def _log(self, place: str, text: str, error: BaseException | None = None) -> None:
+        told = f"component {self._name}: {place} raised {text}"
+        self._records.write(logging.WARNING, told, error)
 
     def took(self) -> None:
         """Take in a success; needed only while `is_alert`."""
