@@ -18,6 +18,8 @@ from tests.server.talk import Talk, eventually
 from tests.server.test_bounds import url
 
 from uoarm.errors import MessageError
+from uoarm.model import message_octets
+from uoarm.server import Limits
 from uoarm.server.streams import _feed_registry
 from uoarm.server.streams._backlog import Backlog
 from uoarm.server.streams._feed import Envelope, Feed
@@ -168,10 +170,10 @@ class Clock:
         return self.now
 
 
-def work(act: Callable[[Feed, Clock], None]) -> None:
+def work(act: Callable[[Feed, Clock], None], limits: Limits = Limits()) -> None:  # noqa: B008
     async def run() -> None:
         clock = Clock()
-        act(Feed(LoopMailbox(asyncio.get_running_loop()), 1000, clock), clock)
+        act(Feed(LoopMailbox(asyncio.get_running_loop()), limits, clock), clock)
 
     asyncio.run(run())
 
@@ -192,6 +194,52 @@ def test_who_wants_all_gets_what_the_others_miss() -> None:
         assert (every.lost, feed.lost) == (0, 0)
 
     work(act)
+
+
+@pytest.mark.parametrize(
+    "limits", [Limits(feed_messages=20), Limits(feed_bytes=20 * message_octets(bytes(1000)))]
+)
+def test_what_waits_for_the_loop_is_bounded_in_number_and_in_memory(limits: Limits) -> None:
+    def act(feed: Feed, clock: Clock) -> None:
+        reader = Reader()
+        feed.add(reader)
+        for _ in range(2):  # what was handed out or lost makes room
+            for _ in range(64):
+                feed.take(bytes(1000))
+            feed.finish("closed", "kill") if feed.number > 64 else feed._hand_out()
+        assert reader.took == [*range(45, 65), *range(109, 129), -1]
+        assert feed.lost == 2 * (64 - 20)
+
+    work(act, limits)
+
+
+STEPS = st.lists(st.sampled_from([*range(0, 300_000, 70_000), 2_000_000, None]), max_size=200)
+
+
+@given(STEPS)
+def test_whatever_is_taken_is_handed_out_in_order_or_counted_as_lost(
+    steps: list[int | None],
+) -> None:
+    most = 1_000_000
+
+    def act(feed: Feed, clock: Clock) -> None:
+        reader = Reader()
+        feed.add(reader)
+        for step in steps:
+            if step is None:
+                feed._hand_out()
+            else:
+                feed.take(bytes(step))
+                assert feed._waiting[-1].number == feed.number
+                held = [one.message_octets for one in feed._waiting]
+                assert sum(held[:-FRESH]) <= most
+                if feed.number % FRESH == 0:
+                    assert sum(held) <= most or len(held) <= FRESH
+        feed.finish("closed", "kill")
+        assert reader.took == [*sorted(reader.took[:-1]), -1]
+        assert feed.lost + len(reader.took) - 1 == feed.number
+
+    work(act, Limits(feed_bytes=most))
 
 
 def test_what_waited_for_the_first_listener_was_not_late() -> None:
@@ -219,9 +267,9 @@ def test_a_client_that_named_a_queue_loses_nothing_while_the_loop_is_busy(
     clock, feeds, gate = Clock(), list[Feed](), threading.Event()
     mailboxes: list[LoopMailbox] = []
 
-    def make(mailbox: LoopMailbox, limit: int) -> Feed:
+    def make(mailbox: LoopMailbox, limits: Limits) -> Feed:
         mailboxes.append(mailbox)
-        feeds.append(Feed(mailbox, limit, clock))
+        feeds.append(Feed(mailbox, limits, clock))
         return feeds[-1]
 
     def busy() -> None:

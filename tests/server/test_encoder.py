@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from uoarm._wire import BINARY_FORM, TEXT_FORM
 from uoarm.errors import MessageError
 from uoarm.model import Message
+from uoarm.server import Limits
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._feed import Envelope, Feed
 from uoarm.server.streams._loop_mailbox import LoopMailbox
@@ -88,7 +89,7 @@ STEPS = st.lists(
 def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list[str]) -> None:
     async def run() -> None:
         encoder = Encoder()
-        feed = Feed(LoopMailbox(asyncio.get_running_loop()), 1000)
+        feed = Feed(LoopMailbox(asyncio.get_running_loop()), Limits())
         first = Reader(encoder)
         feed.add(first, first.prepare)
         others: list[Reader] = []
@@ -125,7 +126,7 @@ def test_every_listener_gets_every_message_in_order_and_the_end_last(steps: list
 def test_a_long_message_is_written_once_for_each_form_and_beside_the_loop() -> None:
     async def run() -> None:
         encoder, loop = Encoder(), asyncio.get_running_loop()
-        feed = Feed(LoopMailbox(loop), 10)
+        feed = Feed(LoopMailbox(loop), Limits())
         readers = [Reader(encoder) for _ in range(3)]
         for one in readers:
             feed.add(one, one.prepare)

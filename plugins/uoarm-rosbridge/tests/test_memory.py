@@ -110,8 +110,8 @@ def test_what_stood_before_a_busy_loop_is_let_go_of(
 ) -> None:
     now, feeds, gate = [0.0], list[tuple[LoopMailbox, Feed]](), threading.Event()
 
-    def make(mailbox: LoopMailbox, limit: int) -> Feed:
-        feeds.append((mailbox, Feed(mailbox, limit, lambda: now[0])))
+    def make(mailbox: LoopMailbox, limits: Limits) -> Feed:
+        feeds.append((mailbox, Feed(mailbox, limits, lambda: now[0])))
         return feeds[-1][1]
 
     def busy() -> None:

@@ -39,6 +39,8 @@ class Limits:
         total_memory_bytes: of these, for all clients together; a client that has less than its
             equal share is not refused because of others.
         feed_messages: messages of one function that wait for the server's loop.
+        feed_bytes: octets of decoded values that these hold, where more than 16 wait; looked at
+            with every 16th.
         handshake_seconds: for the whole opening handshake.
         ping_seconds: between two pings of a silent client.
         stall_seconds: without a sign of life, or without reading, before a client is cut off.
@@ -71,6 +73,7 @@ class Limits:
     memory_bytes: int = field(default=134_217_728, validator=ge(1024))
     total_memory_bytes: int = field(default=1_073_741_824, validator=ge(1024))
     feed_messages: int = field(default=1024, validator=ge(1))
+    feed_bytes: int = field(default=134_217_728, validator=ge(1024))
     handshake_seconds: float = field(default=5.0, validator=gt(0))
     ping_seconds: float = field(default=5.0, validator=gt(0))
     stall_seconds: float = field(default=10.0, validator=gt(0))

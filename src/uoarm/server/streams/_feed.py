@@ -7,6 +7,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol, TypeAlias
 
 from attrs import define, field, frozen
@@ -15,6 +16,7 @@ from uoarm._control import Connection
 from uoarm._dataplane import Clock
 from uoarm.errors import MessageError
 from uoarm.model import Message, ValidationMode, message_octets
+from uoarm.server._limits import Limits
 from uoarm.server.streams._backlog import Backlog
 from uoarm.server.streams._encoder import Encoder, takes_long
 from uoarm.server.streams._loop_mailbox import LoopMailbox
@@ -23,6 +25,7 @@ __all__ = ["Envelope", "Feed", "FeedKey", "Listener", "Prepare"]
 
 _log = logging.getLogger("uoarm.server")
 _TURN_SECONDS = 0.001
+_UNCOUNTED = 16  # messages: to count the octets of each would cost more than to hand it out
 
 
 Write: TypeAlias = Callable[[int, Message], bytes]
@@ -162,7 +165,8 @@ class Feed:
 
     Args:
         mailbox: the way into the loop.
-        limit: messages that wait for the loop; then the oldest is lost, as a gap in the numbers.
+        limits: of these, how many messages wait for the loop, and what memory they hold; with more
+            the oldest are lost, as a gap in the numbers.
         clock: seconds.
 
     Attributes:
@@ -171,10 +175,11 @@ class Feed:
         end: state and cause, once no more will come.
     """
 
-    def __init__(self, mailbox: LoopMailbox, limit: int, clock: Clock = time.monotonic) -> None:
+    def __init__(self, mailbox: LoopMailbox, limits: Limits, clock: Clock = time.monotonic) -> None:
         self._mailbox = mailbox
+        self._limits = limits
         self._clock = clock
-        self._waiting: deque[Envelope] = deque(maxlen=limit)
+        self._waiting: deque[Envelope] = deque()
         self._number = 0
         self._pending = False
         self._is_writing = False
@@ -194,12 +199,29 @@ class Feed:
     def take(self, message: Message) -> None:
         """Take one message in the thread in which it came. Waits for nothing."""
         self._number += 1
-        if len(self._waiting) == self._waiting.maxlen:
-            self.lost += 1
         self._waiting.append(Envelope(self._number, message, came=self._clock()))
+        if len(self._waiting) > self._limits.feed_messages:
+            self._lose_oldest()
+        elif len(self._waiting) > _UNCOUNTED and self._number % _UNCOUNTED == 0:
+            self._bound_memory()
         if not self._pending:
             self._pending = True
             self._mailbox.put(self._hand_out)
+
+    def _bound_memory(self) -> None:
+        """Lose the oldest until what waits holds no more than it may; what came last is kept."""
+        held = [one.message_octets for one in self._waiting.copy()]
+        excess = sum(held) - self._limits.feed_bytes
+        for octets in held[:-1]:
+            if excess <= 0:
+                return
+            excess -= octets
+            self._lose_oldest()
+
+    def _lose_oldest(self) -> None:
+        with suppress(IndexError):  # the loop has taken all since
+            self._waiting.popleft()
+            self.lost += 1
 
     def add(
         self,

@@ -132,7 +132,7 @@ class FeedRegistry:
                 raise BusyError(
                     f"{_CLOSINGS} earlier connections to {wanted.function!r} are being closed still"
                 )
-            feed = self._feeds[wanted] = Feed(self.mailbox, self.limits.feed_messages)
+            feed = self._feeds[wanted] = Feed(self.mailbox, self.limits)
             opening = asyncio.ensure_future(self._open(wanted, feed))
             opening.add_done_callback(lambda done: done.cancelled() or done.exception())
             self._openings[feed] = opening
