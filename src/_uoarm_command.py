@@ -3,7 +3,9 @@
 It is no part of a package, whose import is most of what there is to wait for.
 """
 
+import faulthandler
 import signal
+import sys
 from importlib import import_module
 
 
@@ -18,6 +20,8 @@ def run(module: str) -> None:
     Until it has been imported nothing is open, so that SIGINT may end the process as SIGTERM does,
     by itself: an exception could be lost, or told as another one, within any module's import.
     """
+    if sys.stderr is not None and not faulthandler.is_enabled():
+        faulthandler.enable(all_threads=False)  # a crash in C is told with the line that called it
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     command = import_module(module).main

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM before a command has begun, and in commands that open nothing."""
+"""Ctrl-C and SIGTERM before a command has begun, and in commands that open nothing; a crash."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ version: 1
 bridges: {python: {}}
 functions:
   late: {components: [{name: late, bridge: python, output: {endpoint: ["late:late"]}}]}
+  crash: {components: [{name: crash, bridge: python, service: {endpoint: ["late:crash"]}}]}
 """
 
 
@@ -65,3 +66,13 @@ def test_the_script_runs_the_command_which_ctrl_c_interrupts_as_ever(
     )
     seen = on_a_terminal(["check"], tmp_path, interrupt_at="it imports", program=program)
     assert (seen.code, "".join(seen.text.split())) == (130, "itimportsinterrupted")
+
+
+def test_a_crash_in_c_is_told_with_the_line_that_called_it(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    (tmp_path / "late.py").write_text(
+        "import ctypes\ndef crash(value: int) -> int:\n    return len(ctypes.string_at(0))\n"
+    )
+    seen = on_a_terminal(["call", "crash", "1"], tmp_path, program=("-m", "uoarm"))
+    assert seen.code == -signal.SIGSEGV
+    assert re.search(r'late.py", line 3 in crash', seen.text)

@@ -52,6 +52,9 @@ def hang(value: int) -> int:
     ctypes.PyDLL(None).sleep(value)  # keeps the interpreter lock
     return value
 
+def crash(value: int) -> int:
+    return len(ctypes.string_at(0))
+
 def process_id(value: int) -> int:
     return os.getpid()
 

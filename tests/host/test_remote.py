@@ -147,6 +147,17 @@ def test_what_the_host_prints_reaches_the_log_with_its_name(
     assert any(record.name == "uoarm.host.far" for record in caplog.records)
 
 
+def test_a_crash_in_c_is_told_with_the_line_that_called_it(
+    far: RemoteBridge, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(BridgeError, match="SIGSEGV"):
+        far.call(at("crash", Role.SERVICE), 7)
+    wait(lambda: "in crash" in caplog.text)
+    told = [one for one in caplog.records if one.name == "uoarm.host.far"]
+    assert told[0].getMessage() == "Fatal Python error: Segmentation fault"
+    assert {one.levelno for one in told} == {logging.ERROR}
+
+
 def test_a_plugin_that_is_missing_in_the_host_says_so(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import logging
 import os
@@ -62,6 +63,7 @@ def main() -> int:
     if not die_with_parent(orders["parent"]):
         return _ORPHANED
     limit_memory(orders["memory"])
+    faulthandler.enable(all_threads=False)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     try:
         set_short_switch_interval()

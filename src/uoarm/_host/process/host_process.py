@@ -21,6 +21,7 @@ __all__ = ["HostProcess", "host_command"]
 _LINE = 8192
 _POLITE_SECONDS = 0.7
 _KILLED_SECONDS = 5.0
+_FATAL = "Fatal Python error"
 _LEVELS = {name: getattr(logging, name) for name in ("DEBUG", "INFO", "WARNING", "ERROR")}
 
 
@@ -173,15 +174,18 @@ class HostProcess:
 
     def _read(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None, "stdout is a pipe"
+        level_of_others = logging.INFO
         with process.stdout as lines:
             while line := lines.readline(_LINE):
                 text = line.decode(errors="replace").rstrip()
                 self._last.append(text)
                 level, _, rest = text.partition(" ")
+                if text.startswith(_FATAL):
+                    level_of_others = logging.ERROR  # where it was, is what follows
                 if level in _LEVELS:
                     self._log.log(_LEVELS[level], "%s", rest)
-                else:
-                    self._log.info("%s", text)
+                elif text:
+                    self._log.log(level_of_others, "%s", text)
 
 
 def _how(status: int) -> str:
