@@ -362,6 +362,30 @@ class RobotManager:
             raise ResolutionError(f"component {component!r} is not there: {answer.sentence}")
         return answer.by_port
 
+    def structure_of_type(self, name: str, *, timeout: float = 5.0) -> MessageStructure | None:
+        """Return what messages of a native type are like, such as `std_msgs/msg/String`.
+
+        Asks the plugins of the bridges in the configuration, in its order, and starts none of them;
+        not those of bridges in hosts, whose types are those of another environment. None where no
+        plugin knows the type.
+
+        Args:
+            name: of the type, as its framework spells it.
+            timeout: seconds for each plugin.
+
+        Raises:
+            BridgeError: a plugin failed.
+            BridgeTimeoutError: a plugin did not answer in time.
+        """
+        self._require_open()
+        for spec in self.config.bridges.values():
+            if spec.host is not None:
+                continue
+            found = self.registry.structure_of_type(spec, name, timeout)
+            if found is not None:
+                return found
+        return None
+
     def offer(self, *, timeout: float = 60.0) -> tuple[OfferStatus, ...]:
         """Open what the configuration offers in frameworks, and keep it open until `close`.
 

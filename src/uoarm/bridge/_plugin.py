@@ -10,7 +10,7 @@ from typing_extensions import Self
 from uoarm._plugins import hookspec
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.errors import PluginError
-from uoarm.model import Options, Schema
+from uoarm.model import MessageStructure, Options, Schema
 
 __all__ = ["BridgeHooks", "BridgeType"]
 
@@ -39,6 +39,11 @@ class BridgeType:
         check_parameters: takes an address, the parameters of its component and the options of the
             bridge; returns what is wrong, by the parameter's name. For `uoarm check`, which gives
             it ten seconds; unlike the others it may import what it asks about.
+        structure_of_type: takes the name of a native message type and the options of the bridge;
+            returns what messages of it are like, or None where the type is not known here. Asks
+            neither network nor components; may import the type, and what it returns may be kept.
+            Names come from clients: nothing but a type's own package may be imported for one.
+            Called in any thread, beside bridges that run or not. None: types have no names.
         contract: the contract version that the plugin was written for: a number that stands in
             its source, never `CONTRACT_VERSION`, which is that of the uoarm that runs.
     """
@@ -51,6 +56,7 @@ class BridgeType:
     doctor: Callable[[], dict[str, str]] | None = None
     topic: Callable[[tuple[str, ...], Options], str] | None = None
     check_parameters: Callable[[tuple[str, ...], Options, Options], Mapping[str, str]] | None = None
+    structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
     contract: int = field(kw_only=True)
 
     def __new__(cls, *given: object, **named: object) -> Self:

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable, Mapping
 from importlib.metadata import EntryPoint
 
+from uoarm import _bounded
 from uoarm._mistakes import mistakes
 from uoarm._origin import install_command
 from uoarm._plugins import PluginProblem, cause_of, installed, values_of
@@ -14,8 +15,8 @@ from uoarm._yaml import write_path
 from uoarm.bridge._border import translated
 from uoarm.bridge._bridge import CONTRACT_VERSION, Bridge
 from uoarm.bridge._plugin import BridgeHooks, BridgeType
-from uoarm.errors import BridgeError, ConfigurationError, PluginError
-from uoarm.model import BridgeSpec
+from uoarm.errors import BridgeError, ConfigurationError, FailureReason, PluginError
+from uoarm.model import BridgeSpec, MessageStructure
 
 __all__ = ["Registry"]
 
@@ -92,6 +93,29 @@ class Registry:
             text = f"plugin {spec.plugin!r} made a {type(bridge).__name__}, not a Bridge"
             raise BridgeError(text)
         return bridge
+
+    def structure_of_type(
+        self, spec: BridgeSpec, name: str, timeout: float
+    ) -> MessageStructure | None:
+        """Return what a plugin says of a native type; None: it knows none of this name.
+
+        Raises:
+            BridgeError: it failed, or returned something else.
+            BridgeTimeoutError: no answer within `timeout` seconds.
+        """
+        kind = self._types.get(spec.plugin)
+        if kind is None or kind.structure_of_type is None:
+            return None
+        ask, step = kind.structure_of_type, f"bridge {spec.name!r}: looking for type {name!r:.200}"
+        with translated(step):
+            found: object = _bounded.run(step, timeout, lambda: ask(name, spec.options))
+        if found is not None and not isinstance(found, MessageStructure):
+            text = (
+                f"plugin {spec.plugin!r} breaks the contract: structure_of_type returned "
+                f"{type(found).__name__}, expected a MessageStructure or None"
+            )
+            raise BridgeError(text, FailureReason.CONTRACT)
+        return found
 
     def missing(self, plugin: str) -> str:
         """Say why there is no bridge type of this name and what to do."""

@@ -9,7 +9,7 @@ must not wait, unless it says otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, TypeVar
 
 from attrs import Attribute, field, frozen
 
@@ -48,6 +48,7 @@ from uoarm.server.streams import (
     Lane,
     Listener,
     Read,
+    check_message,
     read_message,
 )
 
@@ -79,6 +80,7 @@ __all__ = [
     "Role",
     "Session",
     "UnknownError",
+    "check_message",
     "code_of",
     "dump_parts",
     "hookimpl",
@@ -89,6 +91,8 @@ __all__ = [
     "without_frames",
     "write_binary",
 ]
+
+T = TypeVar("T")
 
 CONTRACT_VERSION = 1
 """Of the contract of this module; that of bridges has a number of its own."""
@@ -245,6 +249,19 @@ class Backend(Protocol):
 
         Waits 0.15 s at most: what is not known by then, and what nothing provides, has none. What
         is found out later is there for the next call.
+        """
+
+    async def structure_of_type(self, name: str) -> MessageStructure | None:
+        """Return what messages of a native type are like; None: nothing in this process knows it.
+
+        Found out in a worker, five seconds at most for each plugin, and kept, whatever was found,
+        until the configuration changes. A plugin that fails is logged and knows nothing.
+        """
+
+    async def in_worker(self, action: Callable[[], T]) -> T:
+        """Return what an action returns that takes its time, such as the check of a long message.
+
+        It waits for a free worker, and must end by itself.
         """
 
     def open_account(self) -> Account:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from uoarm.errors import UsageError
+from uoarm.errors import MessageError, UsageError
 from uoarm.model import Message, MessageStructure
 from uoarm.server.front_end import TEXT_FORM, read_message
 
 __all__ = ["read_arguments"]
 
+_MOST_ADDED = 100_000
+_TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
+_TIMES_OF_ROS_1 = {"secs": "sec", "nsecs": "nanosec"}
 _ZEROS: Mapping[object, Message] = {"boolean": False, "integer": 0, "number": 0.0, "string": ""}
 
 
@@ -22,10 +25,10 @@ def read_arguments(structure: MessageStructure, arguments: Message) -> Message:
 
     Raises:
         UsageError: the list has more values than there are fields.
-        MessageError: a text is not what its place may carry.
+        MessageError: a text is not what its place may carry, or too much is left out.
     """
     named = _named(structure.schema, arguments)
-    return read_message(TEXT_FORM, structure, _filled(structure.schema, named))
+    return read_message(TEXT_FORM, structure, _Filling().filled(structure.schema, named))
 
 
 def _named(schema: Any, arguments: Message) -> Message:
@@ -40,34 +43,52 @@ def _named(schema: Any, arguments: Message) -> Message:
     return arguments
 
 
-def _filled(schema: Any, value: Message) -> Message:
-    """Return a value with the fields that are missing in its objects of ROS types."""
-    if not isinstance(schema, Mapping):
+class _Filling:
+    """One message whose missing fields are added, of which there may be so many."""
+
+    def __init__(self) -> None:
+        self._left = _MOST_ADDED
+
+    def filled(self, schema: Any, value: Message) -> Message:
+        """Return a value with the fields that are missing in its objects of ROS types."""
+        if not isinstance(schema, Mapping):
+            return value
+        if isinstance(value, dict) and _is_ros_record(schema):
+            value = _spelt_as_ros_2(schema, value)
+            known = {
+                name: self.filled(member, value[name]) if name in value else self._initial(member)
+                for name, member in schema["properties"].items()
+            }
+            return {**known, **{name: each for name, each in value.items() if name not in known}}
+        items = schema.get("items")
+        if isinstance(value, list) and isinstance(items, Mapping) and _is_ros_record(items):
+            return [self.filled(items, each) for each in value]
         return value
-    if isinstance(value, dict) and _is_ros_record(schema):
-        known = {
-            name: _filled(member, value[name]) if name in value else _initial(member)
-            for name, member in schema["properties"].items()
-        }
-        return {**known, **{name: each for name, each in value.items() if name not in known}}
-    items = schema.get("items")
-    if isinstance(value, list) and isinstance(items, Mapping) and _is_ros_record(items):
-        return [_filled(items, each) for each in value]
-    return value
+
+    def _initial(self, schema: Any) -> Message:
+        """Return the value with which ROS begins a field."""
+        self._left -= 1
+        if self._left < 0:
+            text = f"more than {_MOST_ADDED:,} values are left out; write them"
+            raise MessageError(text)
+        if not isinstance(schema, Mapping):
+            return None
+        if "default" in schema:
+            return schema["default"]
+        if schema.get("type") == "object":
+            members = schema.get("properties", {}).items()
+            return {name: self._initial(member) for name, member in members}
+        if schema.get("type") == "array":
+            return [self._initial(schema["items"]) for _ in range(schema.get("minItems", 0))]
+        return _ZEROS.get(schema.get("type"))
 
 
 def _is_ros_record(schema: Mapping[str, Any]) -> bool:
     return schema.get("type") == "object" and "x-native-type" in schema
 
 
-def _initial(schema: Any) -> Message:
-    """Return the value with which ROS begins a field."""
-    if not isinstance(schema, Mapping):
-        return None
-    if "default" in schema:
-        return schema["default"]
-    if schema.get("type") == "object":
-        return {name: _initial(member) for name, member in schema.get("properties", {}).items()}
-    if schema.get("type") == "array":
-        return [_initial(schema["items"]) for _ in range(schema.get("minItems", 0))]
-    return _ZEROS.get(schema.get("type"))
+def _spelt_as_ros_2(schema: Mapping[str, Any], value: Mapping[str, Message]) -> dict[str, Message]:
+    """Return a time or a duration with the names of ROS 2, which ROS 1 calls `secs` and `nsecs`."""
+    if schema["x-native-type"] not in _TIMES:
+        return dict(value)
+    return {_TIMES_OF_ROS_1.get(name, name): each for name, each in value.items()}

@@ -116,6 +116,11 @@ class Hub:
         topic.type = topic.type or kind
         topic.publishers.add(publisher)
 
+    def type_of(self, name: str) -> str:
+        """Return the type that a topic's publishers state; empty where none does."""
+        topic = self._topics.get(name)
+        return "" if topic is None else topic.type
+
     def unadvertise(self, name: str, publisher: object) -> None:
         """Take a publisher back."""
         topic = self._topics.get(name)

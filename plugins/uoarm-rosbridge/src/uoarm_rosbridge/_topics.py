@@ -10,12 +10,13 @@ from typing import Any
 from attrs import define
 
 from uoarm.errors import ControlMessageError, MessageError, UoarmError, UsageError
-from uoarm.model import Message, MessageStructure, Role
+from uoarm.model import MessageStructure, Role
 from uoarm.server.front_end import Backend, Client, Feed, FeedKey, LimitError, Operation
 from uoarm_rosbridge._addresses import Addresses
 from uoarm_rosbridge._hub import Hub
 from uoarm_rosbridge._names import Place, find_place
 from uoarm_rosbridge._publication import Publication
+from uoarm_rosbridge._shared_publication import SharedPublication
 from uoarm_rosbridge._subscription import Subscription, Wish, read_wish
 from uoarm_rosbridge._typedefs import check_type
 
@@ -71,7 +72,7 @@ class Topics:
         self._addresses = addresses
         self._fail = fail
         self._warn = warn
-        self._publications: dict[str, Publication | None] = {}
+        self._publications: dict[str, Publication | SharedPublication] = {}
         self._latched: set[str] = set()
         self._listening: dict[str, _Listening] = {}
 
@@ -84,12 +85,8 @@ class Topics:
         place = find_place(fields["topic"])
         if place.name not in self._publications:
             raise UsageError(f"this client does not publish {place.name!r}")
-        publication = self._publications.pop(place.name)
         self._latched.discard(place.name)
-        if publication is None:
-            self._hub.unadvertise(place.name, self)
-        else:
-            publication.close()
+        self._publications.pop(place.name).close()
 
     def publish(self, fields: Fields) -> None:
         """Publish one message; a topic that was not advertised is opened."""
@@ -97,11 +94,15 @@ class Topics:
         if place.name not in self._publications:
             self._open(place, fields)
         publication = self._publications[place.name]
-        if publication is None:
-            self._publish_between_clients(place, fields, message)
-        else:
-            done = lambda error: self._done(fields, error)  # noqa: E731
+        done = lambda error: self._done(fields, error)  # noqa: E731
+        if isinstance(publication, Publication):
             publication.publish(message, done, self._client.in_hand)
+            return
+        if not isinstance(message, dict):
+            raise ControlMessageError("publish: msg: expected an object")
+        latch = fields.get("latch") is True or place.name in self._latched
+        account = self._client.account if latch else None
+        publication.publish(message, done, self._client.in_hand, account)
 
     def subscribe(self, fields: Fields) -> None:
         """Listen to a topic, or add a wish to a subscription that there is."""
@@ -131,11 +132,8 @@ class Topics:
 
     def close(self) -> None:
         """Give everything back."""
-        for name, publication in self._publications.items():
-            if publication is None:
-                self._hub.unadvertise(name, self)
-            else:
-                publication.abandon()
+        for publication in self._publications.values():
+            publication.abandon()
         self._publications.clear()
         for name in list(self._listening):
             self._stop(find_place(name))
@@ -160,8 +158,9 @@ class Topics:
                 place, _type_in(fields), self._backend, self._client, failed
             )
         else:
-            self._hub.advertise(place.name, _type_in(fields), self)
-            self._publications[place.name] = None
+            self._publications[place.name] = SharedPublication(
+                place.name, _type_in(fields), self._hub, self._backend, self._client
+            )
             self._hint(place, Role.INPUT, fields)
         if fields.get("latch") is True:
             self._latched.add(place.name)
@@ -171,13 +170,6 @@ class Topics:
         hint = self._addresses.hint(place.name, role, self._client)
         if hint:
             self._warn(fields, hint)
-
-    def _publish_between_clients(self, place: Place, fields: Fields, message: Message) -> None:
-        if not isinstance(message, dict):
-            raise ControlMessageError("publish: msg: expected an object")
-        latch = fields.get("latch") is True or place.name in self._latched
-        account = self._client.account if latch else None
-        self._hub.publish(place.name, message, self, self._client.in_hand, account)
 
     def _publication_failed(self, place: Place, fields: Fields, error: BaseException) -> None:
         self._publications.pop(place.name, None)

@@ -3,7 +3,7 @@
 from uoarm.server.streams._client_streams import ClientStreams, feed_key
 from uoarm.server.streams._feed import Envelope, Feed, FeedKey, Listener
 from uoarm.server.streams._feed_registry import FeedRegistry, Read
-from uoarm.server.streams._input_sender import Done, InputSender, read_message
+from uoarm.server.streams._input_sender import Done, InputSender, check_message, read_message
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._outbox import Lane, Outbox
 
@@ -22,6 +22,7 @@ __all__ = [
     "Listener",
     "Outbox",
     "Read",
+    "check_message",
     "feed_key",
     "read_message",
 ]

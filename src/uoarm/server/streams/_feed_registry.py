@@ -33,6 +33,7 @@ from uoarm.server.streams._encoder import Encoder
 from uoarm.server.streams._feed import Feed, FeedKey
 from uoarm.server.streams._input_sender import InputSender, Read, read_message
 from uoarm.server.streams._known_structures import KnownStructures
+from uoarm.server.streams._known_types import KnownTypes
 from uoarm.server.streams._loop_mailbox import LoopMailbox
 from uoarm.server.streams._memory import Account, Memory
 from uoarm.server.streams._pending_feeds import OnAbsent, PendingFeeds, is_absent
@@ -80,6 +81,9 @@ class FeedRegistry:
         # Half of the threads, so that what can be had does not wait for what cannot.
         at_once = max(1, limits.openings // 2)
         self._known = KnownStructures(robot.resolve, self.workers, at_once)
+        self._types = KnownTypes(
+            robot.structure_of_type, self.in_worker, lambda: robot.config.bridges
+        )
         self._pending = PendingFeeds(self._join, self._claim, self.leave, at_once)
         self._stopping: asyncio.Future[StopReport] | None = None
         self._releasing: asyncio.Future[None] | None = None
@@ -294,6 +298,14 @@ class FeedRegistry:
         """Return structures by function and port; see `KnownStructures.of`."""
         return await self._known.of(functions)
 
+    async def structure_of_type(self, name: str) -> MessageStructure | None:
+        """Return what messages of a native type are like; see `KnownTypes.of`."""
+        return await self._types.of(name)
+
+    async def in_worker(self, action: Callable[[], T]) -> T:
+        """Return what an action returns that takes its time and ends by itself."""
+        return await self.workers.start(action, always=True)
+
     def watch(self, watcher: Watcher) -> None:
         """Notify a watcher of every change and the function that it concerns, from now on."""
         self._watchers[watcher] = None
@@ -306,6 +318,7 @@ class FeedRegistry:
         """Kill what is open, as far as it can be done while the server closes."""
         self._stop_listening()
         self._known.close()
+        self._types.close()
         for feed in list(self._claims):
             self._claims[feed] = 1
             self.leave(feed)

@@ -13,13 +13,13 @@ from attrs import define
 from uoarm._control import Connection
 from uoarm._dataplane import make_check
 from uoarm._wire import Form
-from uoarm.errors import CommandRefusedError, ConnectionClosedError, UsageError
+from uoarm.errors import CommandRefusedError, ConnectionClosedError, MessageError, UsageError
 from uoarm.model import LeaseHolder, Message, MessageStructure, ValidationMode
 from uoarm.server._failures import BusyError
 from uoarm.server.streams._memory import Account, Charge, Held
 from uoarm.server.streams._workers import Workers
 
-__all__ = ["Done", "InputSender", "Read", "read_message"]
+__all__ = ["Done", "InputSender", "Read", "check_message", "read_message"]
 
 _BATCH = 256
 _BATCH_OCTETS = 1_048_576
@@ -261,16 +261,37 @@ class InputSender:
                 return CommandRefusedError(text, "stopped")
             structure = self.structure(queued.port)
             place = f"{self._connection.plan.provider.component.name}.{queued.port or 'input'}"
-            message = self._read(structure, queued.message)
-            check = make_check(structure, ValidationMode.ALWAYS, place)
-            if check is not None:
-                check(message)
+            message = check_message(structure, queued.message, self._read, place)
             self._connection.send(
                 message, queued.port, sender=self._holder, take_over=queued.take_over
             )
         except Exception as error:  # noqa: BLE001 - reported to the one who sent it
             return error
         return None
+
+
+def check_message(structure: MessageStructure, message: Message, read: Read, place: str) -> Message:
+    """Return the logical value of a message as it came, which matches its structure.
+
+    Takes time in proportion to the message: a long one is checked in a worker.
+
+    Args:
+        structure: what it must match.
+        message: as it came.
+        read: makes its logical value.
+        place: where it goes, for the error's text.
+
+    Raises:
+        MessageError: it does not match; the text has the place, the field, and what is wrong.
+    """
+    try:
+        value = read(structure, message)
+    except MessageError as error:
+        raise MessageError(f"{place}: {error}") from error
+    check = make_check(structure, ValidationMode.ALWAYS, place)
+    if check is not None:
+        check(value)
+    return value
 
 
 def read_message(form: Form, structure: MessageStructure, message: Message) -> Message:

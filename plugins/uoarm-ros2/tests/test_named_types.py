@@ -1,0 +1,95 @@
+"""Structures of installed types by name: the real ones, and nothing else imported for a client."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from endpoints import endpoint
+from peers import DOMAIN
+from uoarm_ros2._named_types import structure_of_type
+from websockets.sync.client import connect
+
+from uoarm import RobotManager
+from uoarm.bridge import Bridge
+from uoarm.config import loads
+from uoarm.model import Role
+from uoarm.server import Settings, serve_in_thread
+from uoarm.testing import patience
+
+ROBOT = f"""
+version: 1
+bridges:
+  ros: {{plugin: ros2, options: {{domain_id: {DOMAIN}}}}}
+functions: {{}}
+"""
+
+
+@pytest.mark.parametrize("name", ["sensor_msgs/msg/Imu", "test_msgs/msg/Arrays"])
+def test_it_is_what_the_bridge_describes(bridge: Bridge, name: str) -> None:
+    at = endpoint(Role.INPUT, "/named", name, peer="optional")
+    described = bridge.describe(at, timeout=patience()).message
+    found = structure_of_type(name, {})
+    assert found is not None
+    assert described is not None
+    assert (found.schema, found.native_type) == (described.schema, described.native_type)
+
+
+def test_ros_1_spells_types_without_what_they_are() -> None:
+    assert structure_of_type("std_msgs/String", {}) is structure_of_type("std_msgs/msg/String", {})
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "", "String", "std_msgs/msg/Nothing", "nowhere_msgs/msg/String", "std_srvs/srv/Empty",
+        "../msg/String", "std_msgs/msg/String/x", "Std_msgs/msg/String", "json/msg/String",
+    ],
+)  # fmt: skip
+def test_what_is_no_installed_message_type_is_unknown(name: str) -> None:
+    assert structure_of_type(name, {}) is None
+
+
+def test_nothing_but_packages_of_messages_is_imported_and_rclpy_is_not(tmp_path: Path) -> None:
+    for package in ("plain", "partly/msgs"):
+        (tmp_path / package).mkdir(parents=True)
+    (tmp_path / "plain" / "__init__.py").write_text("print('imported')")
+    (tmp_path / "partly" / "__init__.py").write_text("print('imported')")
+    (tmp_path / "alone.py").write_text("print('imported')")
+    program = """
+import sys
+from uoarm_ros2._named_types import structure_of_type
+for name in ("plain/msg/A", "partly/A", "alone/msg/A", "antigravity/msg/A"):
+    assert structure_of_type(name, {}) is None
+assert structure_of_type("std_msgs/String", {}) is not None
+print("rclpy" in sys.modules, "antigravity" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "False False\n", done.stdout + done.stderr
+
+
+def test_clients_of_rosbridge_share_messages_of_real_types() -> None:
+    robot = loads(ROBOT, origin=str(Path(__file__).with_name("robot.yaml")))
+    with (
+        RobotManager(robot) as manager,
+        serve_in_thread(manager, Settings(port=0)) as server,
+        connect(f"ws://127.0.0.1:{server.ports[0]}/rosbridge") as client,
+    ):
+
+        def send(**fields: object) -> None:
+            client.send(json.dumps(fields))
+
+        send(op="subscribe", topic="/aim", type="geometry_msgs/Twist")
+        send(op="advertise", topic="/aim", type="geometry_msgs/Twist")
+        send(op="publish", topic="/aim", msg={"linear": {"x": "fast"}})
+        send(op="publish", topic="/aim", msg={"linear": {"x": 0.5}})
+        told, got = (json.loads(client.recv(timeout=patience())) for _ in range(2))
+    assert told["msg"].startswith("message: /aim: $.linear.x: expected a number"), told
+    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert got["msg"] == {"linear": {**zero, "x": 0.5}, "angular": zero}
+    assert not manager.status().bridges
