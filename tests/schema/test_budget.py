@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import random
 import subprocess
 import sys
+from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from uoarm.schema._errors import BudgetError
 from uoarm.schema._meter import Meter
 from uoarm.schema.explain import find_losses
 from uoarm.schema.read import Document, Pool
+from uoarm.schema.regex import walker_of
 from uoarm.schema.solve._branch import Branch
 from uoarm.schema.solve._number_goals import find_number_whole
 from uoarm.schema.solve._solver import State
@@ -65,6 +68,40 @@ def test_a_long_counterexample_is_built_when_asked_for() -> None:
     assert built[1:] == [[0, 0]] * 29_999 or len(built) == 30_000
     assert Reference(producer).accepts(built)
     assert not Reference(consumer).accepts(built)
+
+
+_PICK = random.Random(1)
+LONG = "".join(_PICK.choice("ab") for _ in range(3_000))
+HAS_LONG = {"type": "object", "properties": {LONG: ANY}, "required": [LONG]}
+
+
+@pytest.mark.parametrize("pattern", [f"a{'[ab]' * 200}c", f"^(?=[ab]*a{'[ab]' * 200}c)"])
+@pytest.mark.parametrize(
+    ("producer", "place"),
+    [
+        ({"const": LONG}, lambda one: {"pattern": one}),
+        ({"const": [LONG]}, lambda one: {"items": {"pattern": one}}),
+        ({"const": {LONG: 1}}, lambda one: {"patternProperties": {one: {"type": "string"}}}),
+        (
+            {"const": {LONG: 1}},
+            lambda one: {"patternProperties": {one: ANY}, "additionalProperties": {"minimum": 7}},
+        ),
+        ({"const": {LONG: 1}}, lambda one: {"propertyNames": {"pattern": one}}),
+        (HAS_LONG, lambda one: {"patternProperties": {one: {"type": "string"}}}),
+        (
+            HAS_LONG,
+            lambda one: {"patternProperties": {one: ANY}, "unevaluatedProperties": False},
+        ),
+    ],
+)
+def test_a_pattern_with_much_to_do_at_each_character_ends_within_the_budget(
+    producer: Any, place: Callable[[str], Any], pattern: str
+) -> None:
+    walker, steps = walker_of(pattern), 1_000
+    before = walker.work[0]
+    verdict = check(producer, place(pattern), budget=Budget(steps=steps, seconds=PATIENT))
+    assert str(verdict.undecided).startswith("the budget of steps ran out")
+    assert walker.work[0] - before < 8 * steps + 4_000, "threads that were followed"
 
 
 def deep_object(levels: int) -> dict[str, object]:

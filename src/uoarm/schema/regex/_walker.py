@@ -24,6 +24,9 @@ _MAX_WALKED = 100_000
 _MAX_KEPT = 200_000
 """Threads that one walker, and all that are kept, remember, of some 200 octets each."""
 
+_TOLD = 16
+"""Characters after which the budget is told: of 64 that are known, or of 8 threads, as one step."""
+
 Duty: TypeAlias = "tuple[bool, int, WalkState]"
 """Whether the rest must or must not match, which automaton is looking, and how far it is."""
 Thread: TypeAlias = "tuple[int, frozenset[Duty]]"
@@ -33,9 +36,16 @@ _NO_DUTIES: frozenset[Duty] = frozenset()
 
 
 class Walker:
-    """One pattern, made deterministic on the way."""
+    """One pattern, made deterministic on the way.
 
-    def __init__(self, nfa: Nfa) -> None:
+    Args:
+        nfa: its automaton.
+        work: of the walker that looks with this one; None for one that stands alone.
+    """
+
+    def __init__(self, nfa: Nfa, work: list[int] | None = None) -> None:
+        self.work = [0] if work is None else work
+        """How many threads were followed so far, those of looks included."""
         self._nfa = nfa
         self.last = nfa.last
         self._sees_words = nfa.sees_words()
@@ -46,7 +56,7 @@ class Walker:
             for sign, inner, target in looks:
                 number = numbers.setdefault(id(inner), len(self._lookers))
                 if number == len(self._lookers):
-                    self._lookers.append(Walker(inner))
+                    self._lookers.append(Walker(inner, self.work))
                 self._looks[state].append((sign, number, target))
         self.weight = 1
         self._steps: dict[tuple[WalkState, int], WalkState] = {}
@@ -123,6 +133,7 @@ class Walker:
             for sign, number, to in self._looks[at]:
                 duty = (sign, number, self._lookers[number].begin(before))
                 waiting.append((to, duties | {duty}))
+        self.work[0] += len(reached)
         return reached
 
 
@@ -150,14 +161,23 @@ walker_of = Kept(_make, lambda one: one.weight, _MAX_KEPT)
 
 
 def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: None) -> bool:
-    """Say whether a pattern is found in a text, with ECMA-262 meaning; `spend` is told of work.
+    """Say whether a pattern is found in a text, with ECMA-262 meaning.
+
+    A character that was met in this state before is looked up; another one costs all the threads
+    that there are, which may be thousands.
+
+    Args:
+        pattern: without anchors it may be found anywhere.
+        text: to look in.
+        spend: told of the work in steps of the budget.
 
     Raises:
         UnsupportedPatternError: the pattern is not decided here.
     """
     walker = walker_of(pattern)
-    state = walker.start
+    state, work = walker.start, walker.work
     at, end = 0, len(text)
+    followed, left, cost = work[0], _TOLD, 0
     while at < end:
         char = text[at]
         after = walker.step(state, ord(char))
@@ -165,8 +185,11 @@ def found_in(pattern: str, text: str, spend: Callable[[int], None] = lambda _: N
         if after is state:  # and stays so while the character is the same
             at = _end_of_run(text, at, char)
         state = after
-        if not at % 64:
-            spend(1)
+        left -= 1
+        if not left:
+            cost += _TOLD + 8 * (work[0] - followed)
+            spend(cost // 64)
+            followed, left, cost = work[0], _TOLD, cost % 64
     return walker.accepts(state)
 
 

@@ -222,7 +222,8 @@ def item_rules(node: Node, position: int) -> list[Node]:
 def named_rules(node: Node, name: str) -> list[Node]:
     """Return the schemas that name a member, by itself or by a pattern."""
     rules = [node.properties[name]] if name in node.properties else []
-    return rules + [rule for pattern, rule in node.patterns if _found(pattern, name)]
+    spend = node.document.meter.spend
+    return rules + [rule for pattern, rule in node.patterns if _found(pattern, name, spend)]
 
 
 def member_rules(node: Node, name: str) -> list[Node]:
@@ -331,7 +332,7 @@ def _any_of(nodes: Iterable[Node], value: Any, marks: Marks | None) -> Answer:
     return hits > 0
 
 
-def _found(pattern: str, text: str, spend: Callable[[int], None] = lambda _: None) -> bool:
+def _found(pattern: str, text: str, spend: Callable[[int], None]) -> bool:
     try:
         return found_in(pattern, text, spend)
     except UnsupportedPatternError as error:

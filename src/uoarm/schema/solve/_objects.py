@@ -63,7 +63,11 @@ class ObjectView:
     def literals(self, name: str) -> Goal:
         """Return what the value of a name must meet."""
         found = list(self.members.get(name, ()))
-        found += [literal for pattern, literal in self.patterns if found_in(pattern, name)]
+        found += [
+            literal
+            for pattern, literal in self.patterns
+            if found_in(pattern, name, literal[0].document.meter.spend)
+        ]
         found += [literal for node, literal in self.rests if not named_rules(node, name)]
         return tuple(found)
 
