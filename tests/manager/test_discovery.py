@@ -89,6 +89,12 @@ def test_a_port_whose_structure_is_huge_is_left_out_and_counted() -> None:
     assert "and 1 ports more, beyond the limit" in str(seen)
 
 
+def test_a_part_of_a_configuration_says_how_it_is_added() -> None:
+    robot, seen = loads(ROBOT), find(loads(ROBOT), make_lab())
+    assert "uoarm suggest --merge FILE" in suggest(robot, seen, configured=robot.bridges)
+    assert "--merge" not in suggest(robot, seen), "it has bridges of its own"
+
+
 def test_a_long_detail_of_several_components_is_said_once() -> None:
     why, short = "there is no such package here: " + "install it, " * 5, "inactive"
     details = {"a": why, "b": short, "c": why, "d": short}

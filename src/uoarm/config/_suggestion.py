@@ -29,6 +29,9 @@ _HEAD = """\
 # What bridges see and the configuration does not name yet. Read it before you use it: each `from`
 # was proven to fit by the structures of the messages, which say nothing of what they mean.
 """
+_PART = """\
+# It is a part of that configuration and no file of its own. To add it: uoarm suggest --merge FILE
+"""
 
 
 @frozen
@@ -95,7 +98,9 @@ def suggest(
     outputs = [*_configured(robot, findings), *_proposed(proposals)]
     deadline = clock() + seconds
     new = [one for one in findings if one.bridge not in configured]
-    lines = [_HEAD + "version: 1", "bridges:" if new else "# bridges: those of the configuration"]
+    is_part = any(one.bridge in configured for one in findings)
+    head = _HEAD + (_PART if is_part else "")
+    lines = [head + "version: 1", "bridges:" if new else "# bridges: those of the configuration"]
     lines += [f"  {one.bridge}: {{plugin: {one.plugin}}}" for one in new]
     lines.append("functions:" if proposals else "functions: {}  # bridges see nothing else")
     for proposal in proposals:
