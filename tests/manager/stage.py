@@ -10,6 +10,17 @@ from uoarm.testing import Script, patience
 
 Small = Annotated[int, Range(0, 255)]
 Wide = Annotated[int, Range(-32768, 32767)]
+FACE = """
+version: 1
+bridges: {one: {plugin: memory}, two: {plugin: memory}}
+functions:
+  camera: {components: [{name: eye, bridge: one, output: {endpoint: [eye]}}]}
+  face:
+    components:
+      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
+         output: {endpoint: [finder]}}
+"""
+"""A chain of two memory bridges, which a test plays on."""
 
 
 class Narrow(TypedDict):

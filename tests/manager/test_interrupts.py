@@ -15,6 +15,7 @@ from types import FrameType, SimpleNamespace
 from typing import Any, NoReturn
 
 import pytest
+from tests.manager.stage import FACE
 
 from uoarm import BridgeError, BridgeTimeoutError, RobotManager, _bounded, _interrupts
 from uoarm._interrupts import Uninterrupted
@@ -24,19 +25,7 @@ from uoarm.errors import FailureReason
 from uoarm.model import Deliver, Endpoint, Health, MessageStructure, OfferState
 from uoarm.testing import MemoryBridge, patience, wait
 
-ROBOT = """
-version: 1
-bridges: {one: {plugin: memory}, two: {plugin: memory}}
-functions:
-  camera: {components: [{name: eye, bridge: one, output: {endpoint: [eye]}}]}
-  face:
-    components:
-      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
-         output: {endpoint: [finder]}}
-"""
-
-
-OFFERING = ROBOT + "offer: {two: {camera: {output: {endpoint: [seen]}}}}"
+OFFERING = FACE + "offer: {two: {camera: {output: {endpoint: [seen]}}}}"
 
 
 class Quick(MemoryBridge):
@@ -135,7 +124,7 @@ def one() -> Quick:
 def robot(one: Quick) -> Iterator[RobotManager]:
     two = Quick("two")
     two.loop("finder", {"type": "integer"})
-    with RobotManager(loads(ROBOT), bridges={"one": one, "two": two}) as robot:
+    with RobotManager(loads(FACE), bridges={"one": one, "two": two}) as robot:
         robot.request("face").kill()  # whose plan is known from now on
         yield robot
 
@@ -272,7 +261,7 @@ def test_a_close_that_is_interrupted_anywhere_closes_all(number: signal.Signals)
         one, two = Quick("one"), Quick("two")
         one.emitter("eye", {"type": "integer"})
         two.loop("finder", {"type": "integer"})
-        robot = RobotManager(loads(ROBOT), bridges={"one": one, "two": two})
+        robot = RobotManager(loads(FACE), bridges={"one": one, "two": two})
         robot.request("face")
         interrupt = Interrupt(number, at)
         was_raised = interrupt.during(robot.close)
@@ -288,8 +277,8 @@ def test_a_close_that_is_interrupted_anywhere_closes_all(number: signal.Signals)
 def test_a_change_that_is_interrupted_anywhere_can_be_made_again(
     robot: RobotManager, number: signal.Signals
 ) -> None:
-    other = ROBOT.replace("from: camera,", "from: camera, queue: {length: 5},")
-    at, has_come, robots = 0, True, itertools.cycle([loads(other), loads(ROBOT)])
+    other = FACE.replace("from: camera,", "from: camera, queue: {length: 5},")
+    at, has_come, robots = 0, True, itertools.cycle([loads(other), loads(FACE)])
     while has_come:
         at += 1
         connection, wanted, interrupt = robot.request("face"), next(robots), Interrupt(number, at)

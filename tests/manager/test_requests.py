@@ -187,20 +187,10 @@ def test_a_request_stays_in_its_thread_where_every_bridge_of_it_is_quick(
     *, is_quick: bool, links: bool, is_here: bool
 ) -> None:
     """A plan that has to be sought first is not, nor one of which two ends may be linked."""
-    text = """
-version: 1
-bridges: {one: {plugin: memory}, two: {plugin: memory}}
-functions:
-  camera: {components: [{name: eye, bridge: one, output: {endpoint: [eye]}}]}
-  face:
-    components:
-      - {name: finder, bridge: two, input: {from: camera, endpoint: [finder]},
-         output: {endpoint: [finder]}}
-"""
     one, two = Watching("one", is_quick=True), Watching("two", is_quick=is_quick, links=links)
     one.emitter("eye", {"type": "integer"})
     two.loop("finder", {"type": "integer"})
-    with RobotManager(loads(text), bridges={"one": one, "two": two}) as robot:
+    with RobotManager(loads(stage.FACE), bridges={"one": one, "two": two}) as robot:
         robot.request("face").kill()
         assert one.here + two.here == [False, False]
         robot.request("face").kill()
