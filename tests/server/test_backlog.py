@@ -242,6 +242,19 @@ def test_whatever_is_taken_is_handed_out_in_order_or_counted_as_lost(
     work(act, Limits(feed_bytes=most))
 
 
+def test_what_is_lost_as_the_loop_comes_for_it_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def act(feed: Feed, clock: Clock) -> None:
+        feed.add(reader := Reader())
+        with monkeypatch.context() as patched:
+            patched.setattr(Feed, "_can_hand", lambda _: True)  # as it looked a moment before
+            feed._hand_next()
+        feed.take(1)
+        feed.finish("closed", "kill")
+        assert reader.took == [1, -1]
+
+    work(act)
+
+
 def test_what_waited_for_the_first_listener_was_not_late() -> None:
     """Such as latched messages, which come before the client has its reply."""
 

@@ -297,9 +297,9 @@ class Feed:
 
     def _hand_next(self) -> bool:
         """Hand out one message, or have it written first; False when none can be handed out."""
-        if not self._can_hand():
+        envelope = self._next() if self._can_hand() else None
+        if envelope is None:
             return False
-        envelope = self._next()
         writing = [
             future
             for prepare, missed in tuple(self._listeners.values())
@@ -314,9 +314,13 @@ class Feed:
         self._hand_one(envelope)
         return True
 
-    def _next(self) -> Envelope:
+    def _next(self) -> Envelope | None:
         """Take the oldest message that waits, and settle who gets it."""
-        waiting, envelope = len(self._waiting), self._waiting.popleft()
+        waiting = len(self._waiting)
+        try:
+            envelope = self._waiting.popleft()
+        except IndexError:  # it was lost since, to make room
+            return None
         came = max(envelope.came, self._heard_since)
         envelope.is_late = self._backlog.lets_go(waiting, came, self._clock())
         if not self._waiting:
