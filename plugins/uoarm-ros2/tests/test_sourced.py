@@ -57,7 +57,7 @@ def test_an_installation_that_was_sourced_is_used(
     assert "conflict" not in told
     assert "std_srvs/srv/SetBool" in sourced.run("-m", "uoarm_ros2", "interfaces")
     peer("talker").do("advertise", topic="/numbers")
-    numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64"}
+    numbers = {"role": "output", "name": "/numbers", "type": "std_msgs/msg/Int64", "known": True}
 
     def listed() -> bool:
         rows = json.loads(sourced.run("-m", "uoarm_ros2", "list", "--json"))
