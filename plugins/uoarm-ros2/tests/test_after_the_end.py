@@ -88,7 +88,7 @@ def test_the_graph_of_a_station_that_has_ended_is_no_exception_of_rclpy(
         lambda station: station.topic_name("relative"),
         lambda station: station.service_name("relative"),
         lambda station: station.topics(),
-        lambda station: station.own_definition("/anything", SET_BOOL),
+        lambda station: station.own_definition("/anything", SET_BOOL, object),
         lambda station: station.subscribe(TEXT, "/late", Policies(), print, events={}),
         lambda station: station.advertise(TEXT, "/late", Policies(), events={}),
         lambda station: station.client(import_type(SET_BOOL), "/late"),

@@ -230,6 +230,27 @@ def test_a_latched_message_arrives_late(bridge: Bridge, peer: Start) -> None:
     assert inbox.wait_for(1)[0] == {"data": 3}
 
 
+def test_who_comes_while_the_type_is_looked_for_is_fitted(
+    bridge: Any, peer: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    talker, find = peer("talker"), bridge._types.find
+    topic = "/meanwhile"
+    at = endpoint(Role.OUTPUT, topic, INT64, peer="optional")
+    structure = bridge.describe(at, timeout=patience()).message
+    assert structure is not None
+
+    def find_late(*wanted: Any) -> Any:
+        talker.do("advertise", topic=topic, durability="transient_local", depth=1)
+        talker.do("publish", topic=topic, count=1)
+        wait(lambda: bridge._station.publishers(topic))
+        return find(*wanted)
+
+    monkeypatch.setattr(bridge._types, "find", find_late)
+    inbox = Inbox()
+    assert bridge.open_source(at, structure, inbox, timeout=patience()).latched
+    assert inbox.wait_for(1) == [{"data": 1}]
+
+
 def test_auto_takes_what_is_offered_and_offers_what_is_asked(bridge: Bridge, peer: Start) -> None:
     other = peer("other")
     other.do("advertise", topic="/loose", reliability="best_effort")

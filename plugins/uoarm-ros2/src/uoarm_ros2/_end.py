@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from attrs import frozen
@@ -67,7 +67,7 @@ class End(ABC):
         self._shared = False
         self._shadowed = ""
         self._closed = False
-        self.policies = self._fitting()
+        self.policies = self._fitting(self.peers())
         self.native = self._create()
 
     @abstractmethod
@@ -87,8 +87,8 @@ class End(ABC):
         """Return the sentence that sets the policies of both sides side by side."""
 
     @abstractmethod
-    def _fitting(self) -> Policies:
-        """Return the policies that the settings and the peers of now call for."""
+    def _fitting(self, peers: Iterable[Peer]) -> Policies:
+        """Return the policies that the settings and the peers of our type call for."""
 
     @abstractmethod
     def _create(self) -> Any:
@@ -109,10 +109,14 @@ class End(ABC):
         self._clashes_since = min(self._clashes_since, now)
         return now - self._clashes_since > _CLASH_SECONDS
 
-    def require(self, limit: float) -> None:
+    def require(self, limit: float, peers: Sequence[Peer]) -> None:
         """Raise BridgeError when a peer must be there and none is matched or speaks our language.
 
         The text says what is in the way.
+
+        Args:
+            limit: for how many seconds one was waited for.
+            peers: those of our type that are on the graph now.
         """
         if not self._place.settings.peer_required:
             return
@@ -120,7 +124,7 @@ class End(ABC):
         if self.count() == 0:
             text = f"no {self.peer_word} of {name} was matched within {limit:g} s"
             raise BridgeError(self._clashes() or text, FailureReason.UNAVAILABLE)
-        if self._strangers_only():
+        if self._are_strangers(peers):
             self._place.graph.until(lambda: _UNNAMED not in self._strangeness(), _NAME_SECONDS)
             raise BridgeError(self._strangeness(), FailureReason.UNAVAILABLE)
 
@@ -136,8 +140,9 @@ class End(ABC):
             self._look_for_peace()
         if self._unlooked:
             self._unlooked = False
-            self._look_for_strangers()
-            self._look_for_shadows()
+            peers = self.peers()
+            self._look_for_strangers(peers)
+            self._look_for_shadows(peers)
         if self._place.graph.has_other_types(self._place.topic) is not self._shared:
             self._look_for_other_types()
 
@@ -173,40 +178,44 @@ class End(ABC):
             offered=place.endpoint.is_offered,
         )
 
-    def _strangers(self) -> list[Peer]:
-        """Return the peers whose type has our name and another definition: DDS matches by name."""
-        topic = self._place.topic
-        own = self._place.station.own_definition(topic.name, topic.type)
-        return [peer for peer in self.peers() if own and peer.definition not in {"", own}]
+    def _own_definition(self) -> str:
+        place = self._place
+        return place.station.own_definition(place.topic.name, place.topic.type, place.native)
 
-    def _strangers_only(self) -> bool:
-        return 0 < len(self._strangers()) == len(self.peers())
+    def _strangers(self, peers: Iterable[Peer]) -> list[Peer]:
+        """Return those whose type has our name and another definition: DDS matches by name."""
+        own = self._own_definition()
+        return [peer for peer in peers if own and peer.definition not in {"", own}]
+
+    def _are_strangers(self, peers: Sequence[Peer]) -> bool:
+        return 0 < len(self._strangers(peers)) == len(peers)
 
     def _strangeness(self) -> str:
         topic = self._place.topic
-        own = self._place.station.own_definition(topic.name, topic.type)
-        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in self._strangers())
+        strangers = self._strangers(self.peers())
+        theirs = "; ".join(f"{peer.node} has {peer.definition}" for peer in strangers)
         return (
             f"topic {topic.name}: {topic.type} is defined otherwise there than here: {theirs}, "
-            f"this process has {own}"
+            f"this process has {self._own_definition()}"
         )
 
-    def _look_for_strangers(self) -> None:
-        before, self._strange = self._strange, bool(self._strangers())
+    def _look_for_strangers(self, peers: Sequence[Peer]) -> None:
+        before, self._strange = self._strange, bool(self._strangers(peers))
         if self._strange:
             text = self._strangeness()
-            lost = self._strangers_only() and self._place.settings.peer_required
+            lost = self._are_strangers(peers) and self._place.settings.peer_required
             self._pulse.tell(Health.LOST if lost else Health.DEGRADED, text)
             self._unlooked = _UNNAMED in text  # the graph learns of an end, then of its node
         elif before and self.count():
             self._pulse.tell(Health.OK, "every peer has our definition of the type")
 
-    def shadowed(self) -> str:
+    def shadowed(self, peers: Sequence[Peer]) -> str:
         """Return what of the peers is not reached although all fit, in words; mostly nothing."""
+        del peers
         return ""
 
-    def _look_for_shadows(self) -> None:
-        before, self._shadowed = self._shadowed, self.shadowed()
+    def _look_for_shadows(self, peers: Sequence[Peer]) -> None:
+        before, self._shadowed = self._shadowed, self.shadowed(peers)
         if _UNNAMED in self._shadowed:
             self._shadowed, self._unlooked = before, True
         elif self._shadowed and self._shadowed != before:
@@ -236,8 +245,9 @@ class End(ABC):
     def _answer_clash(self) -> None:
         """Adapt while nobody is matched who would lose by it, else say what clashes."""
         alone = self.count() == 0
-        fitting = self._fitting()
-        if alone and self.peers() and fitting != self.policies and not self._closed:
+        peers = self.peers()
+        fitting = self._fitting(peers)
+        if alone and peers and fitting != self.policies and not self._closed:
             before, self.policies = self.native, fitting
             self.native = self._create()
             self._place.station.discard(before)

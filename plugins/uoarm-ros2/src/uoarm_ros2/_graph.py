@@ -93,7 +93,7 @@ class Graph:
 
     def other_types(self, topic: Topic) -> str:
         """Return the other types that a topic carries now, with their nodes; empty: none."""
-        types = self._types_of(topic.name)
+        types = _types(self._station.ends(topic.name))
         return _listed({kind: nodes for kind, nodes in types.items() if kind != topic.type})
 
     def settle(self, peers: Iterable[Peer], seconds: float, given_up: Callable[[], bool]) -> None:
@@ -133,27 +133,27 @@ class Graph:
             BridgeError: no such topic, no peer, another type, or two types and no choice.
         """
         name = self._station.topic_name(address.name)
-        peers = self._station.publishers if role is Role.OUTPUT else self._station.subscriptions
+        sides = self._station.publishers, self._station.subscriptions
+        look, look_beside = sides if role is Role.OUTPUT else reversed(sides)
         wanted = address.type
         needed = settings.peer_required or not wanted
+        peers: tuple[Peer, ...] = ()
 
         def there() -> bool:
-            return any(not wanted or peer.type == wanted for peer in peers(name))
+            nonlocal peers
+            peers = look(name)
+            return any(not wanted or peer.type == wanted for peer in peers)
 
-        if needed and not self.until(there, self._patience(settings)):
-            raise self._nobody(name, wanted, role, peers(name))
-        types = self._types_of(name)
-        if not wanted and not types:  # it went just now
-            raise self._nobody(name, wanted, role, ())
+        if not there() and needed and not self.until(there, self._patience(settings)):
+            raise self._nobody(name, wanted, role, peers)
+        beside = look_beside(name)
+        types = _types((*peers, *beside) if role is Role.OUTPUT else (*beside, *peers))
         if not wanted and len(types) > 1:
             text = f"topic {name} carries several types: {_listed(types)}; name one in the address"
             raise BridgeError(text, FailureReason.BAD_ENDPOINT)
         chosen = wanted or next(iter(types))
         others = {kind: nodes for kind, nodes in types.items() if kind != chosen}
         return Topic(name, chosen, _listed(others))
-
-    def _types_of(self, name: str) -> dict[str, list[str]]:
-        return _types((*self._station.publishers(name), *self._station.subscriptions(name)))
 
     def service(self, address: Address, *, action: bool) -> tuple[str, str]:
         """Return the full name and the type of a service or action on the graph.

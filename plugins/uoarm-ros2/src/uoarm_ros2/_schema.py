@@ -26,6 +26,7 @@ def integer_range(name: str) -> tuple[int, int] | None:
     return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
 
 
+@lru_cache(maxsize=1024)
 def structure_of(record: Record) -> MessageStructure:
     """Return the structure of a record: a closed object with every field required."""
     return MessageStructure(schema_of(record), native_type=record.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import TypeAlias
 
 from attrs import field, frozen
@@ -121,12 +122,23 @@ def is_large(shape: Shape) -> bool:
     return is_large(element)
 
 
-def shape_of(native: type, name: str, *, depth: int = 0) -> Record:
+def shape_of(native: type, name: str) -> Record:
     """Return the shape of a generated message class, named `package/msg/Name`.
+
+    The same one each time, so that what is compiled for it is compiled once.
 
     Raises:
         BridgeError: the class was not generated from a message definition that we understand.
     """
+    return _kept_shape(native, name)
+
+
+@lru_cache(maxsize=1024)
+def _kept_shape(native: type, name: str) -> Record:
+    return _shape_of(native, name, 0)
+
+
+def _shape_of(native: type, name: str, depth: int) -> Record:
     described: object = vars(native).get("described")
     if isinstance(described, Record):
         return described
@@ -180,7 +192,7 @@ def _element(kind: object, where: str, depth: int) -> Scalar | Text | Record:
         from uoarm_ros2._types import import_type  # noqa: PLC0415 - types are made of types
 
         name = "/".join((*kind.namespaces, kind.name))  # type: ignore[attr-defined]  # rosidl
-        return shape_of(import_type(name), name, depth=depth + 1)
+        return _shape_of(import_type(name), name, depth + 1)
     raise BridgeError(f"{where}: native type {kind!r} is not known", FailureReason.UNSUPPORTED)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from uoarm.bridge import Sink
@@ -46,8 +46,8 @@ class _Publisher(End):
         fitting = [peer for peer in self.peers() if not self.clashes_with(peer.policies)]
         return self.count() >= max(1, len(fitting))
 
-    def _fitting(self) -> Policies:
-        return for_writing(self._place.settings.qos, [peer.policies for peer in self.peers()])
+    def _fitting(self, peers: Iterable[Peer]) -> Policies:
+        return for_writing(self._place.settings.qos, [peer.policies for peer in peers])
 
     def _create(self) -> Any:
         place = self._place
@@ -109,10 +109,11 @@ class TopicSink(Sink):
         expects_peers = place.settings.peer_required or bool(end.peers())
         limit = place.graph.limit(place.settings) if expects_peers else 0.0
         place.graph.until(lambda: self.closed or end.all_matched() or end.cannot_match(), limit)
-        end.require(limit)
-        if end.count() and any(peer.policies.reliability == "best_effort" for peer in end.peers()):
+        peers = end.peers()
+        end.require(limit, peers)
+        if end.count() and any(peer.policies.reliability == "best_effort" for peer in peers):
             # A reader that does not ask for repeats must have matched us before the first message.
-            place.graph.settle(end.peers(), place.settle, lambda: self.closed)
+            place.graph.settle(peers, place.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""

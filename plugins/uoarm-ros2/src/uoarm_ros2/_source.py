@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from uoarm.bridge import Source
@@ -40,23 +40,23 @@ class _Subscription(End):
             f"this subscription asks ({self.policies})"
         )
 
-    def shadowed(self) -> str:
+    def shadowed(self, peers: Sequence[Peer]) -> str:
         """Return whose latched messages of the past do not come since others latch none."""
         place = self._place
-        latched = [each for each in self.peers() if each.policies.durability == "transient_local"]
+        latched = [each for each in peers if each.policies.durability == "transient_local"]
         if not latched or self.policies.durability == "transient_local":
             return ""
         if place.settings.qos.durability != "auto":
             return ""
-        volatile = [each.node for each in self.peers() if each not in latched]
+        volatile = [each.node for each in peers if each not in latched]
         return (
             f"topic {place.topic.name}: {', '.join(each.node for each in latched)} latched what "
             f"they published, which does not come since {', '.join(volatile)} latch nothing; with "
             "qos: {durability: transient_local} it comes, and nothing of those that latch nothing"
         )
 
-    def _fitting(self) -> Policies:
-        return for_reading(self._place.settings.qos, [peer.policies for peer in self.peers()])
+    def _fitting(self, peers: Iterable[Peer]) -> Policies:
+        return for_reading(self._place.settings.qos, [peer.policies for peer in peers])
 
     def _create(self) -> Any:
         place, pulse = self._place, self._pulse
@@ -107,12 +107,13 @@ class TopicSource(Source):
         end = self._end
         place.graph.until(lambda: self.closed or end.count() > 0 or end.cannot_match(), limit)
         matched = end.count() > 0
-        self._end.require(limit)
-        self.latched = self._end.policies.durability == "transient_local"
-        if self._end.policies.history == "keep_all":
+        peers = end.peers()
+        end.require(limit, peers)
+        self.latched = end.policies.durability == "transient_local"
+        if end.policies.history == "keep_all":
             self.patience = KEEP_ALL_SECONDS
         if matched and not self.latched:
-            place.graph.settle(self._end.peers(), place.settle, lambda: self.closed)
+            place.graph.settle(peers, place.settle, lambda: self.closed)
 
     def tick(self) -> None:
         """Look after the channel a few times a second, in the station's thread."""

@@ -92,6 +92,7 @@ class Station:
         self._context = context
         self._loop = WaitLoop(context, name, lambda: self._stopping or not context.ok())
         self._entities: dict[Any, list[Entity]] = {}
+        self._definitions: dict[type, str] = {}
         self._destroying = threading.Lock()  # the lists of rclpy's node bear one thread at a time
         self._stopping = False
         self._stopped = threading.Event()
@@ -325,12 +326,22 @@ class Station:
         return (*self.publishers(topic), *self.subscriptions(topic))
 
     @rclpy_errors(_GRAPH)
-    def own_definition(self, topic: str, type_name: str) -> str:
-        """Return the hash of our definition of a type, as our own end of a topic tells it."""
-        own = (
-            end for end in self.ends(topic) if (end.node, end.type) == (self.full_name, type_name)
-        )
-        return next((end.definition for end in own), "")
+    def own_definition(self, topic: str, type_name: str, native: type) -> str:
+        """Return the hash of our definition of a type, as our own end of a topic tells it.
+
+        Of each class the graph is asked once, unless ends of ours mean different ones by the name.
+        """
+        known = self._definitions.get(native)
+        if known is not None:
+            return known
+        own = [
+            end.definition
+            for end in self.ends(topic)
+            if (end.node, end.type) == (self.full_name, type_name)
+        ]
+        if own and own[0] and len(set(own)) == 1:
+            self._definitions[native] = own[0]
+        return next(iter(own), "")
 
     @rclpy_errors(_GRAPH)
     def has_server(self, service: str) -> bool:

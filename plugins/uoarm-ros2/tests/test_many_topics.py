@@ -1,0 +1,76 @@
+"""What one more topic costs beside others of its type: looks at the graph, and what is compiled."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from endpoints import INT64, Inbox, endpoint, source
+from peers import Peer
+from uoarm_ros2 import _cdr_read
+from uoarm_ros2._middleware import Peer as End
+from uoarm_ros2._middleware import Station
+from uoarm_ros2._qos import Policies
+
+from uoarm.bridge import Bridge
+from uoarm.model import Role
+from uoarm.testing import patience
+
+_MOST_LOOKS = 4
+"""Both sides of the topic, what its peers offer, whether its types are ours and fresh."""
+
+
+def test_one_more_topic_of_a_type_takes_few_looks_and_compiles_nothing(
+    make_bridge: Callable[..., Bridge], peer: Callable[..., Peer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: Counter[str] = Counter()
+
+    def counted(look: Callable[[Station, str], Any]) -> Callable[[Station, str], Any]:
+        def wrapper(self: Station, topic: str) -> Any:
+            if not threading.current_thread().name.startswith("ros2 "):  # not what it looks after
+                looks[topic] += 1
+            return look(self, topic)
+
+        return wrapper
+
+    bridge, talker = make_bridge(), peer("talker")
+    for name in ("/first", "/second"):
+        talker.do("advertise", topic=name)
+    source(bridge, endpoint(Role.OUTPUT, "/first", INT64), Inbox())
+    second = endpoint(Role.OUTPUT, "/second", INT64)
+    bridge.describe(second, timeout=patience())  # it is on the graph from now on
+    for side in ("publishers", "subscriptions"):
+        monkeypatch.setattr(Station, side, counted(getattr(Station, side)))
+    compiled = _cdr_read._part.cache_info().misses
+    structure = bridge.describe(second, timeout=patience()).message
+    described = looks["/second"]
+    assert structure is not None
+    bridge.open_source(second, structure, print, timeout=patience())
+    assert described <= _MOST_LOOKS
+    assert looks["/second"] - described <= _MOST_LOOKS
+    assert _cdr_read._part.cache_info().misses == compiled
+    assert bridge.describe(second, timeout=patience()).message is structure
+
+
+def test_the_hash_of_our_definition_is_kept_once_the_graph_has_it_for_sure(
+    make_bridge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    station: Station = make_bridge()._station
+
+    def told(*definitions: str) -> str:
+        ends = [End(station.full_name, INT64, Policies(), definition=each) for each in definitions]
+        others = [
+            End("/other", INT64, Policies(), definition="other"),
+            End(station.full_name, "std_msgs/msg/String", Policies(), definition="text"),
+        ]
+        monkeypatch.setattr(station, "ends", lambda _: (*others, *ends))
+        return station.own_definition("/any", INT64, object)
+
+    assert told() == ""
+    assert told("") == ""
+    assert told("one", "two") == "one"
+    assert told("two") == "two"
+    assert told("one") == "two"
