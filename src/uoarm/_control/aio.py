@@ -312,6 +312,7 @@ class AsyncRobotManager(_Twin[RobotManager]):
 
     resolve = _awaited(RobotManager.resolve)
     structures = _awaited(RobotManager.structures)
+    structure_of_type = _awaited(RobotManager.structure_of_type)
     check_availability = _awaited(RobotManager.check_availability)
     discover = _awaited(RobotManager.discover)
     apply = _awaited(RobotManager.apply)
