@@ -123,6 +123,15 @@ def test_what_is_left_out_has_the_value_of_ros_and_octets_are_octets(
     ]
 
 
+def test_the_count_in_a_header_of_ros_1_is_left_out() -> None:
+    header = MessageStructure(
+        record("std_msgs/msg/Header", stamp=TIME, frame_id={"type": "string"})
+    )
+    sent = {"seq": 3, "stamp": {"secs": 1, "nsecs": 2}, "frame_id": "base"}
+    read = {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base"}
+    assert read_arguments(header, sent) == read
+
+
 def test_the_times_of_ros_1_are_understood(pair: tuple[Ros, Ros]) -> None:
     speaker, listener = pair
     listen(listener)

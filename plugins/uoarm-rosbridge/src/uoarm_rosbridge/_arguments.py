@@ -12,8 +12,13 @@ from uoarm.server.front_end import TEXT_FORM, read_message
 __all__ = ["read_arguments"]
 
 _MOST_ADDED = 100_000
-_TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
-_TIMES_OF_ROS_1 = {"secs": "sec", "nsecs": "nanosec"}
+_TIME = {"secs": "sec", "nsecs": "nanosec"}
+# Fields of ROS 1 by their types and the names that ROS 2 has for them; None: it has none.
+_OF_ROS_1: Mapping[str, Mapping[str, str | None]] = {
+    "builtin_interfaces/msg/Time": _TIME,
+    "builtin_interfaces/msg/Duration": _TIME,
+    "std_msgs/msg/Header": {"seq": None},
+}
 _ZEROS: Mapping[object, Message] = {"boolean": False, "integer": 0, "number": 0.0, "string": ""}
 
 
@@ -88,7 +93,8 @@ def _is_ros_record(schema: Mapping[str, Any]) -> bool:
 
 
 def _spelt_as_ros_2(schema: Mapping[str, Any], value: Mapping[str, Message]) -> dict[str, Message]:
-    """Return a time or a duration with the names of ROS 2, which ROS 1 calls `secs` and `nsecs`."""
-    if schema["x-native-type"] not in _TIMES:
-        return dict(value)
-    return {_TIMES_OF_ROS_1.get(name, name): each for name, each in value.items()}
+    """Return a record with the names of ROS 2, without the `seq` of a header, which it has not."""
+    names = _OF_ROS_1.get(schema["x-native-type"], {})
+    return {
+        known: each for name, each in value.items() if (known := names.get(name, name)) is not None
+    }
