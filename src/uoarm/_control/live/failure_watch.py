@@ -69,9 +69,7 @@ class FailureWatch:
         """Take in that the component raised, and log it."""
         text = text_of(error)
         self.note(_Deed.raising(place), 0, 1, text)
-        self._records.write(
-            logging.WARNING, f"component {self._name}: {place} raised {text}", error
-        )
+        self._log(place, text, error)
 
     def told_later(self, place: str, taken: int, failed: int, text: str) -> None:
         """Take in what a channel tells of messages that were sent before."""
