@@ -104,3 +104,59 @@ def test_what_is_different_is_told_as_lines() -> None:
         after = robot.discover()
     told = set(_discover.rows(after)) - set(_discover.rows(before))
     assert told == {"lab  torch", "lab  torch  output  torch"}
+
+
+EMPTY = ["", "\n", "# my robot\n", "---\n# my robot\n"]
+
+
+@pytest.fixture
+def alone(file: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return where a first configuration goes; one of the plugins that need none sees a lab."""
+    registry = Registry(())
+    registry.add(BridgeType("lab", "", lambda *_: make_lab(), contract=2))
+    monkeypatch.setattr(_discover, "Registry", lambda: registry)
+    monkeypatch.chdir(file.parent)
+    file.unlink()
+    return file
+
+
+@pytest.mark.parametrize("empty", EMPTY)
+@pytest.mark.parametrize("named", [(), ("robot.yaml",), ("-f", "robot.yaml")])
+def test_a_file_that_the_shell_has_just_made_says_nothing_yet(
+    alone: Path, empty: str, named: tuple[str, ...]
+) -> None:
+    alone.write_text(empty, encoding="utf-8")
+    done = run("suggest", *named)
+    assert done.exit_code == 0, done.output
+    assert set(loads(done.stdout).functions) >= {"head", "detector"}
+    assert "lab" in loads(done.stdout).bridges
+    assert run("discover", *named).exit_code == 0
+
+
+@pytest.mark.parametrize("empty", [None, *EMPTY])
+def test_merging_into_a_file_that_is_not_there_makes_it(alone: Path, empty: str | None) -> None:
+    if empty is not None:
+        alone.write_text(empty, encoding="utf-8")
+    done = run("suggest", "--merge", "robot.yaml")
+    assert (done.exit_code, "lines added" in done.output) == (0, True), done.output
+    made = alone.read_text(encoding="utf-8")
+    assert "lab" in loads(made).bridges
+    assert made.startswith((empty or "").strip())
+    again = run("suggest", "--merge", "robot.yaml")
+    assert "it has everything already" in again.output
+    assert alone.read_text(encoding="utf-8") == made
+
+
+def test_a_new_file_would_not_have_what_another_one_has(file: Path, tmp_path: Path) -> None:
+    new = tmp_path / "new.yaml"
+    done = run("suggest", "-f", file, "--merge", new)
+    assert (done.exit_code, new.exists()) == (2, False)
+    assert f"merge into {file}" in " ".join(done.output.split())
+
+
+def test_a_suggestion_of_nothing_is_a_configuration(
+    alone: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_discover, "Registry", lambda: Registry(()))
+    alone.write_text(run("suggest").stdout, encoding="utf-8")
+    assert run("check", alone).exit_code == 0

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from uoarm import errors
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._remote import Remote, asked, remote_options
 from uoarm.cli._shared import json_option, reporting
 
@@ -22,7 +23,7 @@ _PLACE = re.compile(r"^.*?:(\d+:\d+: \$)", re.MULTILINE)
 
 
 @click.command()
-@click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
+@takes_configuration()
 @remote_options(always=True)
 @click.option("--rollback", type=click.IntRange(0), help="In place of FILE, this revision again.")
 @click.option("--dry-run", is_flag=True, help="Say only what would happen.")

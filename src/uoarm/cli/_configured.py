@@ -9,25 +9,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-
 from uoarm.bridge import Registry
 from uoarm.cli._shared import needing, reporting
 from uoarm.config import assign, installation, load
 from uoarm.errors import BridgeError
 
-__all__ = ["assigned_options", "environment_facts", "optional_configuration"]
+__all__ = ["assigned_options", "environment_facts"]
 
 _SECONDS = 60.0
-
-optional_configuration = click.option(
-    "-f",
-    "--file",
-    "file",
-    envvar="UOARM_CONFIG",
-    type=click.Path(dir_okay=False),
-    help="Configuration file whose bridges are shown, too; also UOARM_CONFIG.",
-)
 
 
 def assigned_options(file: str | None, registry: Registry) -> Iterator[tuple[str, str]]:

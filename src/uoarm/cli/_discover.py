@@ -15,33 +15,22 @@ from attrs import evolve
 from uoarm import RobotManager
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
+from uoarm.cli._file import STANDARD, Unnamed, takes_configuration
 from uoarm.cli._shared import BRIDGE, json_option, print_json, reporting
 from uoarm.cli._width import fitted
-from uoarm.config import load, merge
+from uoarm.config import is_blank, load, merge
 from uoarm.config import suggest as suggestion_for
 from uoarm.errors import UsageError
 from uoarm.model import BridgeFindings, BridgeSpec, Robot, to_json
 
 __all__ = [
-    "STANDARD",
     "discover",
     "looking",
     "rows",
-    "standard_file",
     "suggest",
     "with_every_plugin",
 ]
 
-STANDARD = "robot.yaml"
-
-_file_option = click.option(
-    "-f",
-    "--file",
-    "file",
-    envvar="UOARM_CONFIG",
-    type=click.Path(dir_okay=False),
-    help="Configuration file; also UOARM_CONFIG. Without one robot.yaml, if it is there.",
-)
 _timeout_option = click.option(
     "--timeout",
     type=click.FloatRange(min=0.1, max=600),
@@ -52,7 +41,7 @@ _timeout_option = click.option(
 
 
 @click.command()
-@_file_option
+@takes_configuration(unnamed=Unnamed.IF_THERE)
 @click.option("--watch", is_flag=True, help="Look again until Ctrl-C, and tell what is different.")
 @click.option(
     "--every",
@@ -69,7 +58,7 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
     Beside each stands who in the configuration has it. Plugins that the file does not mention are
     asked too, with their default options. Exit code 4 when no bridge could answer.
     """
-    with looking(file or standard_file()) as (robot, _):
+    with looking(file) as (robot, _):
         findings = robot.discover(timeout=timeout)
         if as_json:
             _print_json(findings, in_one_line=watch)
@@ -88,22 +77,30 @@ def discover(file: str | None, *, watch: bool, every: float, timeout: float, as_
 
 
 @click.command()
-@_file_option
+@takes_configuration(unnamed=Unnamed.NONE)
 @_timeout_option
 @click.option(
     "--merge",
     "into",
-    type=click.Path(dir_okay=False, exists=True),
-    help="Add the lines to this file, which stays as it is otherwise; with no -f it is read, too.",
+    type=click.Path(dir_okay=False),
+    help="Add the lines to this file, which stays as it is otherwise and is made where there is "
+    "none; with no FILE it is read, too.",
 )
 def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
     """Write the configuration of what bridges see.
 
-    That is, of what FILE does not name yet. Inputs are fed by what was proven to fit; where several
-    would do, they are listed.
+    That is, of what FILE does not name yet: where none is named that of --merge, or robot.yaml, if
+    it is there. It may be empty. Inputs are fed by what was proven to fit; where several would do,
+    they are listed.
     """
-    file = file or into or standard_file()
-    before = Path(into).read_bytes() if into is not None else b""
+    before = _octets(into) if into is not None else b""
+    if into is not None and file not in {None, into} and is_blank(before.decode()):
+        raise click.UsageError(
+            f"{into} has nothing yet, and would not have what is in {file}: leave {file} out, or "
+            f"merge into {file}"
+        )
+    named = file or into or STANDARD
+    file = named if file is not None or Path(named).exists() else None
     with looking(file) as (robot, given):
         findings = robot.discover(timeout=timeout)
         for one in findings:
@@ -117,15 +114,18 @@ def suggest(file: str | None, *, into: str | None, timeout: float) -> None:
         sys.exit(0 if any(not one.cause for one in findings) else BRIDGE)
 
 
-def standard_file() -> str | None:
-    """Return the configuration that is meant where none is named, if it is there."""
-    return STANDARD if Path(STANDARD).exists() else None
+def _octets(path: str | Path) -> bytes:
+    """Return what is in a file; nothing where there is none."""
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        return b""
 
 
 def _merge_into(path: Path, before: bytes, lines: str) -> None:
     """Add suggested lines to a file, unless somebody else changed it meanwhile."""
     merged = merge(before.decode(), lines).encode()
-    if path.read_bytes() != before:
+    if _octets(path) != before:
         raise UsageError(f"{path} was changed meanwhile: nothing was added")
     if merged == before:
         click.echo(f"{path}: it has everything already")
@@ -139,9 +139,17 @@ def looking(file: str | None) -> Iterator[tuple[RobotManager, Robot]]:
     """Give a manager with a bridge for each plugin, and the configuration as the file has it."""
     registry = Registry()
     with reporting():
-        given = Robot({}, {}) if file is None else load(file, registry.types)
+        given = Robot({}, {}) if file is None or _is_empty(file) else load(file, registry.types)
         with RobotManager(with_every_plugin(given, registry), registry=registry) as robot:
             yield robot, given
+
+
+def _is_empty(file: str) -> bool:
+    """Say whether a file has nothing yet, as one that a shell has just made for our output."""
+    try:
+        return is_blank(Path(file).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):  # what is wrong with it is said when it is read
+        return False
 
 
 def with_every_plugin(robot: Robot, registry: Registry) -> Robot:

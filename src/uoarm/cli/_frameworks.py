@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import click
 from attrs import frozen
 
 from uoarm._checks import plugin_facts
 from uoarm.bridge import Registry
-from uoarm.cli._discover import STANDARD, looking, standard_file
+from uoarm.cli._discover import looking
+from uoarm.cli._file import STANDARD
 from uoarm.cli._shared import BRIDGE, print_json
 from uoarm.cli._width import fitted
 from uoarm.model import BridgeFindings
@@ -59,7 +61,7 @@ class Framework:
 
 def show_frameworks(file: str, *, as_json: bool) -> None:
     """Print what is known of every framework; without the file, of those that are installed."""
-    with looking(standard_file() if file == STANDARD else file) as (robot, given):
+    with looking(file if file != STANDARD or Path(file).exists() else None) as (robot, given):
         findings = robot.discover(timeout=_SECONDS)
         provided: dict[str, dict[str, None]] = {}
         for one in robot.config.components():

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import click
 
 from uoarm.bridge import Registry
-from uoarm.cli._shared import configuration_option, needing, reporting
+from uoarm.cli._file import takes_configuration
+from uoarm.cli._shared import needing, reporting
 from uoarm.config import load
 from uoarm.errors import UsageError
 from uoarm.model import Component, Endpoint, place_problem
@@ -25,7 +26,7 @@ _GLANCE_SECONDS = 0.2
 @click.command()
 @click.argument("bridges", nargs=-1)
 @click.option("--xmlrpc", "port", type=click.IntRange(0, 65535), help="Answer XML-RPC here.")
-@configuration_option
+@takes_configuration(listed="bridges")
 @click.option("--join", "place", help="Serve the manager that listens at tls/ADDRESS:PORT.")
 @click.option("--machine", help="With --join: the name of this machine in the configuration.")
 @click.option(

@@ -25,8 +25,9 @@ from uoarm._lock import (
 )
 from uoarm._whole_file import write_whole
 from uoarm.bridge import Registry
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._findings import FORMS
-from uoarm.cli._shared import REFUSED, configuration_option, reporting, tell_warning
+from uoarm.cli._shared import REFUSED, reporting, tell_warning
 from uoarm.config import load
 from uoarm.errors import ResolutionError
 from uoarm.model import Plan
@@ -35,7 +36,7 @@ __all__ = ["lock", "lock_of", "open_unlocked"]
 
 
 @click.command()
-@configuration_option
+@takes_configuration()
 @click.option("--lock", "path", help="The lock's file.  [robot.lock beside the configuration]")
 @click.option("--check", is_flag=True, help="Write nothing; say what is different and breaks.")
 @click.option(

@@ -19,9 +19,10 @@ from uoarm._switch_interval import short_switch_interval
 from uoarm.bridge import Registry
 from uoarm.cli._apply import apply, history
 from uoarm.cli._certificates import certificates
-from uoarm.cli._configured import assigned_options, environment_facts, optional_configuration
+from uoarm.cli._configured import assigned_options, environment_facts
 from uoarm.cli._discover import discover, suggest
 from uoarm.cli._env import env
+from uoarm.cli._file import Unnamed, takes_configuration
 from uoarm.cli._host import host
 from uoarm.cli._lock import lock
 from uoarm.cli._new_bridge import new_bridge
@@ -31,7 +32,6 @@ from uoarm.cli._run import call, request
 from uoarm.cli._serve import serve, token
 from uoarm.cli._shared import (
     CONFIGURATION,
-    configuration_option,
     function_argument,
     json_option,
     open_robot,
@@ -69,7 +69,7 @@ def main(context: click.Context) -> None:
 
 
 @main.command()
-@click.argument("file", default="robot.yaml", type=click.Path(dir_okay=False))
+@takes_configuration()
 @json_option
 def check(file: str, *, as_json: bool) -> None:
     """Say everything that is wrong with a configuration FILE.
@@ -102,7 +102,7 @@ def _say_that_it_takes_a_while(file: str) -> None:
 
 
 @main.command("list")
-@configuration_option
+@takes_configuration()
 @json_option
 def list_functions(file: str, *, as_json: bool) -> None:
     """List the functions and the components that can provide them."""
@@ -135,7 +135,7 @@ def _telling_that_it_waits(timeout: float) -> Iterator[None]:
 
 @main.command()
 @function_argument()
-@configuration_option
+@takes_configuration("name")
 @click.option("--explain", is_flag=True, help="Print the whole plan and what was passed over.")
 @click.option(
     "--timeout",
@@ -173,7 +173,7 @@ def resolve(name: str, file: str, *, explain: bool, timeout: float, as_json: boo
 
 
 @main.command()
-@optional_configuration
+@takes_configuration(unnamed=Unnamed.NONE)
 @json_option
 def bridges(*, file: str | None, as_json: bool) -> None:
     """List the installed bridge plugins.
@@ -195,7 +195,7 @@ def bridges(*, file: str | None, as_json: bool) -> None:
 
 
 @main.command()
-@optional_configuration
+@takes_configuration(unnamed=Unnamed.NONE)
 @json_option
 def doctor(*, file: str | None, as_json: bool) -> None:
     """Say what the environment is and what plugins find in it.

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 import click
 
 from uoarm import RobotManager
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     BRIDGE,
     CONFIGURATION,
-    configuration_option,
     fail,
     json_option,
     open_robot,
@@ -29,7 +29,7 @@ _FINE = {OfferState.OPEN, OfferState.FINISHED}
 
 
 @click.command()
-@configuration_option
+@takes_configuration()
 @json_option
 @click.option("--once", is_flag=True, help="Try each offer once, close it again, and end.")
 def offer(file: str, *, as_json: bool, once: bool) -> None:

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import click
 
 from uoarm import Connection, ConnectionClosedError, RobotManager, ValidationMode
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
     BRIDGE,
-    configuration_option,
     fail,
     function_argument,
     json_option,
@@ -30,7 +30,7 @@ _GLANCE_SECONDS = 0.25
 
 @click.command()
 @function_argument(serves=False)
-@configuration_option
+@takes_configuration("name")
 @click.option("-n", "--count", type=click.IntRange(min=1), help="End after so many messages.")
 @click.option("--duration", type=click.FloatRange(min=0), help="End after so many seconds.")
 @click.option(
@@ -80,7 +80,7 @@ def request(
 @click.command()
 @function_argument(serves=True)
 @click.argument("message", default="{}")
-@configuration_option
+@takes_configuration("name", "message")
 @click.option(
     "--timeout",
     type=click.FloatRange(min=0),

@@ -18,8 +18,8 @@ import click
 
 from uoarm import RobotManager
 from uoarm._whole_file import stamp_of
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._shared import (
-    configuration_option,
     fail,
     needing,
     open_robot,
@@ -74,8 +74,7 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command()
-@click.argument("robot", required=False, type=click.Path(dir_okay=False))
-@configuration_option
+@takes_configuration()
 @listening_options
 @click.option(
     "--front-end-port",
@@ -111,7 +110,6 @@ def listening_options(command: Callable[..., Any]) -> Callable[..., Any]:
     "--watch-config", is_flag=True, help="Read the configuration again whenever the file changes."
 )
 def serve(
-    robot: str | None,
     file: str,
     *,
     watch_config: bool,
@@ -122,7 +120,7 @@ def serve(
 ) -> None:
     """Serve a robot to WebSocket clients and browsers.
 
-    Until Ctrl-C or SIGTERM; SIGHUP has its file ROBOT read again.
+    Until Ctrl-C or SIGTERM; SIGHUP has FILE read again.
 
     SIGUSR1 stops every input that moves something until SIGUSR2 releases them. A robot that was
     stopped stays so when it is served again.
@@ -133,8 +131,8 @@ def serve(
     ports = dict(front_end_ports)
     if rosbridge_port is not None:
         ports["rosbridge"] = rosbridge_port
-    stop_file = stop_file_of(robot or file)
-    with open_robot(robot or file, stop_file) as manager:
+    stop_file = stop_file_of(file)
+    with open_robot(file, stop_file) as manager:
         with needing("server"):
             from uoarm.server import Settings, run  # noqa: PLC0415 - an extra, and slow
         chosen = Settings(own_certificate=tls is not None, front_end_ports=ports, **settings)

@@ -20,7 +20,6 @@ from uoarm.config import load
 from uoarm.model import Function, Message, Role, to_json
 
 __all__ = [
-    "configuration_option",
     "fail",
     "function_argument",
     "json_option",
@@ -37,17 +36,6 @@ __all__ = [
 F = TypeVar("F", bound=Callable[..., Any])
 
 REFUSED, CONFIGURATION, BRIDGE, INTERRUPTED = 1, 3, 4, 130
-
-configuration_option = click.option(
-    "-f",
-    "--file",
-    "file",
-    default="robot.yaml",
-    envvar="UOARM_CONFIG",
-    show_default=True,
-    type=click.Path(dir_okay=False),
-    help="Configuration file; also UOARM_CONFIG.",
-)
 
 
 def _can(function: Function, *, serve: bool) -> bool:

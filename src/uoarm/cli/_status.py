@@ -8,10 +8,11 @@ import time
 import click
 
 from uoarm import RobotManager
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._frameworks import show_frameworks
 from uoarm.cli._live_status import show_live_status
 from uoarm.cli._remote import Remote, remote_options
-from uoarm.cli._shared import REFUSED, configuration_option, json_option, open_robot, print_json
+from uoarm.cli._shared import REFUSED, json_option, open_robot, print_json
 from uoarm.cli._width import fitted
 from uoarm.model import FunctionStatus
 
@@ -19,7 +20,7 @@ __all__ = ["status"]
 
 
 @click.command()
-@configuration_option
+@takes_configuration()
 @click.option("--watch", is_flag=True, help="Ask again until Ctrl-C.")
 @click.option(
     "--every",

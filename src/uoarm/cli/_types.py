@@ -10,8 +10,9 @@ import click
 from uoarm._lock import Lock, LockError, read_lock
 from uoarm._types import read_functions, write_document, write_python, write_typescript
 from uoarm._whole_file import write_whole
+from uoarm.cli._file import takes_configuration
 from uoarm.cli._lock import lock_of, open_unlocked
-from uoarm.cli._shared import REFUSED, configuration_option, reporting, tell_warning
+from uoarm.cli._shared import REFUSED, reporting, tell_warning
 
 __all__ = ["types"]
 
@@ -21,7 +22,7 @@ _WRITERS = {
 
 
 @click.command()
-@configuration_option
+@takes_configuration()
 @click.option("--python", "form", flag_value="python", help="A module of TypedDicts.")
 @click.option("--typescript", "form", flag_value="typescript", help="Declarations for uoarm.js.")
 @click.option("--jsonschema", "form", flag_value="jsonschema", help="One schema with $defs.")

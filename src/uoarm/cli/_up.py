@@ -13,6 +13,7 @@ import click
 from uoarm import RobotManager
 from uoarm.bridge import Registry
 from uoarm.cli._discover import rows, with_every_plugin
+from uoarm.cli._file import Unnamed, takes_configuration
 from uoarm.cli._serve import cannot_listen, listening_options, say, stop_file_of, stopping
 from uoarm.cli._shared import json_option, needing, reporting
 from uoarm.config import add_functions, load
@@ -28,14 +29,7 @@ _RESOLVE_SECONDS = 10.0
 
 
 @click.command()
-@click.option(
-    "-f",
-    "--file",
-    "file",
-    envvar="UOARM_CONFIG",
-    type=click.Path(dir_okay=False),
-    help="Configuration to begin with, such as bridges with options; also UOARM_CONFIG.",
-)
+@takes_configuration(unnamed=Unnamed.NONE)
 @listening_options
 @click.option(
     "--every",

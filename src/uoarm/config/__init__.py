@@ -7,7 +7,7 @@ from uoarm.config._code import with_code
 from uoarm.config._difference import Difference, compare, fed_by
 from uoarm.config._keeping import is_same, rewrite
 from uoarm.config._load import Report, inspect, load, loads
-from uoarm.config._merging import merge
+from uoarm.config._merging import is_blank, merge
 from uoarm.config._shape import published_schema, structure_schema
 from uoarm.config._suggestion import suggest
 
@@ -23,6 +23,7 @@ __all__ = [
     "fed_by",
     "inspect",
     "installation",
+    "is_blank",
     "is_same",
     "load",
     "loads",

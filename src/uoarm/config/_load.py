@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -25,6 +27,8 @@ __all__ = ["Report", "inspect", "load", "loads"]
 Types: TypeAlias = Mapping[str, BridgeType]
 
 _SHOWN = 50
+_NOT_THERE = os.strerror(errno.ENOENT)
+_ABSENT = "`uoarm suggest > robot.yaml` writes one of what bridges see; FILE names another"
 _START = Place(1, 1)
 _NO_TYPES: Types = MappingProxyType({})
 
@@ -102,6 +106,11 @@ def inspect(
             the file names and is not here is among the warnings.
     """
     document = read_file(Path(path))
+    problems = tuple(
+        evolve(problem, hint=_ABSENT) if problem.sentence.endswith(_NOT_THERE) else problem
+        for problem in document.problems
+    )
+    document = evolve(document, problems=problems)
     return _report(document, str(path), types, parameters=parameters, missing=missing)
 
 

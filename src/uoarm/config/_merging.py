@@ -8,7 +8,7 @@ from uoarm._yaml import Document, read
 from uoarm.config._load import loads
 from uoarm.errors import ConfigurationError
 
-__all__ = ["merge"]
+__all__ = ["is_blank", "merge"]
 
 
 def merge(text: str, suggestion: str) -> str:
@@ -18,13 +18,16 @@ def merge(text: str, suggestion: str) -> str:
     it is, comments, order and spelling included.
 
     Args:
-        text: the configuration, as YAML without mistakes.
+        text: the configuration, as YAML without mistakes; one that is blank becomes the other.
         suggestion: the other one, as `suggest` writes it.
 
     Raises:
         ConfigurationError: one has mistakes, or `bridges` or `functions` are written in braces
             and not empty, so that lines cannot be added.
     """
+    if is_blank(text):
+        loads(suggestion)
+        return f"{text.rstrip()}\n{suggestion}".lstrip("\n")
     before = loads(text)
     had = {"bridges": before.bridges, "functions": before.functions}
     for section, known in had.items():
@@ -37,6 +40,11 @@ def merge(text: str, suggestion: str) -> str:
     if not all(kept) or not all(kept_too):
         raise ConfigurationError("the lines cannot be added by themselves: paste them by hand")
     return text
+
+
+def is_blank(text: str) -> bool:
+    """Say whether a configuration has nothing yet but comments."""
+    return all(line.partition("#")[0].strip() in {"", "---"} for line in text.splitlines())
 
 
 def _entries(suggestion: str, section: str, known: Container[str]) -> list[str]:

@@ -32,6 +32,7 @@ _HEAD = """\
 _PART = """\
 # It is a part of that configuration and no file of its own. To add it: uoarm suggest --merge FILE
 """
+_OWN_BRIDGES = "# bridges: those of the configuration"
 
 
 @frozen
@@ -100,7 +101,8 @@ def suggest(
     new = [one for one in findings if one.bridge not in configured]
     is_part = any(one.bridge in configured for one in findings)
     head = _HEAD + (_PART if is_part else "")
-    lines = [head + "version: 1", "bridges:" if new else "# bridges: those of the configuration"]
+    bridges = "bridges:" if new else "bridges: {}" if not robot.bridges else _OWN_BRIDGES
+    lines = [head + "version: 1", bridges]
     lines += [f"  {one.bridge}: {{plugin: {one.plugin}}}" for one in new]
     lines.append("functions:" if proposals else "functions: {}  # bridges see nothing else")
     for proposal in proposals:

@@ -1,0 +1,119 @@
+"""The configuration: every command that has one takes it as a word, with -f, or as a variable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from uoarm.bridge import Registry
+from uoarm.cli import _discover, main
+
+ROBOT = """
+version: 1
+bridges: {python: {}}
+functions:
+  greeting:
+    components:
+      - {name: greeter, bridge: python, service: {endpoint: ["file_greeting:greet"]}}
+  ticks:
+    components:
+      - {name: ticker, bridge: python, output: {endpoint: ["file_greeting:ticks"]}}
+"""
+COMPONENTS = """
+from collections.abc import Iterator
+from typing import TypedDict
+class Text(TypedDict):
+    text: str
+def greet(asked: Text) -> Text:
+    return {"text": f"hello {asked['text']}"}
+def ticks() -> Iterator[Text]:
+    yield {"text": "tick"}
+"""
+SERVING = {"serve", "up", "offer", "host", "apply"}  # they need a server or go on
+ASKED_EACH_TIME = {"doctor"}  # what it finds of frameworks may be other a second later
+
+
+def commands(group: click.Group) -> Iterator[click.Command]:
+    for command in group.commands.values():
+        if isinstance(command, click.Group):
+            yield from commands(command)
+        elif any(parameter.name == "file" for parameter in command.params):
+            yield command
+
+
+CONFIGURED = {str(command.name): command for command in commands(main)}
+WORDS = {"resolve": ["ticks"], "request": ["ticks"], "call": ["greeting", '{"text": "you"}']}
+MORE = {"types": ["--python"], "request": ["-n", "1"], "lock": ["--lock", "made.lock"]}
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a configuration in another folder than the current one, which has none."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "file_greeting.py").write_text(COMPONENTS, encoding="utf-8")
+    (folder / "lab.yaml").write_text(ROBOT, encoding="utf-8")
+    points = [one for one in entry_points(group="uoarm.bridges") if one.name == "python"]
+    monkeypatch.setattr(_discover, "Registry", lambda: Registry(points))  # no other frameworks
+    return Path("elsewhere/lab.yaml")
+
+
+def run(*arguments: str | Path, env: dict[str, str] | None = None) -> Result:
+    return CliRunner().invoke(main, [str(one) for one in arguments], env=env)
+
+
+def test_every_command_that_reads_a_configuration_is_among_them() -> None:
+    expected = {"check", "list", "resolve", "status", "request", "call", "discover", "suggest"}
+    expected |= {"lock", "types", "offer", "serve", "apply", "up", "host", "bridges", "doctor"}
+    assert CONFIGURED.keys() == expected
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGURED.keys() - SERVING - ASKED_EACH_TIME))
+def test_each_way_of_naming_it_does_the_same(file: Path, name: str) -> None:
+    words, more = WORDS.get(name, []), MORE.get(name, [])
+    ways = [
+        run(name, *words, file, *more),
+        run(name, file, *words, *more),
+        run(name, *words, "-f", file, *more),
+        run(name, *words, *more, env={"UOARM_CONFIG": str(file)}),
+        run(name, *words, file, *more, env={"UOARM_CONFIG": "other.yaml"}),
+    ]
+    exits = [(one.exit_code, one.stdout) for one in ways]
+    assert exits == [exits[0]] * len(ways), [one.output for one in ways]
+    assert exits[0][0] == 0, ways[0].output
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGURED))
+def test_naming_it_twice_is_refused(file: Path, name: str) -> None:
+    words = WORDS.get(name, [])
+    done = run(name, *words, file, "-f", "other.yaml")
+    assert done.exit_code == 2, done.output
+    assert f"the configuration is named twice: {file} and -f other.yaml" in done.output
+
+
+@pytest.mark.parametrize("name", ["resolve", "request", "call"])
+def test_the_file_alone_is_no_function(file: Path, name: str) -> None:
+    done = run(name, file)
+    assert (done.exit_code, "Missing argument 'NAME'" in done.output) == (2, True), done.output
+
+
+def test_a_file_of_another_ending_is_the_last_word(file: Path) -> None:
+    robot = file.rename(file.with_suffix(".conf"))
+    done = run("call", "greeting", '{"text": "you"}', robot)
+    assert done.stdout == '{"text": "hello you"}\n', done.output
+
+
+@pytest.mark.parametrize("name", ["check", "list", "status", "resolve", "request", "call", "serve"])
+@pytest.mark.usefixtures("file")
+def test_where_none_is_there_it_is_said_what_to_do(name: str) -> None:
+    done = run(name, *WORDS.get(name, []))
+    assert done.exit_code == 3, done.output
+    assert "robot.yaml: the file cannot be read: No such file" in done.output
+    assert "uoarm suggest > robot.yaml" in done.output
+    assert "FILE names another" in done.output
