@@ -25,8 +25,6 @@ from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Role
 from uoarm.testing import patience
 
-pytest.importorskip("rosbags", reason="definitions are read with rosbags: uoarm-ros2[definitions]")
-
 MakeBridge = Callable[..., Bridge]
 MADE = {"boolean": True, "integer": 3, "number": 0.25}
 
@@ -165,26 +163,46 @@ def test_a_type_that_holds_what_is_nowhere_names_file_and_line(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("files", "words"),
+    ("files", "name", "words"),
     [
-        ({"p__msg__Wrong": "int8 a\n# more\nfloat9! b\nint8 c\n"}, r"Wrong\.msg: line 3: 'float9"),
-        ({"p__srv__One": "int8 a\n---\nint8 b\n?\n"}, r"One\.srv: line 4: '\?' is no field"),
-        ({"p__srv__One": "int8 a\n"}, r"One\.srv: .*1 parts between lines of ---, not 2"),
+        (
+            {"p__msg__Wrong": "int8 a\n# more\nfloat9! b\nint8 c\n"},
+            "p/msg/Wrong",
+            r"Wrong\.msg: line 3: 'float9",
+        ),
+        ({"p__srv__One": "int8 a\n"}, "p/srv/One_Request", r"One\.srv: 1 parts between lines"),
+        (
+            {"p__msg__Wrong": "uint8 a 300\n", "p__msg__Holds": "int8 a\nWrong b\n"},
+            "p/msg/Holds",
+            (
+                r"Holds\.msg: line 2: p/msg/Wrong cannot be read: .*Wrong\.msg: line 1: "
+                r"'uint8 a 300': expected a whole number from 0 to 255, got '300'"
+            ),
+        ),
     ],
 )
-def test_a_broken_file_is_one_error_with_file_and_line(
-    make_bridge: MakeBridge, tmp_path: Path, files: dict[str, str], words: str
+def test_a_broken_file_costs_its_own_types_and_what_holds_them(
+    make_bridge: MakeBridge, tmp_path: Path, files: dict[str, str], name: str, words: str
 ) -> None:
-    with pytest.raises(ConfigurationError, match=f"option definitions cannot be used: .*{words}"):
-        make_bridge(definitions=[write(tmp_path, p__msg__Good="int8 a\n", **files)])
+    folder = write(tmp_path, p__msg__Good="int8 a\nstring NONE=\n", **files)
+    bridge = make_bridge(definitions=[folder])
+    optional = endpoint(Role.INPUT, "/good", "p/msg/Good", peer="optional")
+    assert bridge.describe(optional).message is not None
+    with pytest.raises(
+        BridgeError, match=f"as option definitions has it, cannot be used: .*{words}"
+    ):
+        DefinedTypes([folder]).find(name)
 
 
-def test_a_type_of_two_folders_and_a_folder_that_is_none_are_refused(
+def test_a_type_of_two_folders_costs_itself_and_a_folder_that_is_none_is_refused(
     make_bridge: MakeBridge, tmp_path: Path
 ) -> None:
-    one = write(tmp_path / "one", p__msg__A="int8 a\n")
-    other = write(tmp_path / "other", p__msg__A="int16 a\n")
-    with pytest.raises(ConfigurationError, match=r"p/msg/A is defined in .*one.* and in .*other"):
-        make_bridge(definitions=[one, other])
+    one = write(tmp_path / "one", p__msg__A="int8 a\n", p__msg__B="int8 a\n")
+    other = write(tmp_path / "other", p__msg__A="int16 a\n", p__msg__C="A a\n")
+    types = DefinedTypes([one, other])
+    assert types.find("p/msg/B") is not None
+    for name in ("p/msg/A", "p/msg/C"):
+        with pytest.raises(BridgeError, match=r"it is in .*one.* and in .*other"):
+            types.find(name)
     with pytest.raises(ConfigurationError, match=r"none is no folder of ROS definitions"):
         make_bridge(definitions=[str(tmp_path / "none")])

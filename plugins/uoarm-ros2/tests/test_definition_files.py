@@ -17,7 +17,7 @@ from uoarm_ros2.definitions import Definitions, read_definitions
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
 
-pytest.importorskip("rosbags", reason="definitions are read with rosbags: uoarm-ros2[definitions]")
+pytest.importorskip("rosbags", reason=".idl files are read with rosbags: uoarm-ros2[definitions]")
 
 
 IDL = ("BasicTypes", "Constants", "Defaults", "Empty", "Nested", "Strings", "WStrings")
@@ -108,7 +108,7 @@ def test_texts_are_read_as_they_are_written(tmp_path: Path) -> None:
         "wstring<=5 wide\nstring<=3[<=2] many\nstring named 1.10\n",
     )
     schema: Any = read_definitions(tmp_path).structures["p/msg/Texts"].schema
-    assert schema["x-constants"] == {"A": "12", "B": "it # is", "C": True, "D": 1.0}
+    assert schema["x-constants"] == {"A": "12", "B": '"it', "C": True, "D": 1.0}
     assert isinstance(schema["x-constants"]["C"], bool)
     assert schema["properties"]["wide"] == {
         "type": "string", "maxLength": 5, "x-native-type": "wstring",
@@ -136,10 +136,10 @@ def test_what_cannot_be_read_is_a_problem_and_the_rest_is_read(tmp_path: Path) -
     assert "q/msg/Absent is not defined" in found.problems["p/msg/Missing"]
     assert "q/msg/Absent is not defined" in found.problems["p/msg/Holds"]
     assert "nested more than" in found.problems["p/msg/Itself"]
-    assert "two fields of one name" in found.problems["p/msg/Double"]
     assert "more than 20,000 fields" in found.problems["p/msg/D0"]
     by_file = {Path(name).name: text for name, text in found.problems.items()}
-    assert {"Wrong.msg", "Octets.msg", "One.srv"} <= by_file.keys()
+    assert {"Wrong.msg", "Octets.msg", "One.srv", "Double.msg"} <= by_file.keys()
+    assert by_file["Double.msg"] == "line 2: 'int16 a': line 1 defines a already"
     assert "1 parts between lines of ---, not 2" in by_file["One.srv"]
 
 
@@ -155,9 +155,51 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
         read_definitions(tmp_path / "none")
 
 
-def test_without_the_extra_it_says_what_to_install(
+IDL_TEXT = """module p {{ module msg {{
+  module A_Constants {{ {constants} }};
+  struct A {{ {fields} }};
+}}; }};"""
+
+
+def idl(folder: Path, constants: str, fields: str = "long a;") -> Definitions:
+    path = folder / "p" / "msg" / "A.idl"
+    path.parent.mkdir(parents=True)
+    path.write_text(IDL_TEXT.format(constants=constants, fields=fields), encoding="utf-8")
+    return read_definitions(folder)
+
+
+@pytest.mark.parametrize(
+    ("constants", "fields", "words"),
+    [
+        ("const uint8 X = 300;", "long a;", "constant X: expected a value of uint8, 0 to 255"),
+        ("const octet X = -1;", "long a;", "constant X: expected a value of byte"),
+        ('const long X = "a";', "long a;", "constant X: expected a value of int32"),
+        ("const string X = 3;", "long a;", "constant X: expected a value of string"),
+        ("const boolean X = 1;", "long a;", "constant X: expected a value of bool"),
+        ("const long X = 1; const long X = 2;", "long a;", "two constants are called X"),
+        ("const long X = 1;", "long a; short a;", "two fields are called a"),
+    ],
+)
+def test_values_of_idl_files_are_checked_by_their_type(
+    tmp_path: Path, constants: str, fields: str, words: str
+) -> None:
+    found = idl(tmp_path, constants, fields)
+    assert not found.structures
+    (problem,) = found.problems.values()
+    assert words in problem
+
+
+def test_constants_of_idl_files_are_read_as_idl_has_them(tmp_path: Path) -> None:
+    constants = 'const long A = 010; const float B = 1; const string C = "010";'
+    schema: Any = idl(tmp_path, constants).structures["p/msg/A"].schema
+    assert schema["x-constants"] == {"A": 8, "B": 1.0, "C": "010"}
+
+
+def test_without_the_extra_msg_files_are_read_and_idl_files_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "rosbags.typesys.msg", None)
-    with pytest.raises(ConfigurationError, match="uoarm-ros2"):
-        read_definitions(tmp_path)
+    monkeypatch.setitem(sys.modules, "rosbags.typesys.idl", None)
+    found = idl(write(tmp_path, q__msg__B="int8 a\n"), "const long X = 1;")
+    assert set(found.structures) == {"q/msg/B"}
+    (problem,) = found.problems.values()
+    assert "uoarm-ros2" in problem

@@ -12,8 +12,6 @@ from uoarm_ros2.definitions import read_definitions
 
 from uoarm.cli import main
 
-pytest.importorskip("rosbags", reason="definitions are read with rosbags: uoarm-ros2[definitions]")
-
 
 def write(folder: Path, width: str = "width", force: str = "float64 newtons\n") -> Path:
     for name, text in {"Grip": f"Force force\nfloat32 {width}\n", "Force": force}.items():
@@ -70,7 +68,9 @@ def test_without_the_extra_it_says_what_to_install(
     (after := tmp_path / "after").mkdir()
     write(after)
     check(tmp_path, after)
-    monkeypatch.setitem(sys.modules, "rosbags.typesys.msg", None)
+    definition = after / "claw_msgs" / "msg" / "Grip.msg"
+    definition.rename(definition.with_suffix(".idl"))
+    monkeypatch.setitem(sys.modules, "rosbags.typesys.idl", None)
     words = ["--lock", str(tmp_path / "robot.lock"), "--check", "--against", str(after)]
     done = CliRunner().invoke(main, ["lock", *words])
     assert done.exit_code == 3, done.output

@@ -9,24 +9,23 @@ from typing import Any
 
 from attrs import evolve
 
-from uoarm.errors import BridgeError, ConfigurationError, FailureReason
+from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware import untyped_class
 from uoarm_ros2._shape import Field, Listing, Record, Shape, shape_of
 from uoarm_ros2._type_hash import type_hash
-from uoarm_ros2._types import import_type, type_mistake
+from uoarm_ros2._types import import_type, of_type, type_mistake
 from uoarm_ros2.definitions import Reading
 
 __all__ = ["DefinedTypes", "untyped_record"]
-
-_MOST_TOLD = 5
 
 
 class DefinedTypes:
     """Message types of some folders; what they hold may be installed, and then is the installed.
 
+    A file that cannot be read costs its own types, and those that hold them.
+
     Raises:
-        ConfigurationError: a folder is none, a file cannot be read, a type is defined twice, or
-            the extra `definitions` is not installed; with files and lines.
+        ConfigurationError: a folder is none, or holds too many files.
     """
 
     def __init__(self, folders: Iterable[str]) -> None:
@@ -37,23 +36,26 @@ class DefinedTypes:
             self._reading = self._reading or Reading(_installed)
             self._reading.take(Path(folder).expanduser().absolute())
         if self._reading is not None:
-            _require_sound(self._reading)
+            self._reading.leave_out_twice()
 
     def find(self, name: str) -> type | None:
         """Return a class for a type, None where no folder defines it.
 
         Raises:
-            BridgeError: it holds a type that is neither defined nor installed, or too much.
+            BridgeError: its file cannot be read, it is defined twice, it holds a type that is
+                neither defined nor installed, or too much; with file and line.
         """
-        if self._reading is None or name not in self._reading:
+        if self._reading is None:
             return None
         with self._lock:
             if name not in self._found:
                 try:
-                    record = self._reading.record(name)
+                    record = _sound(self._reading, name)
                 except ValueError as error:
-                    text = f"{name}, as option definitions has it, cannot be used: {error}"
+                    text = f"{of_type(name)}as option definitions has it, cannot be used: {error}"
                     raise BridgeError(text, FailureReason.UNSUPPORTED) from error
+                if record is None:
+                    return None
                 self._found[name] = untyped_record(record).native
             return self._found[name]
 
@@ -75,16 +77,11 @@ def _installed(name: str) -> Record | None:
         raise
 
 
-def _require_sound(reading: Reading) -> None:
-    wrong = [f"{path}: {why}" for path, why in sorted(reading.problems.items())]
-    wrong += [
-        f"{name} is defined in {one} and in {other}; name a folder with one of them"
-        for name, (one, other) in sorted(reading.twice.items())
-    ]
-    if wrong:
-        more = f"; and {len(wrong) - _MOST_TOLD} more" if len(wrong) > _MOST_TOLD else ""
-        told = "; ".join(wrong[:_MOST_TOLD])
-        raise ConfigurationError(f"option definitions cannot be used: {told}{more}")
+def _sound(reading: Reading, name: str) -> Record | None:
+    """Return the record of a type, None where no folder defines it."""
+    if name in reading.unread:
+        raise ValueError(reading.unread[name])
+    return reading.record(name) if name in reading else None
 
 
 def _native(record: Record, definition: str, made: dict[str, Record]) -> Record:

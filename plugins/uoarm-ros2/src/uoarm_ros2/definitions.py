@@ -1,14 +1,14 @@
 """ROS message definitions read without ROS: folders of `.msg`, `.srv`, `.action` and `.idl` files.
 
 Structures are the very ones that the bridge describes for the same types where they are installed.
-Needs the extra `definitions`, which brings rosbags' parsers; no middleware.
+Needs no middleware; for `.idl` files the extra `definitions`, which brings the parser of rosbags.
 """
 
 from __future__ import annotations
 
 import re
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from ctypes import c_float
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,13 @@ from attrs import field, frozen
 from uoarm.bridge import install_command
 from uoarm.errors import ConfigurationError
 from uoarm.model import MessageStructure
-from uoarm_ros2._schema import structure_of
+from uoarm_ros2._message_file import Kind, Member, Parsed, parse_file, require_one_each
+from uoarm_ros2._schema import integer_range, structure_of
 from uoarm_ros2._shape import Field, Listing, Record, Scalar, Shape, Text
 from uoarm_ros2._type_hash import EMPTY
 
 if TYPE_CHECKING:
-    from rosbags.typesys.base import Constant, Message, Type
+    from rosbags.typesys.base import Message
 
 __all__ = ["Definitions", "Reading", "read_definitions"]
 
@@ -36,7 +37,6 @@ _MAX_FILES = 20_000
 _MAX_OCTETS = 1 << 20
 _MAX_DEPTH = 32
 _MAX_FIELDS = 20_000
-_TEXT = re.compile(r"^[ \t]*(w?)string(?:<=\d+)?(?:\[[^\]]*\])?[ \t]+(\w+)(.*)$", re.MULTILINE)
 _INCLUDE = re.compile(r"^\s*#\s*include\b.*$", re.MULTILINE)
 _SCALARS = frozenset({"bool", "byte", "float32", "float64"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -62,11 +62,11 @@ def read_definitions(*folders: str | Path) -> Definitions:
 
     Reads files and nothing else. An `.idl` beside another file of the same name, as in installed
     packages, is passed over. Defaults of `.idl` files are not kept: the parser knows none. A type
-    that cannot be read is a problem, and so is each that holds it. Of two definitions of one type
-    the later is taken: that of the last folder.
+    that cannot be read is a problem, and so is each that holds it, and no other. Of two definitions
+    of one type the later is taken: that of the last folder.
 
     Raises:
-        ConfigurationError: a folder is none, holds too many files, or the extra is not installed.
+        ConfigurationError: a folder is none, or holds too many files.
     """
     reading = Reading()
     for folder in folders:
@@ -85,13 +85,10 @@ def types_of(path: Path) -> tuple[str, ...]:
 
 @frozen
 class _Part:
-    """One message of a file; `first` is the line of the file before its own first."""
+    """One message and the file that has it."""
 
-    message: Message
-    texts: Mapping[str, tuple[bool, str]]
+    parsed: Parsed
     path: Path
-    first: int = 0
-    text: str = ""
 
 
 class Reading:
@@ -102,25 +99,17 @@ class Reading:
 
     Attributes:
         problems: what could not be read and why, by file.
+        unread: the same by the names of the types that the files would define.
         twice: the types of which there are two definitions: the files of both.
     """
 
     def __init__(self, elsewhere: Callable[[str], Record | None] = lambda _: None) -> None:
-        try:
-            from rosbags.typesys.idl import IDLParser  # noqa: PLC0415 - of an extra
-            from rosbags.typesys.msg import MSGParser  # noqa: PLC0415 - of an extra
-        except ImportError as error:
-            command = install_command("uoarm-ros2", "definitions")
-            raise ConfigurationError(
-                f"ROS definitions are read with rosbags, which cannot be imported ({error}); "
-                f"install it with {command}"
-            ) from error
-        self._parsers: tuple[Callable[[str], Any], Callable[[str], Any]] = (MSGParser, IDLParser)
         self._elsewhere = elsewhere
         self._parts: dict[str, _Part] = {}
         self._records: dict[str, Record] = {}
         self._sizes: dict[str, int] = {}
         self.problems: dict[str, str] = {}
+        self.unread: dict[str, str] = {}
         self.twice: dict[str, tuple[Path, Path]] = {}
 
     def __contains__(self, name: object) -> bool:
@@ -142,60 +131,43 @@ class Reading:
             try:
                 self._take_file(path)
             except ValueError as error:
-                self.problems[str(path)] = str(error)[:500]
+                self._leave_out(path, str(error))
             except Exception as error:  # noqa: BLE001 - a parser of others, and files of others
-                self.problems[str(path)] = f"{type(error).__name__}: {error}"[:500]
+                self._leave_out(path, f"{type(error).__name__}: {error}")
 
     def _take_file(self, path: Path) -> None:
         if path.stat().st_size > _MAX_OCTETS:
             raise ValueError(f"more than {_MAX_OCTETS:,} octets")
-        text = path.read_text(encoding="utf-8").replace("\r\n", "\n")
+        text = path.read_text(encoding="utf-8")
         if path.suffix == ".idl":
-            for message in self._parsers[1](_INCLUDE.sub("", text)).specification():
+            for message in _idl_parser()(_INCLUDE.sub("", text)).specification():
                 known = self._parts.get(message.name)
-                self._keep(message.name, known or _Part(message, {}, path), path)
+                self._keep(message.name, known or _Part(_converted(message), path), path)
             return
-        parts = re.split(r"^---[ \t]*$", text, flags=re.MULTILINE)
         names = types_of(path)
-        if len(parts) != len(names):
-            raise ValueError(f"{len(parts)} parts between lines of ---, not {len(names)}")
-        first = 0
-        for name, part in zip(names, parts, strict=True):
-            message, texts = self._parse(name, part, first)
-            self._keep(name, _Part(message, texts, path, first, part), path)
-            first += part.count("\n")
+        for name, parsed in zip(names, parse_file(text, names), strict=True):
+            self._keep(name, _Part(parsed, path), path)
 
     def _keep(self, name: str, part: _Part, path: Path) -> None:
         before = self._parts.get(name)
         if before is not None:
             self.twice.setdefault(name, (before.path, path))
         self._parts[name] = part
+        self.unread.pop(name, None)
 
-    def _parse(
-        self, name: str, text: str, first: int
-    ) -> tuple[Message, Mapping[str, tuple[bool, str]]]:
-        """Return a message, and of its texts whether they are wide and what follows their names.
+    def _leave_out(self, path: Path, why: str) -> None:
+        """Note what is wrong with a file; an earlier file does not stand for the types of it."""
+        self.problems[str(path)] = why[:500]
+        for name in types_of(path):
+            self._parts.pop(name, None)
+            self.unread[name] = f"{path}: {why[:500]}"
 
-        The parser knows no wide texts and takes text that looks like a number for one.
-        """
-        texts = {found[2]: (bool(found[1]), found[3].strip()) for found in _TEXT.finditer(text)}
-        narrow = _TEXT.sub(lambda found: found[0].replace("wstring", "string", 1), text)
-        # The name matters to the parser for types of the same package alone.
-        package, _, own = name.split("/")
-        whole = f"MSG: {package}/msg/{own}\n{narrow}\n"
-        parser = self._parsers[0](whole)
-        try:
-            (message,) = parser.specification()
-        except Exception as error:
-            end = parser.message(0).pos
-            if end == len(whole):
-                raise
-            number = whole.count("\n", 0, end)
-            line = whole.splitlines()[number].strip()
-            raise ValueError(
-                f"line {first + number}: {line!r:.100} is no field, constant or comment"
-            ) from error
-        return message._replace(name=name), texts
+    def leave_out_twice(self) -> None:
+        """Take none of two definitions of one type, nor what holds it."""
+        for name, (first, second) in self.twice.items():
+            self._parts.pop(name, None)
+            why = f"it is in {first} and in {second}; name a folder with one of them"
+            self.unread.setdefault(name, why)
 
     def definitions(self) -> Definitions:
         """Return the structures of all that was read."""
@@ -219,52 +191,40 @@ class Reading:
         if depth > _MAX_DEPTH:
             raise ValueError(f"{name}: nested more than {_MAX_DEPTH} deep")
         part = self._parts[name]
-        message, texts = part.message, part.texts
-        members = tuple(
-            Field(one.name, one.name, self._shape(one.typ, one.name, part, depth), default)
-            for one, default in _members(message, texts)
+        fields = tuple(
+            Field(member.name, member.name, self._shape(member, part, depth), _default(member))
+            for member in part.parsed.members
+            if member.name != EMPTY
         )
-        if len({one.name for one in members}) != len(members):
-            raise ValueError(f"{part.path}: {name} has two fields of one name")
-        size = 1 + sum(self._size(one.shape) for one in members)
+        size = 1 + sum(self._size(field.shape) for field in fields)
         if size > _MAX_FIELDS:
             raise ValueError(f"{name} has more than {_MAX_FIELDS:,} fields, those within counted")
-        constants = {one.name: _constant(one, texts) for one in message.constants}
         self._sizes[name] = size
-        self._records[name] = Record(name, object, members, constants, ())
+        self._records[name] = Record(name, object, fields, part.parsed.constants, ())
         return self._records[name]
 
-    def _shape(self, kind: Type, name: str, part: _Part, depth: int) -> Shape:
-        element = self._element(kind, name, part, depth)
-        if kind.cardinality.value == "scalar":
-            return element
-        return Listing(element, kind.size or None, fixed=kind.cardinality.value == "array")
+    def _shape(self, member: Member, part: _Part, depth: int) -> Shape:
+        kind = member.kind
+        if isinstance(kind.element, str):
+            place = f"{part.path}: line {member.line}" if member.line else str(part.path)
+            element: Scalar | Text | Record = self._nested(kind.element, place, depth)
+        else:
+            element = kind.element
+        return Listing(element, kind.size, fixed=kind.fixed) if kind.many else element
 
-    def _element(self, kind: Type, name: str, part: _Part, depth: int) -> Scalar | Text | Record:
-        reference: Any = kind.ref.name
-        if isinstance(reference, str):
-            return self._nested(reference, name, part, depth)
-        plain = reference.value
-        if plain in {"string", "wstring"}:
-            wide = plain == "wstring" or part.texts.get(name, (False, ""))[0]
-            return Text(wide=wide, bound=kind.str_size or None)
-        if plain == "char":
-            return Scalar("uint8")
-        if plain not in _SCALARS:
-            raise ValueError(f"{name} is of type {plain}, which ROS 2 does not have")
-        return Scalar(plain)
-
-    def _nested(self, reference: str, name: str, part: _Part, depth: int) -> Record:
+    def _nested(self, reference: str, place: str, depth: int) -> Record:
         found = self._elsewhere(reference)
         if found is not None:
             self._sizes[reference] = _count(found)
             return found
-        if reference not in self._parts:
-            raise ValueError(
-                f"{_place(part, name)}: {reference} is not defined in the folders; add that of "
-                f"its package"
-            )
-        return self.record(reference, depth + 1)
+        if reference in self._parts:
+            return self.record(reference, depth + 1)
+        if reference in self.unread:
+            raise ValueError(f"{place}: {reference} cannot be read: {self.unread[reference]}")
+        header = "; ROS 2 spells it std_msgs/Header" if reference.endswith("/Header") else ""
+        raise ValueError(
+            f"{place}: {reference} is not defined in the folders; add that of its package{header}"
+        )
 
     def _size(self, shape: Shape) -> int:
         if isinstance(shape, Listing):
@@ -279,55 +239,65 @@ def _count(shape: Shape) -> int:
     return 1 + sum(_count(each.shape) for each in shape.fields) if isinstance(shape, Record) else 1
 
 
-def _place(part: _Part, name: str) -> str:
-    """Return the file and the line of a field; of an `.idl` the file alone."""
-    wanted = re.compile(rf"\s*[^\s#]+\s+{name}\b")
-    lines = enumerate(part.text.splitlines(), 1)
-    at = next((number for number, line in lines if wanted.match(line)), 0)
-    return f"{part.path}: line {part.first + at}" if at else str(part.path)
+def _idl_parser() -> Any:
+    try:
+        from rosbags.typesys.idl import IDLParser  # noqa: PLC0415 - of an extra
+    except ImportError as error:
+        command = install_command("uoarm-ros2", "definitions")
+        raise ValueError(
+            f".idl files are read with rosbags, which cannot be imported ({error}); install it "
+            f"with {command}"
+        ) from error
+    return IDLParser
 
 
-def _members(
-    message: Message, texts: Mapping[str, tuple[bool, str]]
-) -> Iterator[tuple[Any, object]]:
-    """Yield the fields of a message and their defaults."""
-    for one in message.fields:
-        if one.name == EMPTY:
-            continue
-        reference: Any = one.typ.ref.name
-        default: Any = one.value
-        if default is not None and not isinstance(reference, str):
-            if isinstance(default, list):
-                default = [_typed(reference.value, each) for each in default]
-                if reference.value == "float32":
-                    default = [struct.unpack("f", struct.pack("f", each))[0] for each in default]
-            elif one.name in texts:
-                default = _unquoted(texts[one.name][1])
-            else:
-                default = _typed(reference.value, default)
-        yield one, default
-
-
-def _constant(constant: Constant, texts: Mapping[str, tuple[bool, str]]) -> object:
-    if constant.name in texts:
-        return _unquoted(texts[constant.name][1].removeprefix("=").strip())
-    return _typed(constant.typ.value, constant.value)
-
-
-def _typed(kind: str, value: Any) -> object:
-    """Return a value as one of its type: the parser tells integers, numbers and words by looks."""
-    if kind in {"float32", "float64"}:
-        return float(value)
-    if kind == "bool":
-        return bool(value)
+def _default(member: Member) -> object:
+    """Return a default as the installed types have it: arrays hold what fits into a float32."""
+    value = member.default
+    if member.kind.element == Scalar("float32") and isinstance(value, list):
+        return [c_float(element).value for element in value]
     return value
 
 
-def _unquoted(text: str) -> str:
-    """Return the text of a default or constant, which may be quoted or have a comment after it."""
-    quote = text[:1]
-    if quote in {"'", '"'}:
-        end = re.match(rf"{quote}((?:\\.|[^\\{quote}])*){quote}", text)
-        if end:
-            return re.sub(r"\\(.)", r"\1", end[1])
-    return text.split("#", 1)[0].strip()
+def _converted(message: Message) -> Parsed:
+    """Return a message of an `.idl` file, whose parser checks no value."""
+    require_one_each([field.name for field in message.fields], "field")
+    require_one_each([constant.name for constant in message.constants], "constant")
+    constants = {
+        constant.name: _checked(constant.typ.value, constant.name, constant.value)
+        for constant in message.constants
+    }
+    return Parsed(tuple(Member(each.name, _kind(each)) for each in message.fields), constants)
+
+
+def _kind(field: Any) -> Kind:
+    kind = field.typ
+    reference = kind.ref.name
+    element: Scalar | Text | str
+    if isinstance(reference, str):
+        element = reference
+    elif reference.value in {"string", "wstring"}:
+        element = Text(wide=reference.value == "wstring", bound=kind.str_size or None)
+    elif reference.value == "char":
+        element = Scalar("uint8")
+    elif reference.value in _SCALARS:
+        element = Scalar(reference.value)
+    else:
+        raise ValueError(f"{field.name} is of type {reference.value}, which ROS 2 does not have")
+    cardinality = kind.cardinality.value
+    return Kind(element, cardinality != "scalar", kind.size or None, fixed=cardinality == "array")
+
+
+def _checked(kind: str, name: str, value: object) -> object:
+    """Return the value of a constant, which must be one of its type."""
+    limits = integer_range(kind) if kind in _SCALARS else None
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if kind.startswith("float") and is_number:
+        return float(value)  # type: ignore[arg-type]  # a number
+    if limits is not None:
+        if is_number and isinstance(value, int) and limits[0] <= value <= limits[1]:
+            return value
+    elif isinstance(value, bool if kind == "bool" else str):
+        return value
+    wanted = kind if limits is None else f"{kind}, {limits[0]} to {limits[1]}"
+    raise ValueError(f"constant {name}: expected a value of {wanted}, got {value!r:.100}")
