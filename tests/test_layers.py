@@ -20,6 +20,7 @@ LAYERS = [
     {
         "errors",
         "_interrupts",
+        "_log_lines",
         "_run_as_module",
         "_version",
         "_origin",

@@ -21,6 +21,7 @@ from uoarm._host.transport.link_sockets import LinkSockets
 from uoarm._host.transport.shared_counters import SharedCounters
 from uoarm._host.transport.socket_transport import SocketTransport
 from uoarm._host.transport.transport import Reply, Transport
+from uoarm._log_lines import HostFormatter
 from uoarm._switch_interval import set_short_switch_interval
 from uoarm.bridge import Bridge, Registry
 from uoarm.errors import UoarmError
@@ -64,7 +65,7 @@ def main() -> int:
         return _ORPHANED
     limit_memory(orders["memory"])
     faulthandler.enable(all_threads=False)
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    _write_records(orders["log_level"])
     try:
         set_short_switch_interval()
     except UoarmError as error:
@@ -84,6 +85,14 @@ def main() -> int:
     counters = SharedCounters(orders["counters"], gives=False)
     os.close(orders["counters"])
     return _serve(bridge, transport, main_thread, counters)
+
+
+def _write_records(level: int) -> None:
+    """Print records as lines that the manager reads, ours from the level that it writes."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(HostFormatter())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
+    logging.getLogger("uoarm").setLevel(level)
 
 
 def _serve(

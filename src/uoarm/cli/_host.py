@@ -12,6 +12,7 @@ import click
 
 from uoarm.bridge import Registry
 from uoarm.cli._file import takes_configuration
+from uoarm.cli._log import at_least
 from uoarm.cli._shared import needing, reporting
 from uoarm.config import load
 from uoarm.errors import UsageError
@@ -90,7 +91,7 @@ def _join(
         raise UsageError(f"--join {place}: {problem}")
     secured = place.startswith("tls/")
     identity = Identity.find(certificates, machine) if secured else None
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    at_least(logging.INFO)
     joined = HostAgent(
         place, machine, identity=identity, bridges=bridges, modules=modules, silence=silence
     )

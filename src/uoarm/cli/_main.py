@@ -25,6 +25,7 @@ from uoarm.cli._env import env
 from uoarm.cli._file import Unnamed, takes_configuration
 from uoarm.cli._host import host
 from uoarm.cli._lock import lock
+from uoarm.cli._log import add_log_options, logging_to_stderr
 from uoarm.cli._new_bridge import new_bridge
 from uoarm.cli._offer import offer
 from uoarm.cli._plugin_commands import PluginGroup
@@ -62,6 +63,7 @@ _SILENT_SECONDS = 3.0
 def main(context: click.Context) -> None:
     """Ask for a robot function by name and get it from whichever framework provides it."""
     terminable(context)
+    context.with_resource(logging_to_stderr(context))
     try:
         context.with_resource(short_switch_interval())
     except UsageError as error:
@@ -243,3 +245,4 @@ main.add_command(status)
 main.add_command(stop)
 main.add_command(types)
 main.add_command(up)
+add_log_options(main)

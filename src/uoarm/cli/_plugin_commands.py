@@ -16,6 +16,7 @@ from typing import Any
 import click
 
 from uoarm._plugins import values_of
+from uoarm.cli._log import add_log_options
 from uoarm.cli._shared import INTERRUPTED
 from uoarm.errors import PluginError
 from uoarm.plugins import CONTRACT_VERSION, Command, CommandHooks
@@ -74,6 +75,7 @@ def _command(point: EntryPoint) -> click.Command:
             ) from error
         sys.exit(found.run(list(arguments)))
 
+    add_log_options(run)
     return run
 
 

@@ -14,15 +14,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from queue import SimpleQueue
 
+from uoarm._log_lines import HOST_LINE, read_host_line
 from uoarm.errors import BridgeError, FailureReason
 
 __all__ = ["HostProcess", "host_command"]
 
-_LINE = 8192
 _POLITE_SECONDS = 0.7
 _KILLED_SECONDS = 5.0
 _FATAL = "Fatal Python error"
-_LEVELS = {name: getattr(logging, name) for name in ("DEBUG", "INFO", "WARNING", "ERROR")}
 
 
 class HostProcess:
@@ -80,6 +79,11 @@ class HostProcess:
     def last_words(self) -> str:
         """The last lines that it printed."""
         return "\n".join(self._last)
+
+    @property
+    def log_level(self) -> int:
+        """The level from which on it prints records: what its logger writes, and of note anyway."""
+        return min(self._log.getEffectiveLevel(), logging.INFO)
 
     def tell(self, orders: Mapping[str, object]) -> None:
         """Write one line of JSON to the process, which keeps its stdin to see us die."""
@@ -176,16 +180,13 @@ class HostProcess:
         assert process.stdout is not None, "stdout is a pipe"
         level_of_others = logging.INFO
         with process.stdout as lines:
-            while line := lines.readline(_LINE):
-                text = line.decode(errors="replace").rstrip()
-                self._last.append(text)
-                level, _, rest = text.partition(" ")
+            while line := lines.readline(HOST_LINE):
+                level, text = read_host_line(line.decode(errors="replace").rstrip())
                 if text.startswith(_FATAL):
                     level_of_others = logging.ERROR  # where it was, is what follows
-                if level in _LEVELS:
-                    self._log.log(_LEVELS[level], "%s", rest)
-                elif text:
-                    self._log.log(level_of_others, "%s", text)
+                if text:
+                    self._last.append(text)
+                    self._log.log(level_of_others if level is None else level, "%s", text)
 
 
 def _how(status: int) -> str:

@@ -86,6 +86,7 @@ class ProcessConnection:
                         "counters": counted.fileno(),
                         "parent": os.getpid(),
                         "memory": settings.memory_bytes,
+                        "log_level": self._started.log_level,
                     }
                 )
             self._await_token(deadline)

@@ -1,0 +1,151 @@
+"""The log of a command: which records it writes to standard error, and in which form."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import click
+
+from uoarm._log_lines import JsonFormatter, StderrHandler, TextFormatter
+from uoarm._mistakes import any_of
+from uoarm._spelling import Speller
+
+__all__ = ["add_log_options", "at_least", "logging_to_stderr"]
+
+_VARIABLE = "UOARM_LOG"
+_META = "uoarm.log"
+_EARLY = "uoarm.log.early"
+_OURS = "uoarm"
+_LEVELS = ("debug", "info", "warning", "error")
+_FORMS = {"text": TextFormatter, "json": JsonFormatter}
+
+
+class _Log:
+    """The handler of a command's records, and the levels that were asked for by name of logger."""
+
+    def __init__(self) -> None:
+        self._handler = StderrHandler()
+        self._former: dict[str, int] = {}
+        self._is_chosen = False
+        self.take("text")
+
+    def open(self) -> None:
+        logging.getLogger().addHandler(self._handler)
+
+    def close(self) -> None:
+        logging.getLogger().removeHandler(self._handler)
+        for name, level in self._former.items():
+            logging.getLogger(name).setLevel(level)
+
+    def take(self, given: str) -> None:
+        """Hold to one choice, of a form or of a level.
+
+        Raises:
+            ValueError: it is neither.
+        """
+        if given in _FORMS:
+            self._handler.setFormatter(_FORMS[given]())
+            return
+        name, is_named, level = _checked_level(given).rpartition("=")
+        self._set(name.strip() if is_named else _OURS, getattr(logging, level.upper()))
+        self._is_chosen = self._is_chosen or not is_named
+
+    def at_least(self, level: int) -> None:
+        """Have records of this level written, unless another one was asked for."""
+        if not self._is_chosen:
+            self._set(_OURS, level)
+
+    def _set(self, name: str, level: int) -> None:
+        logger = logging.getLogger(name)
+        self._former.setdefault(name, logger.level)
+        logger.setLevel(level)
+
+
+def _checked_level(given: str) -> str:
+    """Return one choice: `LEVEL`, of all loggers of uoarm, or `LOGGER=LEVEL`.
+
+    Raises:
+        ValueError: there is no such level.
+    """
+    level = given.rpartition("=")[2].lower()
+    if level not in _LEVELS:
+        hint = Speller().guess(level, _LEVELS)
+        told = f"expected {any_of(_LEVELS)}, or LOGGER=LEVEL such as uoarm.control=debug"
+        raise ValueError(f"{told}; got {given!r}{hint and f'; {hint}'}")
+    return given
+
+
+@contextmanager
+def logging_to_stderr(context: click.Context) -> Iterator[None]:
+    """Write the records of a command while it runs, as the variable and its options say.
+
+    Raises:
+        click.UsageError: the variable says something else.
+    """
+    log = _Log()
+    log.open()
+    try:
+        chosen = filter(None, map(str.strip, os.environ.get(_VARIABLE, "").split(",")))
+        for given in (*chosen, *context.meta.pop(_EARLY, ())):
+            try:
+                log.take(given)
+            except ValueError as error:
+                told = f"{_VARIABLE}: {error}; or {any_of(_FORMS)}"
+                raise click.UsageError(told, ctx=context) from error
+        context.meta[_META] = log
+        yield
+    finally:
+        log.close()
+
+
+def at_least(level: int) -> None:
+    """Have a command that is about its log write these records unless told otherwise."""
+    click.get_current_context().meta[_META].at_least(level)
+
+
+def _take(context: click.Context, choices: Iterable[str]) -> None:
+    """Hold to what an option says: now, or, of those before the command, when its log begins."""
+    log: _Log | None = context.meta.get(_META)
+    for given in choices:
+        if log is None:
+            context.meta.setdefault(_EARLY, []).append(given)
+        else:
+            log.take(given)
+
+
+def _take_levels(context: click.Context, parameter: click.Parameter, given: Iterable[str]) -> None:
+    try:
+        _take(context, map(_checked_level, given))
+    except ValueError as error:
+        raise click.BadParameter(str(error), ctx=context, param=parameter) from error
+
+
+def _take_form(context: click.Context, _: click.Parameter, form: str | None) -> None:
+    _take(context, [] if form is None else [form])
+
+
+def add_log_options(command: click.Command) -> None:
+    """Give a command, and all commands in it, the options of the log."""
+    command.params += [
+        click.Option(
+            ["--log-level"],
+            metavar="LEVEL",
+            multiple=True,
+            expose_value=False,
+            callback=_take_levels,
+            help="Write records from debug, info, warning or error on; LOGGER=LEVEL for one.",
+        ),
+        click.Option(
+            ["--log-format"],
+            type=click.Choice(list(_FORMS)),
+            expose_value=False,
+            callback=_take_form,
+            help=f"Write records as lines of text or of JSON; {_VARIABLE} has both.",
+        ),
+    ]
+    if isinstance(command, click.Group):
+        for member in command.commands.values():
+            add_log_options(member)
