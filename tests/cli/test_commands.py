@@ -118,7 +118,7 @@ def test_check_exits_with_three_and_tells_where(tmp_path: Path) -> None:
     file.write_text("version: 1\nbridges: {}\nfunctions: {a: {components: []}}\n")
     result = run("check", str(file), "--json")
     assert result.exit_code == 3
-    (problem,) = json.loads(result.output)["problems"]
+    (problem,) = json.loads(result.stdout)["problems"]
     assert problem["path"] == "$.functions.a.components"
 
 
@@ -128,7 +128,7 @@ def test_resolve_explains(robot: str) -> None:
         "counter.default -> doubler.default"
         in run("resolve", "doubled", "-f", robot, "--explain").output
     )
-    plan = json.loads(run("resolve", "doubled", "-f", robot, "--json").output)
+    plan = json.loads(run("resolve", "doubled", "-f", robot, "--json").stdout)
     assert [step["component"]["name"] for step in plan["steps"]] == ["counter", "doubler"]
 
 
@@ -137,7 +137,7 @@ def test_resolve_shows_where_a_function_is_offered(robot: str) -> None:
         file.write("offer: {python: {count: {output: {endpoint: ['cli_counting:keep']}}}}\n")
     told = run("resolve", "count", "-f", robot, "--explain").output
     assert told.endswith("offered in python at cli_counting:keep\n")
-    plan = json.loads(run("resolve", "count", "-f", robot, "--json").output)
+    plan = json.loads(run("resolve", "count", "-f", robot, "--json").stdout)
     assert plan["offers"] == [{"bridge": "python", "endpoints": [["cli_counting:keep"]]}]
 
 
@@ -201,7 +201,7 @@ def test_request_ends_after_so_many(robot: str) -> None:
 
 
 def test_call_prints_the_reply(robot: str) -> None:
-    assert json.loads(run("call", "greeting", '{"n": 3}', "-f", robot).output) == {
+    assert json.loads(run("call", "greeting", '{"n": 3}', "-f", robot).stdout) == {
         "text": "hello 3"
     }
     assert run("call", "greeting", '{"n": "x"}', "-f", robot).exit_code == 1
@@ -210,7 +210,7 @@ def test_call_prints_the_reply(robot: str) -> None:
 
 def test_doctor_and_bridges_know_the_built_in_bridge() -> None:
     assert "python" in run("bridges").output
-    assert json.loads(run("doctor", "--json").output)["python"]["usable"] == "yes"
+    assert json.loads(run("doctor", "--json").stdout)["python"]["usable"] == "yes"
 
 
 def test_the_doctor_says_that_a_plugin_without_its_middleware_is_not_usable(
@@ -220,7 +220,7 @@ def test_the_doctor_says_that_a_plugin_without_its_middleware_is_not_usable(
     monkeypatch.setitem(sys.modules, "rclpy", None)
     for name in [one for one in sys.modules if one.startswith("uoarm_ros2._middleware")]:
         monkeypatch.delitem(sys.modules, name)
-    found = json.loads(run("doctor", "--json").output)["ros2"]
+    found = json.loads(run("doctor", "--json").stdout)["ros2"]
     assert found["usable"].startswith("no: rclpy cannot be imported: install it with pip install")
     assert "rclpy" not in found
 
@@ -250,7 +250,7 @@ def test_schema_check_exits_by_its_verdict(tmp_path: Path, consumer: object, cod
     (tmp_path / "b.json").write_text(json.dumps(consumer))
     result = run("schema", "check", str(tmp_path / "a.json"), str(tmp_path / "b.json"), "--json")
     assert result.exit_code == code
-    assert json.loads(result.output)["compatible"] is (code == 0)
+    assert json.loads(result.stdout)["compatible"] is (code == 0)
 
 
 @pytest.mark.parametrize(

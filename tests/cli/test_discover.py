@@ -40,7 +40,7 @@ def test_what_is_seen_is_shown_with_who_uses_it(file: Path) -> None:
 
 
 def test_as_json(file: Path) -> None:
-    (lab,) = json.loads(run("discover", "-f", file, "--json").output)
+    (lab,) = json.loads(run("discover", "-f", file, "--json").stdout)
     assert [one["name"] for one in lab["components"]] == ["detector", "head"]
 
 
@@ -79,7 +79,7 @@ def test_frameworks_are_shown_with_what_they_offer(file: Path) -> None:
     assert "lab  memory  reachable\n" in done.output
     assert "  sees components: 2, ports: 3\n" in done.output
     assert "  for camera\n" in done.output
-    told = json.loads(run("status", "--bridges", "-f", file, "--json").output)
+    told = json.loads(run("status", "--bridges", "-f", file, "--json").stdout)
     (lab,) = [one for one in told if one["bridge"] == "lab"]
     assert (lab["is_configured"], lab["is_reachable"], lab["functions"]) == (True, True, ["camera"])
     assert "detector" in lab["components"]

@@ -56,7 +56,7 @@ def told(folder: Path, offers: str) -> tuple[int, str]:
     (folder / "robot.yaml").write_text(ROBOT.format(offers))
     words = ["offer", "--once", "--json", "-f", str(folder / "robot.yaml")]
     done = CliRunner().invoke(main, words)
-    return done.exit_code, done.output
+    return done.exit_code, done.stdout or done.output
 
 
 def test_what_is_offered_is_told_with_its_state(tmp_path: Path) -> None:

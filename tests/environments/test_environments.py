@@ -329,7 +329,7 @@ def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = run(main, ["env", "create", "mine", "--plugin", "python", "--with", "more"])
     assert made.exit_code == 0, made.output
     assert "environment mine is ready" in made.output
-    assert json.loads(run(main, ["env", "list", "--json"]).output)[0]["requirements"][1] == "more"
+    assert json.loads(run(main, ["env", "list", "--json"]).stdout)[0]["requirements"][1] == "more"
     assert "mine: " in run(main, ["env", "list"]).output
     assert run(main, ["env", "remove", "mine"]).exit_code == 0
     assert run(main, ["env", "remove", "mine"]).exit_code == 4

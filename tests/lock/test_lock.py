@@ -131,7 +131,7 @@ def test_a_field_that_went_breaks_and_says_so_in_each_form(tmp_path: Path, form:
     done = run(tmp_path / "a", "--check", "--against", str(other), "--format", form)
     assert done.exit_code == 1, done.output
     if form == "json":
-        findings = json.loads(done.output)["findings"]
+        findings = json.loads(done.stdout)["findings"]
         assert {one["outcome"] for one in findings} == {"fits", "breaks"}
     else:
         assert "thermometer.default -> too_hot.default: breaks" in done.output

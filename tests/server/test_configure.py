@@ -182,14 +182,14 @@ def test_the_command_line(guarded: Server, tmp_path: Path) -> None:
     path.write_text(MORE, encoding="utf-8")
     done = apply(guarded, path, "--dry-run")
     assert (done.exit_code, done.output.splitlines()[0]) == (0, "revision 1, not applied")
-    assert json.loads(apply(guarded, path, "--json").output)["is_applied"]
+    assert json.loads(apply(guarded, path, "--json").stdout)["is_applied"]
     assert apply(guarded, path, "--revision", "0").exit_code == 1
     assert apply(guarded, tmp_path / "none.yaml", "--rollback", "0").exit_code == 0
     asked = ["history", "--url", url(guarded), "--token"]
     told = CliRunner().invoke(main, [*asked, TOKENS["keeper"]])
     assert (told.exit_code, "+ function torch" in told.output) == (0, True)
     told = CliRunner().invoke(main, [*asked, TOKENS["keeper"], "--json"])
-    assert [one["revision"] for one in json.loads(told.output)] == [0, 1, 2]
+    assert [one["revision"] for one in json.loads(told.stdout)] == [0, 1, 2]
     assert CliRunner().invoke(main, [*asked, TOKENS["viewer"]]).exit_code == 4
     assert apply(guarded, path, who="viewer").exit_code == 4
     path.write_text("version: 1\nfunktions: {}\n", encoding="utf-8")

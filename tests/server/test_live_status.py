@@ -45,7 +45,7 @@ def test_the_status_of_a_running_robot_is_shown(server: Server, robot: RobotMana
         assert "connections: 1" in shown.output
         assert "numbers" in shown.output
         told = CliRunner().invoke(main, ["status", "--url", url_of(server), "--json"])
-        assert json.loads(told.output)["connections"][0]["state"] == "running"
+        assert json.loads(told.stdout)["connections"][0]["state"] == "running"
         script.put(END)
 
 
