@@ -542,3 +542,21 @@ class TestRefusals:
         with pytest.raises(BridgeError, match=why) as caught:
             bridge.describe(endpoint(topic, Role(role), **options))
         assert caught.value.reason is FailureReason.BAD_ENDPOINT
+
+
+def test_paths_begin_at_the_configuration() -> None:
+    located = Registry().types["mqtt"].located
+    assert located(
+        {
+            "url": "mqtts://b",
+            "password_file": "p",
+            "tls": {"ca": "c/ca.pem", "key": "/k"},
+            "schemas": "s/{topic}",
+        },
+        "/robot",
+    ) == {
+        "url": "mqtts://b",
+        "password_file": "/robot/p",
+        "tls": {"ca": "/robot/c/ca.pem", "key": "/k"},
+        "schemas": "s/{topic}",
+    }

@@ -20,7 +20,7 @@ from uoarm_rocos._errors import LineError
 from uoarm_rocos.simulate import Faults, Robot
 
 from uoarm import RobotManager
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError, BridgeTimeoutError, FailureReason
 from uoarm.model import CommandPolicy, Health, MessageStructure, StopMessage
 from uoarm.testing import slowness
@@ -290,3 +290,21 @@ def test_a_command_that_nobody_renews_is_followed_by_the_stop(kind: str) -> None
         status = sink.command_status()
         assert status is not None
         assert status.dropped == ()
+
+
+def test_paths_begin_at_the_configuration() -> None:
+    located = Registry().types["rocos"].located
+    assert located(
+        {
+            "devices": {
+                "a": {"catalogue": "a.xml", "url": "./tty"},
+                "b": {"url": "tcp://b:1", "directory": "said"},
+            }
+        },
+        "/robot",
+    ) == {
+        "devices": {
+            "a": {"catalogue": "/robot/a.xml", "url": "/robot/tty"},
+            "b": {"url": "tcp://b:1", "directory": "/robot/said"},
+        }
+    }

@@ -20,7 +20,7 @@ from uoarm_ros2._type_hash import type_hash
 from uoarm_ros2._types import import_type
 from uoarm_ros2.definitions import Reading
 
-from uoarm.bridge import Bridge
+from uoarm.bridge import Bridge, Registry
 from uoarm.errors import BridgeError, ConfigurationError, MessageError
 from uoarm.model import Role
 from uoarm.testing import patience
@@ -206,3 +206,10 @@ def test_a_type_of_two_folders_costs_itself_and_a_folder_that_is_none_is_refused
             types.find(name)
     with pytest.raises(ConfigurationError, match=r"none is no folder of ROS definitions"):
         make_bridge(definitions=[str(tmp_path / "none")])
+
+
+def test_paths_begin_at_the_configuration() -> None:
+    located = Registry().types["ros2"].located
+    assert located({"definitions": ["src/msgs", "/opt/msgs"]}, "/robot") == {
+        "definitions": ["/robot/src/msgs", "/opt/msgs"]
+    }

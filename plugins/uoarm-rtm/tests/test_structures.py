@@ -19,6 +19,7 @@ from uoarm_rtm._schema import schema_of
 from uoarm_rtm._types import Types
 from uoarm_rtm._user_idl import load_idl
 
+from uoarm.bridge import Registry
 from uoarm.errors import BridgeError
 from uoarm.model import MessageStructure
 from uoarm.schema import check
@@ -191,3 +192,10 @@ def test_the_stubs_are_what_the_compiler_makes_of_the_idl(tmp_path: Path) -> Non
     assert made == {path.relative_to(module.STUBS) for path in module.STUBS.rglob("*.py")}
     same, other, failed = filecmp.cmpfiles(tmp_path / "stubs", module.STUBS, made, shallow=False)
     assert (len(same), other, failed) == (len(made), [], [])
+
+
+def test_paths_begin_at_the_configuration() -> None:
+    located = Registry().types["rtm"].located
+    text = "struct Lab { long a; };"
+    assert located({"idl": "lab.idl"}, "/robot") == {"idl": "/robot/lab.idl"}
+    assert located({"idl": [text, "lab.idl"]}, "/robot") == {"idl": [text, "/robot/lab.idl"]}

@@ -22,6 +22,7 @@ from uoarm_vda5050._published import Published, read_published
 from uoarm_vda5050._releases import RELEASES, TOPICS
 from uoarm_vda5050._structures import body_of
 
+from uoarm.bridge import Registry
 from uoarm.errors import ConfigurationError
 from uoarm.schema import check
 from uoarm.testing import patience, wait
@@ -144,3 +145,10 @@ def test_what_is_published_fits_our_structures(tmp_path: Path, release: str, top
     published = Published(found, read_published(str(tmp_path), found)).body(topic)
     verdict = check(published.schema, body_of(topic, release).schema)
     assert verdict.compatible, verdict
+
+
+def test_paths_begin_at_the_configuration() -> None:
+    located = Registry().types["vda5050"].located
+    options = {"schemas": "published", "tls": {"ca": "ca.pem"}, "interface": "uagv"}
+    expected = {"schemas": "/robot/published", "tls": {"ca": "/robot/ca.pem"}}
+    assert located(options, "/robot") == {**options, **expected}

@@ -78,7 +78,10 @@ def main() -> int:
         os.set_inheritable(inherited, False)  # processes that the bridge starts have no part in it
     transport = SocketTransport(LinkSockets.inherited(orders["link"]))
     try:
-        bridge = Registry().create(BridgeSpec(orders["name"], orders["plugin"], orders["options"]))
+        spec = BridgeSpec(
+            orders["name"], orders["plugin"], orders["options"], folder=orders["folder"]
+        )
+        bridge = Registry().create(spec)
     except UoarmError as error:
         _refuse(transport, error)
         return 1

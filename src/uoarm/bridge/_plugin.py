@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 from attrs import field, frozen
 from typing_extensions import Self
@@ -14,6 +18,7 @@ from uoarm.model import MessageStructure, Options, Schema
 
 __all__ = ["BridgeHooks", "BridgeType"]
 
+_PATH = "x-uoarm-path"
 _CLOSED: Schema = {"type": "object", "additionalProperties": False}
 
 
@@ -29,6 +34,9 @@ class BridgeType:
         options_schema: JSON Schema of the options. An integer with `x-uoarm-assign: {from: 64,
             to: 101, except_variable: NAME}` is chosen by uoarm for bridges in hosts of several
             installations that leave it out, a number each, so that they do not meet.
+            A text with `x-uoarm-path: true` is the path of a file or folder: a relative one begins
+            at the configuration's file. Where its value is a regular expression, texts that match
+            it as a whole are paths.
         check_endpoint: takes an address and its options; returns what is wrong, or "".
             Reads only; imports no middleware.
         topic: takes an address and its options; returns the name of the topic that it stands for,
@@ -59,6 +67,11 @@ class BridgeType:
     structure_of_type: Callable[[str, Options], MessageStructure | None] | None = None
     contract: int = field(kw_only=True)
 
+    def located(self, options: Options, folder: str) -> dict[str, Any]:
+        """Return options in which every relative path begins in a folder, and `~` is the home."""
+        made: dict[str, Any] = _located(self.options_schema, dict(options), folder)
+        return made
+
     def __new__(cls, *given: object, **named: object) -> Self:
         """Refuse a bridge type that states no contract in a sentence, before attrs does."""
         if "contract" not in named:
@@ -68,6 +81,27 @@ class BridgeType:
                 f"number for which it is written (this uoarm has {CONTRACT_VERSION})"
             )
         return super().__new__(cls)
+
+
+def _located(schema: Any, value: Any, folder: str) -> Any:
+    """Return a value whose paths, by its schema, begin in a folder; the value is not changed."""
+    if not isinstance(schema, Mapping):
+        return value
+    for branch in (*schema.get("anyOf", ()), *schema.get("oneOf", ()), *schema.get("allOf", ())):
+        value = _located(branch, value, folder)
+    if isinstance(value, str) and value:
+        mark = schema.get(_PATH, False)
+        is_path = re.fullmatch(mark, value) if isinstance(mark, str) else mark
+        return str(Path(folder, os.path.expanduser(value))) if is_path else value  # noqa: PTH111
+    if isinstance(value, Mapping):
+        known, others = schema.get("properties", {}), schema.get("additionalProperties")
+        return {
+            name: _located(known.get(name, others), member, folder)
+            for name, member in value.items()
+        }
+    if isinstance(value, list):
+        return [_located(schema.get("items"), item, folder) for item in value]
+    return value
 
 
 class BridgeHooks:

@@ -88,7 +88,7 @@ class Registry:
             raise PluginError(f"bridge {spec.name!r}: {self.missing(spec.plugin)}")
         _require_fitting(spec, kind)
         with translated(f"bridge {spec.name!r}: starting plugin {spec.plugin!r}"):
-            bridge: object = kind.create(spec.name, spec.options)
+            bridge: object = kind.create(spec.name, kind.located(spec.options, spec.folder))
         if not isinstance(bridge, Bridge):
             text = f"plugin {spec.plugin!r} made a {type(bridge).__name__}, not a Bridge"
             raise BridgeError(text)
@@ -106,9 +106,10 @@ class Registry:
         kind = self._types.get(spec.plugin)
         if kind is None or kind.structure_of_type is None:
             return None
+        options = kind.located(spec.options, spec.folder)
         ask, step = kind.structure_of_type, f"bridge {spec.name!r}: looking for type {name!r:.200}"
         with translated(step):
-            found: object = _bounded.run(step, timeout, lambda: ask(name, spec.options))
+            found: object = _bounded.run(step, timeout, lambda: ask(name, options))
         if found is not None and not isinstance(found, MessageStructure):
             text = (
                 f"plugin {spec.plugin!r} breaks the contract: structure_of_type returned "

@@ -39,7 +39,7 @@ from uoarm.model import (
     StopMessage,
 )
 
-__all__ = ["bridge_options", "build"]
+__all__ = ["bridge_options", "build", "folder_of"]
 
 
 def build(value: Mapping[str, Any], origin: str, warnings: tuple[str, ...]) -> Robot:
@@ -67,9 +67,17 @@ def _failover(value: Mapping[str, Any]) -> FailoverPolicy:
 def _listening(value: Mapping[str, Any], origin: str) -> Listening:
     settings = {key: one for key, one in value.items() if key != "listen"}
     if "certificates" in settings and origin:
-        folder = FilePath(settings["certificates"]).expanduser()
-        settings["certificates"] = str(FilePath(origin).resolve().parent / folder)
+        settings["certificates"] = _located(settings["certificates"], origin)
     return Listening(value["listen"], **settings)
+
+
+def folder_of(origin: str) -> str:
+    """Return the folder in which relative paths of a configuration begin; "": of one in memory."""
+    return str(FilePath(origin).resolve().parent) if origin else ""
+
+
+def _located(path: str, origin: str) -> str:
+    return str(FilePath(folder_of(origin), FilePath(path).expanduser()))
 
 
 def _ports(component: Mapping[str, Any], one: str, several: str) -> dict[str, Any]:
@@ -84,17 +92,22 @@ def _bridge(name: str, value: Mapping[str, Any], origin: str) -> BridgeSpec:
     plugin = value.get("plugin", name)
     host = value.get("host", False)
     elsewhere = isinstance(host, dict) and "machine" in host
-    options = bridge_options(plugin, value.get("options", {}), "" if elsewhere else origin)
+    here = "" if elsewhere else origin  # on another machine they are that one's paths
+    options = bridge_options(plugin, value.get("options", {}), here)
     if isinstance(host, bool):
-        return BridgeSpec(name, plugin, options, {} if host else None)
-    return BridgeSpec(name, plugin, options, host)
+        settings: dict[str, Any] | None = {} if host else None
+    else:
+        settings = dict(host)
+        if "python" in settings and origin:
+            settings["python"] = _located(settings["python"], origin)
+    return BridgeSpec(name, plugin, options, settings, folder=folder_of(here))
 
 
 def bridge_options(plugin: str, written: Mapping[str, Any], origin: str) -> dict[str, Any]:
     """Return the options of a bridge; modules of Python are found beside the file."""
     options = dict(written)
     if plugin == "python" and "path" not in options and origin:
-        options["path"] = [str(FilePath(origin).resolve().parent)]
+        options["path"] = [folder_of(origin)]
     return options
 
 

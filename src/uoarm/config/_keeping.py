@@ -141,7 +141,11 @@ def rewrite(text: str, wanted: str) -> str:
 
 def is_same(one: Robot, other: Robot) -> bool:
     """Say whether two configurations are the same but for remarks, their file and their text."""
-    return evolve(one, warnings=other.warnings, origin=other.origin) == other
+    bridges = {
+        name: evolve(spec, folder=other.bridges[name].folder) if name in other.bridges else spec
+        for name, spec in one.bridges.items()
+    }
+    return evolve(one, bridges=bridges, warnings=other.warnings, origin=other.origin) == other
 
 
 def _is_made_from(text: str, other: str) -> bool:

@@ -13,7 +13,7 @@ from uoarm._spelling import Speller
 from uoarm._yaml import Document, Path, Problem, clip, write_path
 from uoarm.bridge import BridgeType
 from uoarm.config._assignments import assignables, installation
-from uoarm.config._build import bridge_options
+from uoarm.config._build import bridge_options, folder_of
 from uoarm.config._loops import Topic, feedback_loops
 from uoarm.config._parts import ComponentPart, PortPart, bridge_names, components, offers
 from uoarm.errors import BridgeError, FailureReason, UoarmError
@@ -111,7 +111,8 @@ class PluginChecker:
         options: Mapping[str, Any],
     ) -> Mapping[str, str]:
         assert kind.check_parameters is not None, "the caller looked"
-        check, known = kind.check_parameters, bridge_options(kind.name, options, self._file)
+        written = bridge_options(kind.name, options, self._file)
+        check, known = kind.check_parameters, kind.located(written, folder_of(self._file))
         return _bounded.run(
             f"looking at the parameters of {address}",
             _PARAMETER_SECONDS,

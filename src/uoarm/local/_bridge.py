@@ -42,7 +42,7 @@ _OPTIONS = {
     "properties": {
         "path": {
             "type": "array",
-            "items": {"type": "string"},
+            "items": {"type": "string", "x-uoarm-path": True},
             "description": "Folders in which modules are looked for first.",
         },
         "timeout": {

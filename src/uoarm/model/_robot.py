@@ -25,6 +25,8 @@ class BridgeSpec:
         options: settings handed to the plugin.
         host: settings of the process it runs in; None: the application's own.
         assigned: the options among these that uoarm chose, since the configuration left them out.
+        folder: that of the configuration's file, where relative paths among the options begin;
+            "": they begin where the bridge runs.
     """
 
     name: str
@@ -32,6 +34,7 @@ class BridgeSpec:
     options: Options = field(factory=dict, hash=False)
     host: Options | None = field(default=None, hash=False)
     assigned: Options = field(factory=dict, hash=False)
+    folder: str = ""
 
 
 @frozen

@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _TEXT: Schema = {"type": "string", "minLength": 1}
+_PATH: Schema = {"type": "string", "minLength": 1, "x-uoarm-path": True}
 _SECONDS: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 86400}
 _COUNT: Schema = {"type": "integer", "minimum": 1}
 _STRUCTURE: Schema = {"type": ["object", "boolean"]}
@@ -47,9 +48,9 @@ CONNECTION_OPTIONS: Mapping[str, Any] = {
     "client_id": _TEXT,
     "user": _TEXT,
     "password_env": _TEXT,
-    "password_file": _TEXT,
+    "password_file": _PATH,
     "plain_password": {"const": True},
-    "tls": _closed({"ca": _TEXT, "certificate": _TEXT, "key": _TEXT}),
+    "tls": _closed({"ca": _PATH, "certificate": _PATH, "key": _PATH}),
     "keepalive": {"type": "integer", "minimum": 1, "maximum": 65535},
     "grace": _SECONDS,
     "backlog": _COUNT,

@@ -24,9 +24,14 @@ _DEVICE: dict[str, object] = {
         "driver": {"enum": list(DRIVER_NAMES), "description": "what it speaks; default profile"},
         "url": {
             "type": "string",
+            "x-uoarm-path": r"(\.\.?|~)/.*",
             "description": "tcp://host:port, a serial port, socket://, rfc2217://",
         },
-        "catalogue": {"type": "string", "description": "file, instead of asking the device"},
+        "catalogue": {
+            "type": "string",
+            "x-uoarm-path": True,
+            "description": "file, instead of asking the device",
+        },
         "baud": {"type": "integer", "minimum": 50, "maximum": 4_000_000},
         "bits": {"enum": [5, 6, 7, 8]},
         "parity": {"enum": ["N", "E", "O"]},
@@ -43,7 +48,11 @@ _DEVICE: dict[str, object] = {
         },
         "voice": {"type": "string", "description": "of speech, where a request names none"},
         "play": {"enum": ["auto", "never"], "description": "of speech; default auto"},
-        "directory": {"type": "string", "description": "for speech that is not played"},
+        "directory": {
+            "type": "string",
+            "x-uoarm-path": True,
+            "description": "for speech that is not played",
+        },
     },
 }
 BRIDGE_OPTIONS: Schema = {

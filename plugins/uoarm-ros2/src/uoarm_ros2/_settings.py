@@ -61,7 +61,7 @@ BRIDGE_OPTIONS: Schema = {
         "namespace": {"type": "string", "description": "namespace of the bridge's node"},
         "definitions": {
             "type": "array",
-            "items": {"type": "string", "minLength": 1},
+            "items": {"type": "string", "minLength": 1, "x-uoarm-path": True},
             "maxItems": 64,
             "description": "folders of .msg files for message types that are not installed",
         },

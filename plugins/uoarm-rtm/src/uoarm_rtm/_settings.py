@@ -40,17 +40,20 @@ _OF_OPTIONS = {
 
 _NAMESERVER = "corbaloc::localhost:2809/NameService"
 _TEXTS: dict[str, object] = {"type": "array", "items": {"type": "string"}, "minItems": 1}
-_TEXT_OR_TEXTS: dict[str, object] = {"anyOf": [{"type": "string", "minLength": 1}, _TEXTS]}
+_IDL: dict[str, object] = {"type": "string", "minLength": 1, "x-uoarm-path": r"[^{]+"}
 
 BRIDGE_OPTIONS: Schema = {
     "type": "object",
     "additionalProperties": False,
     "properties": {
         "nameserver": {
-            **_TEXT_OR_TEXTS,
+            "anyOf": [{"type": "string", "minLength": 1}, _TEXTS],
             "description": "one or several naming services, corbaloc or host:port",
         },
-        "idl": {**_TEXT_OR_TEXTS, "description": "IDL files or texts with further data types"},
+        "idl": {
+            "anyOf": [_IDL, {"type": "array", "items": _IDL, "minItems": 1}],
+            "description": "IDL files or texts with further data types",
+        },
         "address": {"type": "string", "description": "interface to listen on; default 127.0.0.1"},
         "call_timeout": {
             "type": "number",

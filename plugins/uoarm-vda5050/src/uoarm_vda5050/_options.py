@@ -31,7 +31,7 @@ BRIDGE_OPTIONS: Schema = {
         **CONNECTION_OPTIONS,
         "release": {"enum": list(RELEASES)},
         "interface": {"type": "string", "pattern": r"^[^/+#$\s]+$"},
-        "schemas": {"type": "string", "minLength": 1},
+        "schemas": {"type": "string", "minLength": 1, "x-uoarm-path": True},
         "retained_wait": {"type": "number", "minimum": 0, "maximum": 4},
         "state_timeout": _SECONDS,
         "repeat": _SECONDS,

@@ -82,6 +82,7 @@ class ProcessConnection:
                         "name": spec.name,
                         "plugin": spec.plugin,
                         "options": dict(spec.options),
+                        "folder": spec.folder,
                         "link": far.descriptors,
                         "counters": counted.fileno(),
                         "parent": os.getpid(),
