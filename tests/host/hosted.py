@@ -96,6 +96,11 @@ def leak(value: int) -> int:
 
 def echo(message: dict) -> dict:
     return message
+
+def know(value: "int | None") -> int:
+    from uoarm.bridge import Bridge
+    Bridge.facts = lambda _: {"empty_turns": value + 0}
+    return 0
 """
 
 ANY = MessageStructure(True)

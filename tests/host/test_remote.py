@@ -191,3 +191,12 @@ def test_closing_leaves_nothing_behind(tmp_path: Path) -> None:
     process = bridge.process
     bridge.close()
     assert not lives(process)
+
+
+def test_the_facts_of_the_bridge_come_with_the_heartbeat(far: RemoteBridge) -> None:
+    assert far.facts() == {}
+    far.call(at("know", Role.SERVICE), 3)
+    wait(lambda: far.facts() == {"empty_turns": 3})
+    far.call(at("know", Role.SERVICE), None)
+    wait(lambda: set(far.facts()) == {"facts"})
+    assert "TypeError" in str(far.facts()["facts"])

@@ -8,7 +8,7 @@ import pytest
 from tests.manager.test_requests import HEAD, source, step
 
 from uoarm import RobotManager
-from uoarm.bridge import Channel
+from uoarm.bridge import Bridge, Channel
 
 Make = Callable[[str], RobotManager]
 
@@ -46,3 +46,21 @@ def test_a_channel_that_cannot_tell_its_facts_harms_no_status(
     with robot.request("narrow"):
         (component,) = robot.status().components
     assert component.channels[0].facts == (("failed", "OSError: no facts of narrow"),)
+
+
+def test_the_facts_of_a_bridge_are_shown_and_harm_no_status(
+    make_robot: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(bridge: Bridge) -> Mapping[str, object]:
+        raise OSError(f"no facts of {bridge.name}")
+
+    robot = make_robot(HEAD + source())
+    with robot.request("narrow"):
+        (bridge,) = robot.status().bridges
+        assert bridge.facts == ()
+        monkeypatch.setattr(Bridge, "facts", lambda _: {"empty_turns": 3})
+        (bridge,) = robot.status().bridges
+        assert bridge.facts == (("empty_turns", 3),)
+        monkeypatch.setattr(Bridge, "facts", broken)
+        (bridge,) = robot.status().bridges
+    assert bridge.facts == (("failed", f"OSError: no facts of {bridge.name}"),)

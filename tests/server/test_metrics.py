@@ -16,7 +16,9 @@ from uoarm.model import (
 from uoarm.server.http._metrics import status_metrics
 
 STATUS = StatusMap(
-    bridges=(BridgeStatus("ros", "ros2", Health.LOST, 0),),
+    bridges=(
+        BridgeStatus("ros", "ros2", Health.LOST, 0, facts=(("empty_turns", 3), ("peer", "cam7"))),
+    ),
     components=(
         ComponentStatus(
             "cam",
@@ -51,6 +53,7 @@ def test_health_failures_and_facts_of_channels_are_figures() -> None:
     lines = generate_latest(registry).decode().splitlines()
     assert {
         'uoarm_bridge_health{bridge="ros",health="lost"} 1.0',
+        'uoarm_bridge_fact{bridge="ros",fact="empty_turns"} 3.0',
         'uoarm_component_health{component="cam",function="camera",health="degraded"} 1.0',
         'uoarm_component_failed_total{component="cam",function="camera"} 7.0',
         'uoarm_component_deaths_total{component="cam"} 2.0',

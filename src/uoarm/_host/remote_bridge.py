@@ -78,6 +78,7 @@ class RemoteBridge(Bridge):
         super().__init__(spec.name, spec.options)
         self._numbers = itertools.count(1)
         self._channels: dict[int, RemoteChannel] = {}
+        self._facts: Mapping[str, object] = {}
         self._services = RequestWorkers(f"uoarm-serve-{spec.name}")
         self._reported_death = threading.Lock()
         settings = HostSettings.read(spec.host or {})
@@ -116,6 +117,10 @@ class RemoteBridge(Bridge):
     def process_id(self) -> int | None:
         """The id of the host's process; None where it is another machine's."""
         return self._host.process if isinstance(self._host, ProcessConnection) else None
+
+    def facts(self) -> Mapping[str, object]:
+        """Return what the bridge in the host knew at the last heartbeat."""
+        return self._facts
 
     def _describe(self, endpoint: Endpoint) -> Description:
         return from_json(self._ask("describe", endpoint=to_json(endpoint)), Description)
@@ -255,6 +260,8 @@ class RemoteBridge(Bridge):
 
     def _on_answer(self, answer: list[Any]) -> None:
         for number, handled, facts in answer:
+            if number == keys.BRIDGE:
+                self._facts = facts
             channel = self._channels.get(number)
             if channel is not None:
                 channel.host_facts = facts

@@ -10,7 +10,7 @@ import logging
 import os
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import TypeVar, final
 
@@ -354,6 +354,15 @@ class Bridge(ABC):
         listener = self._listener
         if listener is not None and not self._is_closed:
             listener(HealthEvent(self.name, health, cause, channel, component))
+
+    def facts(self) -> Mapping[str, object]:
+        """Return what the bridge knows of its own work now, for the status.
+
+        May be overridden. Must return at once, from any thread, after `close` too. Names are free,
+        but `empty_turns` counts the turns of a loop of the bridge's own that ended before their
+        time and found nothing to do: many of them are processor time for nothing.
+        """
+        return {}
 
     def _describe(self, endpoint: Endpoint) -> Description:
         """Return the endpoint's structures.

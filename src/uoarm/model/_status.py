@@ -63,6 +63,7 @@ class BridgeStatus:
         assigned: options that uoarm chose for it, by name.
         process: id of the process in which it runs; None once it was lost, and for one on another
             machine.
+        facts: what it knows of its own work, by name, such as turns of its loop for nothing.
     """
 
     name: str
@@ -72,6 +73,7 @@ class BridgeStatus:
     cause: str = ""
     assigned: tuple[tuple[str, object], ...] = ()
     process: int | None = None
+    facts: tuple[tuple[str, object], ...] = ()
 
 
 @frozen

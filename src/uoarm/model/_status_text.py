@@ -12,7 +12,7 @@ __all__ = ["tell_status"]
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "machines": ("name", "present", "clock_offset", "clock_error", "cause"),
-    "bridges": ("name", "plugin", "health", "process", "assigned", "cause"),
+    "bridges": ("name", "plugin", "health", "process", "assigned", "facts", "cause"),
     "components": ("name", "function", "health", "failed", "lost", "cause"),
     "channels": ("component", "port", "facts"),
     "commands": (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from typing import Any, TypeVar
 
@@ -112,6 +112,10 @@ class Ros2Bridge(Bridge):
         self._watched: dict[Channel, Callable[[], None]] = {}
         self._station.tick = self._tick
         self._station.cut_off = self._cut_off
+
+    def facts(self) -> Mapping[str, object]:
+        """Return how often the loops of its nodes turned for nothing."""
+        return {"empty_turns": self._participant.turns().empty}
 
     def _describe(self, endpoint: Endpoint) -> Description:
         address = address_of(endpoint)

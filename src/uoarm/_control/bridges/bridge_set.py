@@ -12,11 +12,11 @@ from uoarm._control.bridges.hosted import start_hosted
 from uoarm._control.bridges.machines import Machines, StagedMachines
 from uoarm._control.bridges.restarts import Restarts
 from uoarm._dataplane import Clock
-from uoarm.bridge import Bridge, HealthEvent, Registry
+from uoarm.bridge import Bridge, Channel, HealthEvent, Registry
 from uoarm.errors import BridgeError, ConnectionClosedError, FailureReason
 from uoarm.model import BridgeSpec, BridgeStatus, Health, Listening
 
-__all__ = ["BridgeSet", "StagedBridges"]
+__all__ = ["BridgeSet", "StagedBridges", "facts_of"]
 
 _log = logging.getLogger("uoarm")
 _START_SECONDS = 30.0
@@ -185,6 +185,7 @@ class BridgeSet:
                 cause=health.get(name, _FINE)[1],
                 assigned=tuple(self._specs[name].assigned.items()) if name in self._specs else (),
                 process=None if bridge is None else bridge.process_id,
+                facts=() if bridge is None else facts_of(bridge),
             )
             for name, bridge in known.items()
         )
@@ -305,3 +306,11 @@ class StagedBridges:
             except BridgeError as error:
                 _log.warning("%s", error)
         self.machines.close()
+
+
+def facts_of(source: Bridge | Channel) -> tuple[tuple[str, object], ...]:
+    """Return the facts of a bridge or channel; what it raises instead stands in their place."""
+    try:
+        return tuple(source.facts().items())
+    except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
+        return (("failed", f"{type(error).__name__}: {error}"),)

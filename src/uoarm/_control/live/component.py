@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from uoarm._control.bridges.bridge_set import facts_of
 from uoarm._control.live.emergency_stop import EmergencyStop
 from uoarm._control.live.failure_watch import FailureWatch, InputWatch, OutputWatch
 from uoarm._control.live.lease import InputLease
@@ -25,7 +26,7 @@ from uoarm.model import (
     ValidationMode,
 )
 
-__all__ = ["LiveComponent", "facts_of"]
+__all__ = ["LiveComponent"]
 
 _log = logging.getLogger("uoarm")
 _BUSY_SECONDS = 60.0
@@ -313,14 +314,6 @@ def _in_turn(
             turn.release()
 
     return send_in_turn
-
-
-def facts_of(channel: Channel) -> tuple[tuple[str, object], ...]:
-    """Return a channel's facts; one that cannot tell them says why, and harms no status."""
-    try:
-        return tuple(channel.facts().items())
-    except Exception as error:  # noqa: BLE001 - a bridge's code may raise anything
-        return (("failed", f"{type(error).__name__}: {error}"),)
 
 
 def _lost(channel: Channel) -> int:

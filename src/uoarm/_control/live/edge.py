@@ -9,7 +9,8 @@ from collections.abc import Callable
 from attrs import define, field
 
 from uoarm._adapt import transfer
-from uoarm._control.live.component import LiveComponent, facts_of
+from uoarm._control.bridges.bridge_set import facts_of
+from uoarm._control.live.component import LiveComponent
 from uoarm._dataplane import Clock, Route
 from uoarm.bridge import Channel
 from uoarm.errors import BridgeError

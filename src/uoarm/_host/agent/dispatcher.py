@@ -9,7 +9,7 @@ from functools import lru_cache
 from threading import Event
 from typing import Any, TypeVar, cast
 
-from uoarm._host.agent.flows import OpenFlows
+from uoarm._host.agent.flows import OpenFlows, packable_facts
 from uoarm._host.transport import keys
 from uoarm._host.transport.codec import pack, unpack
 from uoarm._host.transport.flow import Ending
@@ -59,6 +59,7 @@ class RequestDispatcher:
         self._teller = WorkerPool("uoarm-tell", 1)
         self._looker = WorkerPool("uoarm-look", 1)
         self._looking = Event()
+        self._facts: Mapping[str, object] = {}
         self._end = end
         self._before_moving = before_moving
         self._operations: dict[str, Callable[[Request], Any]] = {
@@ -97,7 +98,7 @@ class RequestDispatcher:
 
     def _beat(self, _: Any, reply: Reply) -> None:
         """Answer a heartbeat at once; facts, which may take their time, are for the next one."""
-        reply(self._flows.heartbeat())
+        reply([*self._flows.heartbeat(), (keys.BRIDGE, None, self._facts)])
         if not self._looking.is_set():
             self._looking.set()
             self._looker.submit(self._look)
@@ -105,6 +106,7 @@ class RequestDispatcher:
     def _look(self) -> None:
         try:
             self._flows.look_at_facts()
+            self._facts = packable_facts(self._bridge.facts)
         finally:
             self._looking.clear()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from attrs import astuple, define, field
@@ -20,7 +20,7 @@ from uoarm.bridge import Channel, Sink, Source
 from uoarm.errors import BridgeError, UoarmError
 from uoarm.model import Endpoint, Message, to_json
 
-__all__ = ["OpenFlows", "OutboundFlow"]
+__all__ = ["OpenFlows", "OutboundFlow", "packable_facts"]
 
 _PATIENCE_SECONDS = 1.0
 _log = logging.getLogger("uoarm")
@@ -200,12 +200,7 @@ class OpenFlows:
         with self._lock:
             found = list(self._open.values())
         for one in found:
-            try:
-                facts = dict(one.channel.facts())
-                pack(facts)
-            except Exception as error:  # noqa: BLE001 - a framework may raise anything
-                facts = {"facts": f"{type(error).__name__}: {error}"}
-            one.facts = facts
+            one.facts = packable_facts(one.channel.facts)
 
     def close(self, number: int, sent: int, timeout: float) -> int:
         """Close a channel and end its flow; return how many messages a source took. Idempotent.
@@ -233,6 +228,16 @@ class OpenFlows:
         return (
             None if slot is None or self._counters is None else SharedCounter(self._counters, slot)
         )
+
+
+def packable_facts(look: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
+    """Return what a bridge or channel knows; what it raises instead stands in its place."""
+    try:
+        facts = dict(look())
+        pack(facts)
+    except Exception as error:  # noqa: BLE001 - a framework may raise anything
+        return {"facts": f"{type(error).__name__}: {error}"}
+    return facts
 
 
 def _told(one: _Open) -> Mapping[str, object]:

@@ -31,6 +31,8 @@ MANAGED = "uoarm/manager/alive"
 
 COMMAND = "command"
 """Names, among the facts of an input that moves something, what it was told last."""
+BRIDGE = 0
+"""Stands where the answer to a heartbeat has a channel's number, before the facts of the bridge."""
 
 MACHINES = "uoarm/machine"
 """Every key of another machine begins so, and then with its name: the access list knows no more."""

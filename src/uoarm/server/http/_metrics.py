@@ -129,8 +129,14 @@ def _routes(status: StatusMap) -> Iterator[Metric]:
 def _health(status: StatusMap) -> Iterator[Metric]:
     """Yield who is how, 1 for the health of this moment, and what has failed so far."""
     bridges = GaugeMetricFamily("uoarm_bridge_health", "how it is", labels=["bridge", "health"])
+    facts = GaugeMetricFamily(
+        "uoarm_bridge_fact", "what it knows of its own work", labels=["bridge", "fact"]
+    )
     for bridge in status.bridges:
         bridges.add_metric([bridge.name, bridge.health.value], 1)
+        for fact, value in bridge.facts:
+            if isinstance(value, int | float):
+                facts.add_metric([bridge.name, fact], value)
     labels = ["component", "function"]
     components = GaugeMetricFamily(
         "uoarm_component_health", "how it is", labels=[*labels, "health"]
@@ -155,7 +161,7 @@ def _health(status: StatusMap) -> Iterator[Metric]:
     states = GaugeMetricFamily("uoarm_connections", "connections, by state", labels=["state"])
     for state, count in Counter(one.state.value for one in status.connections).items():
         states.add_metric([state], count)
-    yield from (bridges, components, failed, deaths, takeovers, states)
+    yield from (bridges, facts, components, failed, deaths, takeovers, states)
 
 
 def _channels(status: StatusMap) -> Iterator[Metric]:

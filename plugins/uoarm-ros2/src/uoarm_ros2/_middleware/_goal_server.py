@@ -302,10 +302,12 @@ class GoalServer:
 class GoalEntity(Entity):
     """A server of an action, which is several entities under one name."""
 
+    at_once = 1  # what it takes is what the last wait found
+
     def __init__(self, server: GoalServer) -> None:
         super().__init__(server)
 
     def take(self) -> bool:
         """Hand on what the last look found ready."""
         self.handle.take()
-        return False
+        return True

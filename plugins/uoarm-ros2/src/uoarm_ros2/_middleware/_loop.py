@@ -14,11 +14,17 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from uoarm_ros2._middleware._quiet_watch import QuietWatch
-from uoarm_ros2._middleware._wait_set import Entity, EventEntity, SubscriptionEntity, WaitSet
+from uoarm_ros2._middleware._wait_set import (
+    Entity,
+    EventEntity,
+    SubscriptionEntity,
+    TurnCounter,
+    Turns,
+    WaitSet,
+)
 
 __all__ = ["WaitLoop"]
 
-_MOST_AT_ONCE = 32
 _EVENT_SECONDS = 0.02
 _FEW = 8
 _QUIET_SECONDS = 2.0
@@ -33,7 +39,8 @@ class WaitLoop:
     microseconds in each turn. So of many subscriptions those that had no message for a while are
     quiet: a `QuietWatch` waits for them and their events, until there is news. And the some three
     events of each of the others are looked at fifty times a second only while messages flow, and
-    at once when nothing else happens.
+    at once when nothing else happens, or when a wait without them ends with nothing: an event that
+    was not taken keeps its subscription's condition set, which ends every wait for its messages.
 
     Args:
         context: rclpy's context.
@@ -42,6 +49,7 @@ class WaitLoop:
     """
 
     def __init__(self, context: Any, name: str, quiet: Callable[[], bool]) -> None:
+        self._counter = TurnCounter()
         self._context = context
         self._quiet = quiet
         with context.handle:
@@ -89,7 +97,8 @@ class WaitLoop:
         while self._soon:
             self._soon.popleft()()
         now = time.monotonic()
-        news = self._take_news(now)
+        news = [entity for ready in _drained(self._news) for entity in ready]
+        worked = self._take_news(news, now)
         if now >= self._sweep_due:
             self._sweep(now)
         if self._changed:
@@ -100,13 +109,25 @@ class WaitLoop:
         chosen = self._everything if early <= 0 else self._without_events
         assert chosen is not None
         ready = chosen.wait(seconds if early <= 0 else min(seconds, early))
-        if chosen is self._everything and ready:
-            self._events_due = time.monotonic() + _EVENT_SECONDS
         now = time.monotonic()
         for entity in ready:
             if isinstance(entity, SubscriptionEntity):
                 entity.active_at = now
-            self._take(entity)
+            worked |= self._take(entity)
+        empty = chosen.ended_early or (bool(news or ready) and not worked)
+        if empty or not ready:
+            self._events_due = 0.0
+        elif chosen is self._everything:
+            self._events_due = now + _EVENT_SECONDS
+        rest = self._counter.add(empty=empty, complete=chosen is self._everything)
+        if rest:
+            time.sleep(rest)
+
+    @property
+    def turns(self) -> Turns:
+        """How often it has turned, with the watch over what is quiet, and how often for nothing."""
+        ours, quiet = self._counter.turns, self._watch.turns
+        return Turns(ours.all + quiet.all, ours.empty + quiet.empty)
 
     def close(self) -> None:
         """Let go of everything; in the thread that makes the turns."""
@@ -123,16 +144,14 @@ class WaitLoop:
         self._news.append(ready)
         self.wake()
 
-    def _take_news(self, now: float) -> bool:
+    def _take_news(self, news: list[Entity], now: float) -> bool:
         """Take what quiet entities have; subscriptions are not quiet any more."""
-        ready = [entity for each in _drained(self._news) for entity in each]
-        for entity in ready:
+        for entity in news:
             if isinstance(entity, SubscriptionEntity) and entity.is_quiet:
                 entity.is_quiet, entity.active_at = False, now
                 self._changed = True
-        for entity in ready:
-            self._take(entity)
-        return bool(ready)
+        taken = [self._take(entity) for entity in news]
+        return any(taken)
 
     def _sweep(self, now: float) -> None:
         """Have subscriptions without a message for a while waited for apart, where there are many.
@@ -165,17 +184,21 @@ class WaitLoop:
                 each.close()
         self._watch.watch([entity for entity in every if entity.is_quiet])
 
-    def _take(self, entity: Entity) -> None:
-        """Take what an entity has; one of which much has come gives way to the others."""
+    def _take(self, entity: Entity) -> bool:
+        """Take what an entity has; one of which much has come gives way to the others.
+
+        Returns whether it had anything, or is waited for no more.
+        """
+        taken = 0
         try:
-            for _ in range(_MOST_AT_ONCE):
-                if entity.removed or not entity.take():
-                    return
+            while taken < entity.at_once and not entity.removed and entity.take():
+                taken += 1
         except InvalidHandle:
             pass  # it went between the look and the taking
         except Exception as error:  # noqa: BLE001 - one failure is nobody else's
             if not self._quiet():
                 _log.error("a callback of ROS 2 failed", exc_info=error)
+        return taken > 0 or entity.removed
 
 
 def _drained(news: deque[list[Entity]]) -> Iterator[list[Entity]]:

@@ -13,6 +13,7 @@ from rclpy.context import Context
 
 from uoarm.errors import BridgeError, FailureReason
 from uoarm_ros2._middleware._station import Station
+from uoarm_ros2._middleware._wait_set import Turns
 from uoarm_ros2._settings import HIGHEST_DOMAIN
 
 __all__ = ["Participant"]
@@ -92,6 +93,12 @@ class Participant:
     def node_names(self) -> frozenset[str]:
         """Return the full names that the participant's nodes have, or had."""
         return frozenset(self._names)
+
+    def turns(self) -> Turns:
+        """Return how often the loops of all stations have turned, and how often for nothing."""
+        with self._lock:
+            found = [station.turns for station in self._stations]
+        return Turns(sum(turns.all for turns in found), sum(turns.empty for turns in found))
 
     def close(self, limit: float) -> None:
         """Stop every station; a thread that a callback holds ends when the callback does.

@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
-from uoarm_ros2._middleware._wait_set import Entity, WaitSet
+from uoarm_ros2._middleware._wait_set import Entity, TurnCounter, Turns, WaitSet
 
 __all__ = ["QuietWatch"]
 
@@ -33,6 +33,7 @@ class QuietWatch:
     """
 
     def __init__(self, context: Any, name: str, tell: Callable[[list[Entity]], None]) -> None:
+        self._counter = TurnCounter()
         self._context = context
         self._name = name
         self._tell = tell
@@ -44,6 +45,11 @@ class QuietWatch:
         self._changed = False
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
+
+    @property
+    def turns(self) -> Turns:
+        """How often its thread has turned, and how often for nothing."""
+        return self._counter.turns
 
     def watch(self, entities: Sequence[Entity]) -> None:
         """Wait for these, and for no others, from now on; its thread starts with the first."""
@@ -95,6 +101,9 @@ class QuietWatch:
                         _log.error("waiting for what is seldom ready failed", exc_info=error)
                         self._go_on.wait(_CALM_SECONDS)
                     continue
+                rest = self._counter.add(empty=wait_set.ended_early)
+                if rest:
+                    self._go_on.wait(rest)
                 if ready and not self._closing.is_set():
                     self._tell(ready)
                     self._go_on.wait()

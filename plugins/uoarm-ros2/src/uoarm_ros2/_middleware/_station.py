@@ -34,6 +34,7 @@ from uoarm_ros2._middleware._wait_set import (
     ReplyEntity,
     RequestEntity,
     SubscriptionEntity,
+    Turns,
     WaitableEntity,
 )
 from uoarm_ros2._qos import Policies
@@ -123,6 +124,11 @@ class Station:
             if self._stopping and error.reason in _GOING:
                 raise BridgeError(f"{what}: the bridge was closed", FailureReason.CLOSED) from error
             raise
+
+    @property
+    def turns(self) -> Turns:
+        """How often its loop has turned, and how often for nothing."""
+        return self._loop.turns
 
     def call_soon(self, act: Callable[[], None]) -> None:
         """Have something done in this station's thread, after what it is at; from any thread."""

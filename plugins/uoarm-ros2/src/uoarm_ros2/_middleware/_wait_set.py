@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from typing import Any
 
+from attrs import frozen
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
@@ -21,11 +22,16 @@ __all__ = [
     "ReplyEntity",
     "RequestEntity",
     "SubscriptionEntity",
+    "TurnCounter",
+    "Turns",
     "WaitSet",
     "WaitableEntity",
 ]
 
+_CLOCK_SECONDS = 0.0001  # by which the middleware's clock may differ from ours
 _KINDS = ("subscription", "client", "service")
+_FIRST_REST_SECONDS = 0.001
+_LONGEST_REST_SECONDS = 0.02
 
 
 class Entity(ABC):
@@ -33,12 +39,14 @@ class Entity(ABC):
 
     Attributes:
         kind: how wait sets call it; empty for what joins and looks by itself.
+        at_once: how often `take` may be called after one wait.
         handle: rclpy's handle, which no other thread frees while a wait set holds it.
         removed: set by whoever takes it out; nothing is taken from it any more.
         is_quiet: whether it is waited for apart, as something of which there is seldom news.
     """
 
     kind = ""
+    at_once = 32
     is_quiet = False
 
     def __init__(self, handle: Any) -> None:
@@ -122,6 +130,7 @@ class EventEntity(Entity):
     """
 
     kind = "event"
+    at_once = 1
 
     def __init__(
         self, handle: Any, notify: Callable[[Any], None], of: SubscriptionEntity | None = None
@@ -140,11 +149,13 @@ class EventEntity(Entity):
         info = self.handle.take_event()
         if info:
             self._notify(info)
-        return False
+        return bool(info)
 
 
 class WaitableEntity(Entity):
     """An action's client, which is several entities under one name."""
+
+    at_once = 1  # what it takes is what the last wait found
 
     def __init__(self, waitable: Any) -> None:
         super().__init__(waitable)
@@ -153,16 +164,72 @@ class WaitableEntity(Entity):
         """Hand on what the last look found ready."""
         with suppress(StopIteration):  # as coroutines end that wait for nothing
             self.handle.execute(self.handle.take_data()).send(None)
-        return False
+        return True
+
+
+@frozen
+class Turns:
+    """Turns of a loop.
+
+    Attributes:
+        all: how many there were.
+        empty: how many of them ended before their time and found nothing to do.
+    """
+
+    all: int
+    empty: int
+
+
+class TurnCounter:
+    """Counts the turns of a loop, and says how long it rests so that it never spins.
+
+    What ends every wait and is never taken would make the loop turn without work, for a whole core.
+    One such turn is no harm, many in a row are: they come further and further apart.
+    """
+
+    def __init__(self) -> None:
+        self._all = 0
+        self._empty = 0
+        self._in_a_row = 0
+
+    @property
+    def turns(self) -> Turns:
+        """What was counted; from any thread."""
+        return Turns(self._all, self._empty)
+
+    def add(self, *, empty: bool, complete: bool = True) -> float:
+        """Count one turn; return how many seconds to rest after it.
+
+        Args:
+            empty: whether it ended before its time and found nothing to do.
+            complete: whether it waited for all there is; where not, the next turn does instead.
+        """
+        self._all += 1
+        if not empty:
+            self._in_a_row = 0
+            return 0.0
+        self._empty += 1
+        if not complete:
+            return 0.0
+        self._in_a_row += 1
+        if self._in_a_row == 1:
+            return 0.0
+        exponent = min(self._in_a_row - 2, 16)  # the limit is reached long before
+        return min(_LONGEST_REST_SECONDS, _FIRST_REST_SECONDS * 2.0**exponent)
 
 
 class WaitSet:
     """One wait set of ROS 2, for as long as the same entities stand in it.
 
     It keeps their handles from being freed until `close`; an entity that is gone is left out.
+
+    Attributes:
+        ended_early: whether the last wait ended before its time, not by the guard, and found
+            nothing ready: what ended it is still there, and would end the next wait, too.
     """
 
     def __init__(self, context: Any, guard: Any, entities: Iterable[Entity]) -> None:
+        self.ended_early = False
         self._held = ExitStack()
         self._guard = guard
         self._by_kind: dict[str, list[Entity]] = {"": [], "event": [], **{k: [] for k in _KINDS}}
@@ -209,12 +276,13 @@ class WaitSet:
         """
         wait_set = self._wait_set
         wait_set.clear_entities()
+        guard = wait_set.add_guard_condition(self._guard)
         for add, handles in self._adders:
             for handle in handles:
                 add(handle)
         for entity in self._by_kind[""]:
             entity.handle.add_to_wait_set(wait_set)
-        wait_set.add_guard_condition(self._guard)
+        until = time.monotonic() + seconds - _CLOCK_SECONDS
         wait_set.wait(round(seconds * 1e9))
         ready = [
             entity
@@ -228,6 +296,11 @@ class WaitSet:
                     self._by_pointer.get((kind, each)) for each in wait_set.get_ready_entities(kind)
                 )
                 ready += [entity for entity in found if entity is not None]
+        self.ended_early = (
+            not ready
+            and time.monotonic() < until
+            and not wait_set.is_ready("guard_condition", guard)
+        )
         return ready
 
     def close(self) -> None:
