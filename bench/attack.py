@@ -86,7 +86,7 @@ async def serving(source: Path) -> AsyncIterator[tuple[str, asyncio.subprocess.P
         paths = os.pathsep.join(map(str, (source / "src", HERE.parent)))
         log = (Path(folder) / "log").open("wb")
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0",
+            sys.executable, "-m", "uoarm", "serve", str(file), "--port", "0", "--deflate",
             stdout=asyncio.subprocess.PIPE, stderr=log,
             env={**os.environ, "PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"},
         )  # fmt: skip

@@ -17,7 +17,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.frames import Opcode
 
 from uoarm.server import Limits, Server
-from uoarm.server.session import DEFLATE, TurnConnection
+from uoarm.server.session import DEFLATE, Sockets, TurnConnection
 from uoarm.testing import patience, slowness
 
 PINGS = 100_000
@@ -124,7 +124,7 @@ def received_from(send: Handler, *, deflate: bool = False) -> list[str | bytes]:
     """Return what a client gets from a server that sends in this way, compressed or not."""
 
     async def receive() -> list[str | bytes]:
-        make = functools.partial(TurnConnection, set(), 2)
+        make = functools.partial(TurnConnection, Sockets(2, Limits()))
         async with serve(
             send,
             "127.0.0.1",

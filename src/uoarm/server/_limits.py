@@ -16,6 +16,7 @@ class Limits:
 
     Attributes:
         message_bytes: longest message taken from a client.
+        message_seconds: in which a message is finished that has begun to arrive.
         elements: values and names in a message taken from a client; octets and a typed array count
             as one.
         depth: deepest nesting of a message taken from a client.
@@ -54,6 +55,7 @@ class Limits:
     """
 
     message_bytes: int = field(default=16_777_216, validator=ge(1024))
+    message_seconds: float = field(default=30.0, validator=gt(0))
     elements: int = field(default=500_000, validator=ge(1024))
     depth: int = field(default=64, validator=ge(4))
     dimensions: int = field(default=8, validator=ge(1))

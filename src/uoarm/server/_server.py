@@ -39,6 +39,7 @@ from uoarm.server.session import (
     NativeSession,
     Session,
     SessionStore,
+    Sockets,
     TurnConnection,
     host_of,
 )
@@ -49,7 +50,6 @@ __all__ = ["Server"]
 _log = logging.getLogger("uoarm.server")
 _GLANCE_SECONDS = 0.5
 _UNFINISHED = 64
-_UNREAD_MESSAGES = 4
 
 
 class Server:
@@ -98,8 +98,8 @@ class Server:
         self._store = SessionStore(self._limits, self._end)
         self._listening: list[Listening] = []
         self._ports: list[int] = []
-        self._room = connections_possible(self._limits.connections + _UNFINISHED)
-        self._sockets: set[TurnConnection] = set()
+        room = connections_possible(self._limits.connections + _UNFINISHED)
+        self._sockets = Sockets(room, self._limits)
         self._registry: FeedRegistry | None = None
         self._watches: list[asyncio.Task[None]] = []
         self._stop_listening: Callable[[], None] = lambda: None
@@ -162,7 +162,7 @@ class Server:
         await _all_within(
             limit, [one.close(CloseCode.GOING_AWAY, "the server stops") for one in self._sockets]
         )
-        for socket in tuple(self._sockets):
+        for socket in self._sockets:
             socket.transport.abort()
         await _all_within(limit, [listening.wait_closed() for listening in self._listening])
         self._stop_listening()
@@ -230,12 +230,11 @@ class Server:
                 ping_timeout=limits.stall_seconds,
                 close_timeout=limits.stop_seconds,
                 max_size=limits.message_bytes,
-                max_queue=_UNREAD_MESSAGES,
             )
             self._listening.append(await listening)
 
     def _make_connection(self, *arguments: Any, **options: Any) -> ServerConnection:
-        return TurnConnection(self._sockets, self._room, *arguments, **options)
+        return TurnConnection(self._sockets, *arguments, **options)
 
     async def _handle(
         self, socket: TurnConnection, handshakes: HandshakeHandler, registry: FeedRegistry
@@ -317,6 +316,7 @@ class Server:
         now = time.monotonic()
         role = cache(self._admission.role)
         self._store.refresh(now, role)
+        self._sockets.check(now)
         for client in list(self._clients):
             if role(client.credentials) != client.role:
                 client.dismiss("its rights have changed or ended; connect again")

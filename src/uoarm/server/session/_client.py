@@ -135,6 +135,7 @@ class Client:
     async def run(self, session: Session, socket: TurnConnection) -> None:
         """Serve until the client or the server ends the connection, or another session goes on."""
         self._socket = socket
+        socket.charge_to(self.account)
         self.has_dropped = False
         self.outbox.renew()
         writer = asyncio.ensure_future(self._write())
@@ -151,6 +152,7 @@ class Client:
             with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                 await writer
             self._writing_since = None
+            socket.charge_to(None)
 
     def check(self, now: float) -> None:
         """Cut the client off when it has not read for too long, or left too many replies."""
@@ -186,7 +188,8 @@ class Client:
     async def _read(self, session: Session) -> None:
         began = time.monotonic()
         rates = RateLimiter(self.limits, began)
-        async for frame in self._socket:
+        while True:
+            frame = await self._socket.next_message()
             self.received += 1
             octets = len(frame)
             spending = await self._take(session, frame)
@@ -230,6 +233,5 @@ def _take_pong(answered: Callable[[], None], pong: asyncio.Future[float]) -> Non
 
 
 def _is_drop(error: ConnectionClosed) -> bool:
-    """Say whether a connection broke: nobody closed it, or only because pings had no answer."""
-    sent = error.sent
-    return error.rcvd is None and (sent is None or sent.code == CloseCode.INTERNAL_ERROR)
+    """Say whether a connection broke: neither side closed it."""
+    return error.rcvd is None and error.sent is None

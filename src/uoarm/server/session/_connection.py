@@ -3,34 +3,42 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 import struct
+import sys
 import time
 import zlib
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
-from websockets.extensions.permessage_deflate import (
-    PerMessageDeflate,
-    ServerPerMessageDeflateFactory,
-)
-from websockets.frames import DATA_OPCODES, Frame, Opcode
+from websockets.exceptions import ConnectionClosed
+from websockets.extensions.permessage_deflate import PerMessageDeflate
+from websockets.frames import DATA_OPCODES, CloseCode, Frame, Opcode
 from websockets.http11 import Request
+from websockets.protocol import State
+from websockets.typing import BytesLike
 
-__all__ = ["DEFLATE", "TurnConnection", "address_of", "host_of"]
+from uoarm._deadlines import result_within
+from uoarm.server._limits import Limits
+from uoarm.server.session._incoming import Incoming, IncomingError, Turn, Turns
+from uoarm.server.streams import Account
 
-DEFLATE = ServerPerMessageDeflateFactory(
-    server_no_context_takeover=True, client_no_context_takeover=True
-)
-"""The extension permessage-deflate (RFC 7692), with nothing kept from one message to the next."""
+__all__ = ["Sockets", "TurnConnection", "address_of", "host_of"]
 
+_log = logging.getLogger("uoarm.server")
 _SLICE = 2048
 """Octets given to the parser in one go: 300 frames without content, which are parsed in 3 ms."""
 _TURN_SECONDS = 0.001
+_SMALL_FRAGMENT = 1024
+_HEAD_OCTETS = 2**16
+"""Of a handshake, and of what follows it before its answer."""
+_ALWAYS_OCTETS = 2**16
+"""Taken from each client, whatever is held for others: `Stop` is never refused for want of room."""
 _UNKNOWN = "unknown"
 _CONTROL_PER_SECOND = 200.0
 _LARGE = 2**16
@@ -47,51 +55,163 @@ _EMPTY_BLOCK = 4
 _OPCODES = Opcode.BINARY, Opcode.TEXT  # by whether it is text
 
 
+class Sockets:
+    """All connections of one server, from their first octet on.
+
+    Args:
+        limit: how many there may be.
+        limits: of what one of them brings.
+
+    Attributes:
+        turns: in which what they bring is parsed and unpacked.
+    """
+
+    def __init__(self, limit: int, limits: Limits) -> None:
+        self.limit = limit
+        self.limits = limits
+        self.turns = Turns()
+        self._all: set[TurnConnection] = set()
+
+    def __iter__(self) -> Iterator[TurnConnection]:
+        return iter(tuple(self._all))
+
+    def add(self, connection: TurnConnection) -> None:
+        """Take a connection that was made, or refuse it when there are too many."""
+        self._all.add(connection)
+        if len(self._all) > self.limit:
+            connection.transport.abort()
+
+    def discard(self, connection: TurnConnection) -> None:
+        """Forget a connection that has ended."""
+        self._all.discard(connection)
+
+    def check(self, now: float) -> None:
+        """Cut those off whose message does not end."""
+        for connection in self:
+            connection.check(now)
+
+
 class TurnConnection(ServerConnection):
     """A connection that is known from its first byte on, and refused when there are too many.
 
     What arrives is parsed for a millisecond at a time; what is left waits for the loop's next turn,
-    with the socket unread meanwhile. Pings and pongs beyond 200 a second make the client be read
-    more slowly: each ping costs an answer, and no well-behaved client sends them by the thousand.
+    with the socket unread meanwhile. Pings, pongs and small fragments beyond 200 a second make the
+    client be read more slowly: each costs an answer or a turn, and no well-behaved client sends
+    them by the thousand.
+
+    All that has arrived and was not acted on is charged to the account of the client, from the
+    first octet of a message on. Its messages come from `next_message`, not from `recv`.
 
     Args:
         sockets: all connections of the server, this one among them while it lasts.
-        limit: how many there may be.
         arguments: of `ServerConnection`.
         options: of `ServerConnection`.
     """
 
-    def __init__(
-        self, sockets: set[TurnConnection], limit: int, *arguments: Any, **options: Any
-    ) -> None:
+    def __init__(self, sockets: Sockets, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._sockets = sockets
-        self._limit = limit
+        self._limits = sockets.limits
         self._unread: deque[bytes] = deque()
+        self._unparsed = 0  # octets of these
+        self._head = 0  # octets that came before the connection was open
         self._begin = 0
+        self._turn = Turn(self._parse)
         self._timer: asyncio.Handle | None = None
-        self._full = False
+        self._stopped: float | None = None  # since when; nothing is parsed until something is taken
+        self._is_refused = False
         self._allowance = _CONTROL_PER_SECOND
         self._counted = time.monotonic()
         self._gets_large = False
+        self._incoming = Incoming(self._limits.message_bytes)
+        self._in_hand = 0  # octets of the message that was taken last
+        self._began: float | None = None  # when what is unfinished did
+        self._taker: asyncio.Future[None] | None = None
+        self._account: Account | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin; see `asyncio.Protocol`."""
         super().connection_made(transport)
-        self.recv_messages.pause = self._hold
-        self.recv_messages.resume = self._go_on
-        self._sockets.add(self)
         self._limit_unsent(_UNSENT_OCTETS)
-        if len(self._sockets) > self._limit:
-            self.transport.abort()
+        self._sockets.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End; see `asyncio.Protocol`."""
+        """End; see `asyncio.Protocol`. What came whole can be taken still."""
         self._sockets.discard(self)
         self._unread.clear()
+        self._unparsed = 0
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
+        self.protocol.reader.discard()
+        self._incoming.drop_unfinished()
+        self._count()
+        self._wake()
+
+    async def keepalive(self) -> None:
+        """Cut the client off, without a close frame, when it does not answer a ping in time."""
+        if self.ping_interval is None or self.ping_timeout is None:
+            return
+        with suppress(ConnectionClosed):
+            while True:
+                await asyncio.sleep(self.ping_interval)
+                try:
+                    await result_within(self.ping_timeout, self._pinged())
+                except asyncio.TimeoutError:
+                    _log.warning("%s is cut off: it answers no ping", address_of(self))
+                    self.transport.abort()
+                    return
+
+    async def _pinged(self) -> None:
+        await (await self.ping())
+
+    def charge_to(self, account: Account | None) -> None:
+        """Charge what arrives to an account from now on, and nothing more to the one before.
+
+        With None nobody takes what came of a connection that has ended: it is let go.
+        """
+        if self._account is not None:
+            self._account.arrived.resize(0)
+        self._account = account
+        self._in_hand = 0
+        if account is None and self.protocol.state is State.CLOSED:
+            self._incoming.clear()
+        self._count()
+        self._go_on()
+
+    async def next_message(self) -> str | bytes:
+        """Return the next message; the one before counts as acted on.
+
+        Raises:
+            ConnectionClosed: no more will come.
+        """
+        self._in_hand = 0
+        self._count()
+        while True:
+            taken = self._incoming.take()
+            if taken is not None:
+                self._go_on()
+                message = self._decoded(*taken)
+                if message is not None:
+                    self._in_hand = sys.getsizeof(message)
+                    self._count()
+                    return message
+            elif self.protocol.state is State.CLOSED and not self._incoming.is_packed:
+                await asyncio.shield(self.connection_lost_waiter)
+                raise self.close_exc
+            self._taker = self.loop.create_future()
+            try:
+                await self._taker
+            finally:
+                self._taker = None
+
+    def check(self, now: float) -> None:
+        """Refuse a message that does not end."""
+        seconds = self._limits.message_seconds
+        is_ours = self._stopped is not None or self._turn.is_waiting  # who takes so long
+        if self._began is not None and not is_ours and now - self._began > seconds:
+            text = f"a message was not finished within {seconds:g} s"
+            self._refuse(CloseCode.POLICY_VIOLATION, text)
 
     async def send_frames(self, frames: Iterable[tuple[bytes, bool]]) -> None:
         """Send messages, each with whether it is text, with one write to the socket.
@@ -138,38 +258,78 @@ class TurnConnection(ServerConnection):
     @property
     def unread_octets(self) -> int:
         """Octets that arrived and that no session has read."""
-        parsed = sum(len(one.data) for one in self.recv_messages.frames.queue)
-        return parsed + sum(map(len, self._unread)) - self._begin
+        return self._unparsed + len(self.protocol.reader.buffer) + self._incoming.octets
 
     def data_received(self, data: bytes) -> None:
         """Take what arrived; see `asyncio.Protocol`."""
+        if self._is_refused:
+            return
+        if self.protocol.state is State.CONNECTING:
+            self._head += len(data)
+            if self._head > _HEAD_OCTETS:
+                self.transport.abort()
+                return
         self._unread.append(data)
-        if self._timer is None:
-            self._turn()
+        self._unparsed += len(data)
+        self._count()
+        if self._timer is None and self._stopped is None:
+            self._sockets.turns.ask(self._turn)
+        if self._turn.is_waiting:
+            self.transport.pause_reading()
 
     def process_event(self, event: Frame | Request) -> None:  # type: ignore[override]
-        """Count a frame, and let the library act on it."""
-        if isinstance(event, Frame) and event.opcode not in DATA_OPCODES:
+        """Take a data frame, or count another one and let the library act on it."""
+        if not isinstance(event, Frame):
+            super().process_event(event)
+            return
+        if event.opcode not in DATA_OPCODES:
             self._allowance -= 1
-        super().process_event(event)
+            super().process_event(event)
+        else:
+            is_whole = event.fin and event.opcode is not Opcode.CONT
+            if len(event.data) < _SMALL_FRAGMENT and not is_whole:
+                self._allowance -= 1
+            self._incoming.add(event)
+        if not self._incoming.is_within_message:
+            self._began = None
 
-    def _turn(self) -> None:
-        """Parse for a moment."""
-        self._timer = None
+    def _parse(self) -> bool:
+        """Parse and unpack for a moment; returns whether to go on, when it is its turn again."""
         end = time.perf_counter() + _TURN_SECONDS
-        while self._unread and not self._full and self._pause() <= 0:
-            super().data_received(self._next_slice())
-            if time.perf_counter() >= end:
-                break
-        if self.transport.is_closing():
-            return
-        if not self._unread:
-            if not self._full:
-                self.transport.resume_reading()
-            return
+        try:
+            while time.perf_counter() < end:
+                if self._incoming.is_packed:
+                    self._incoming.unpack()
+                elif self._unread and not self._incoming.is_full and self._pause() <= 0:
+                    super().data_received(self._next_slice())
+                else:
+                    break
+        except IncomingError as error:
+            self._refuse(error.code, str(error))
+        self._wake()
+        self._count()
+        if self._incoming.is_packed:
+            return True
+        if self._is_refused or self.transport.is_closing():
+            return False
+        is_within = self._incoming.is_within_message or self._unread or self.protocol.reader.buffer
+        if self._began is None and is_within:
+            self._began = time.monotonic()
+        if not self._unread and not self._incoming.is_full:
+            self.transport.resume_reading()
+            return False
         self.transport.pause_reading()
-        if not self._full:
-            self._timer = self.loop.call_later(max(0.0, self._pause()), self._turn)
+        if self._incoming.is_full:
+            self._stopped = time.monotonic()
+            return False
+        if (pause := self._pause()) > 0:
+            self._timer = self.loop.call_later(pause, self._ask)
+            return False
+        return True
+
+    def _ask(self) -> None:
+        self._timer = None
+        self._sockets.turns.ask(self._turn)
 
     def _limit_unsent(self, octets: int) -> None:
         """Have the kernel keep no more than this unsent, where it can be told.
@@ -189,7 +349,9 @@ class TurnConnection(ServerConnection):
         if self._begin >= len(first):
             self._unread.popleft()
             self._begin = 0
-        return first[begin : begin + _SLICE]
+        portion = first[begin : begin + _SLICE]
+        self._unparsed -= len(portion)
+        return portion
 
     def _pause(self) -> float:
         """Return the seconds until another control frame may come; none are left at 0."""
@@ -199,14 +361,61 @@ class TurnConnection(ServerConnection):
         self._counted = now
         return -self._allowance / _CONTROL_PER_SECOND
 
-    def _hold(self) -> None:
-        """Parse nothing more: enough messages wait for the session."""
-        self._full = True
-
     def _go_on(self) -> None:
-        self._full = False
-        if self._timer is None:
-            self._timer = self.loop.call_soon(self._turn)
+        """Parse again where what waited was in the way."""
+        if self._stopped is None or self._incoming.is_full:
+            return
+        if self._began is not None:  # it was not its client that was slow
+            self._began += time.monotonic() - self._stopped
+        self._stopped = None
+        self._sockets.turns.ask(self._turn)
+
+    def _wake(self) -> None:
+        """Have whoever waits for a message look again, where there is one or none will come."""
+        if (
+            self._taker is not None
+            and not self._taker.done()
+            and (self._incoming.is_ready or self.protocol.state is State.CLOSED)
+        ):
+            self._taker.set_result(None)
+
+    def _decoded(self, content: BytesLike, is_text: bool) -> str | bytes | None:  # noqa: FBT001
+        """Return a message as the session gets it; None: it is none."""
+        try:
+            return str(content, "utf-8") if is_text else bytes(content)
+        except UnicodeDecodeError as error:
+            self._refuse(CloseCode.INVALID_DATA, f"{error.reason} at position {error.start}")
+            return None
+
+    def _count(self) -> None:
+        """Charge what is held to the client, which is refused where nobody has room for it."""
+        if self._account is None:
+            return
+        held = self.unread_octets + self._in_hand
+        is_more = held > max(self._account.arrived.octets, _ALWAYS_OCTETS)
+        self._account.arrived.resize(held)
+        if is_more and not self._is_refused and not self._account.has_share:
+            self._refuse(CloseCode.TRY_AGAIN_LATER, "the server holds as much as it may")
+
+    def _refuse(self, code: CloseCode, text: str) -> None:
+        """Close for what came, with a word and without waiting for the client."""
+        _log.warning("%s is cut off: %s", address_of(self), text)
+        self._is_refused = True
+        self._unread.clear()
+        self._unparsed = self._begin = 0
+        self._incoming.clear()
+        self._began = self._stopped = None
+        if self._account is not None:
+            self._account.arrived.resize(self._in_hand)
+        if self.protocol.state is not State.OPEN:
+            self.transport.abort()
+            return
+        self.protocol.fail(code, text)
+        self.protocol.reader.discard()
+        self.send_data()
+        # What more it sends is not read: to throw it away would cost as much as to take it.
+        self.transport.pause_reading()
+        self.loop.call_later(self.close_timeout or 0.0, self.transport.abort)
 
 
 @lru_cache(1024)

@@ -35,6 +35,8 @@ class Held(Enum):
     """Messages that a subscription holds back until they are due."""
     FRAGMENTS = "fragments"
     """Pieces of messages that are not complete."""
+    ARRIVED = "arrived"
+    """What came from the client and was not acted on yet, from the first octet of a message on."""
 
 
 @final
@@ -67,6 +69,8 @@ class Account:
     Attributes:
         held: octets in all.
         charges: everything that is held.
+        arrived: what came and was not acted on, which leaves less room for others, but not for
+            what the client itself asked.
     """
 
     def __init__(self, memory: Memory) -> None:
@@ -74,13 +78,20 @@ class Account:
         self._is_closed = False
         self.held = 0
         self.charges: set[Charge] = set()
+        self.arrived = self.hold(Held.ARRIVED)
 
     def has_room(self, octets: int) -> bool:
         """Say whether so much more may be held for this client."""
         held = self.held + octets
-        return held <= self._memory.most_each and (
+        return held - self.arrived.octets <= self._memory.most_each and (
             self._memory.held + octets <= self._memory.most or held <= self._memory.fair_share
         )
+
+    @property
+    def has_share(self) -> bool:
+        """Whether all clients have room, or this one has no more than its share."""
+        memory = self._memory
+        return memory.held <= memory.most or self.held <= memory.fair_share
 
     def charge(self, kind: Held, octets: int) -> Charge:
         """Hold something more for the client.
@@ -91,9 +102,10 @@ class Account:
         """
         if not self.has_room(octets):
             most = self._memory.most_each
-            if self.held + octets > most:
+            held = self.held - self.arrived.octets
+            if held + octets > most:
                 raise LimitError(
-                    f"{octets:,} octets of memory are needed, and {self.held:,} of the {most:,} "
+                    f"{octets:,} octets of memory are needed, and {held:,} of the {most:,} "
                     "that one client may have are taken; wait for answers, or send less at a time"
                 )
             raise BusyError(
