@@ -1,0 +1,210 @@
+"""Figures of the source code: modules and their lengths, words, comments, lines.
+
+`python -m bench.structure` prints them for this checkout, `--json` as JSON, and `--before FOLDER`
+beside those of another checkout. `tests/test_words.py` holds some of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import json
+import re
+import statistics
+import subprocess
+import tokenize
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from bench.tables import print_table
+
+__all__ = [
+    "class_names",
+    "loop_variables",
+    "python_files",
+    "structure_figures",
+    "words_of_names",
+    "words_of_prose",
+]
+
+ROOT = Path(__file__).parent.parent
+AREAS = {
+    "core": ("src",),
+    "plugins": ("plugins/*/src",),
+    "tests": ("tests", "plugins/*/tests"),
+    "benches": ("bench",),
+    "examples": ("examples",),
+}
+# Figures of speech, and pronouns in the place of a noun; the forms of a word count together.
+WORDS = {
+    "told": ("told", "tell", "tells", "telling", "untold"),
+    "heard": ("heard", "unheard", "hear", "hears", "hearing"),
+    "somebody": ("somebody", "someone"),
+    "nobody": ("nobody",),
+    "whoever": ("whoever",),
+    "everybody": ("everybody", "anybody"),
+    "pulse": ("pulse", "pulses"),
+    "outage": ("outage", "outages"),
+    "shelf": ("shelf",),
+    "vain": ("vain",),
+}
+_WORD_OF = {form: word for word, forms in WORDS.items() for form in forms}
+_VAGUE = {"one", "each"}
+_PARTS = re.compile(r"[A-Z]?[a-z]+")
+_LOWER = re.compile(r"[a-z]+")
+# The modules whose comments say what the code cannot: locks, orders, races.
+SUBTLE = ("_control", "_dataplane", "_host/transport", "server/streams")
+_SMALL = 80
+
+
+def python_files(*patterns: str, root: Path = ROOT) -> Iterator[Path]:
+    """Yield the Python files that git knows, or will, below folders given as patterns."""
+    listing = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "*.py"],
+        cwd=root,
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    ).stdout
+    folders = [folder for pattern in patterns for folder in root.glob(pattern)]
+    for name in sorted(set(listing.splitlines())):
+        path = root / name
+        if path.exists() and any(folder in path.parents for folder in folders):
+            yield path
+
+
+def words_of_names(source: str) -> Counter[str]:
+    """Return how often each word of the table stands in a name of this module."""
+    counts: Counter[str] = Counter()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.NAME:
+            for part in _PARTS.findall(token.string):
+                if word := _WORD_OF.get(part.lower()):
+                    counts[word] += 1
+    return counts
+
+
+def words_of_prose(text: str) -> Counter[str]:
+    """Return how often each word of the table stands in a text."""
+    found = (_WORD_OF.get(word) for word in _LOWER.findall(text.lower()))
+    return Counter(word for word in found if word)
+
+
+def _prose(source: str) -> str:
+    """Return the comments and texts of a module, docstrings among them."""
+    kinds = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", -1)}
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return "\n".join(token.string for token in tokens if token.type in kinds)
+
+
+def loop_variables(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and name of each loop variable that names nothing: `one`, `each`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.For | ast.AsyncFor | ast.comprehension):
+            for name in ast.walk(node.target):
+                if isinstance(name, ast.Name) and name.id in _VAGUE:
+                    yield name.lineno, name.id
+
+
+def class_names(root: Path = ROOT) -> Mapping[str, list[str]]:
+    """Return where each public class of core and plugins is defined, by its name."""
+    places: dict[str, list[str]] = defaultdict(list)
+    for path in python_files("src", "plugins/*/src", root=root):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places[node.name].append(str(path.relative_to(root)))
+    return places
+
+
+def _module_name(path: Path) -> str:
+    parts = path.with_suffix("").parts
+    start = len(parts) - parts[::-1].index("src")
+    return ".".join(part for part in parts[start:] if part != "__init__")
+
+
+def _importers(trees: Mapping[Path, ast.Module]) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    for tree in trees.values():
+        modules = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                modules |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
+            elif isinstance(node, ast.Import):
+                modules |= {name.name for name in node.names}
+        counts.update(modules)
+    return counts
+
+
+def structure_figures(root: Path = ROOT) -> dict[str, float]:
+    """Return the figures of a checkout, by name; lines are all lines of a file."""
+    figures: dict[str, float] = {}
+    loops = lambdas = 0
+    names: Counter[str] = Counter()
+    prose: Counter[str] = Counter()
+    for area, patterns in AREAS.items():
+        total = 0
+        for path in python_files(*patterns, root=root):
+            source = path.read_text(encoding="utf-8")
+            total += source.count("\n")
+            loops += sum(1 for _ in loop_variables(ast.parse(source)))
+            names += words_of_names(source)
+            prose += words_of_prose(_prose(source))
+        figures[f"lines of {area}"] = total
+    trees = {}
+    for path in python_files("src", "plugins/*/src", root=root):
+        trees[path] = ast.parse(path.read_text(encoding="utf-8"))
+        lambdas += sum(isinstance(node, ast.Lambda) for node in ast.walk(trees[path]))
+    importers = _importers(trees)
+    lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in trees}
+    modules = [path for path in trees if path.name not in {"__init__.py", "__main__.py"}]
+    small = [
+        path
+        for path in modules
+        if lengths[path] < _SMALL and importers[_module_name(path)] < 3
+    ]
+    figures |= {
+        "modules of core and plugins": len(trees),
+        "median lines of a module": statistics.median(lengths[path] for path in modules),
+        "modules over 600 lines": sum(length > 600 for length in lengths.values()),
+        f"modules under {_SMALL} lines with fewer than three importers": len(small),
+        "lambdas": lambdas,
+        "loop variables named one or each": loops,
+        "classes of one name": sum(len(places) > 1 for places in class_names(root).values()),
+    }
+    figures |= {f"names with {word!r}": names[word] for word in WORDS}
+    figures |= {f"texts and comments with {word!r}": prose[word] for word in WORDS}
+    for folder in SUBTLE:
+        figures[f"comments in 100 lines of {folder}"] = _comment_share(root / "src/uoarm" / folder)
+    return figures
+
+
+def _comment_share(folder: Path) -> float:
+    comments = lines = 0
+    for path in folder.rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        lines += sum(1 for line in source.splitlines() if line.strip())
+        tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+        comments += sum(token.type == tokenize.COMMENT for token in tokens)
+    return round(100 * comments / lines, 1) if lines else 0.0
+
+
+def main() -> None:
+    """Print the figures of this checkout, beside those of another one where it is named."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--before", type=Path, help="another checkout, to stand beside")
+    arguments = parser.parse_args()
+    figures = structure_figures()
+    before = structure_figures(arguments.before) if arguments.before else {}
+    if arguments.json:
+        print(json.dumps({"now": figures, "before": before}, indent=2))
+        return
+    rows = [(name, f"{before.get(name, '')}", f"{value:g}") for name, value in figures.items()]
+    print_table("The source code", ("what", "before", "now"), rows)
+
+
+if __name__ == "__main__":
+    main()
