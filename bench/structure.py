@@ -161,9 +161,7 @@ def structure_figures(root: Path = ROOT) -> dict[str, float]:
     lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in trees}
     modules = [path for path in trees if path.name not in {"__init__.py", "__main__.py"}]
     small = [
-        path
-        for path in modules
-        if lengths[path] < _SMALL and importers[_module_name(path)] < 3
+        path for path in modules if lengths[path] < _SMALL and importers[_module_name(path)] < 3
     ]
     figures |= {
         "modules of core and plugins": len(trees),

@@ -70,7 +70,7 @@ messages = st.fixed_dictionaries(
 numbers = st.one_of(st.integers(-50, 50), st.sampled_from([0.001, -2.5, 0.1]))
 entries = st.one_of(
     st.sampled_from(["data", "range", "state", "pose", "pose.x", "pose.y", "boxes", "."]),
-    st.builds(lambda one: {"const": one}, st.sampled_from([1, "a", None, [1], {"b": 2}])),
+    st.builds(lambda item: {"const": item}, st.sampled_from([1, "a", None, [1], {"b": 2}])),
     st.builds(
         lambda path, scale, offset: {"from": path, "scale": scale, "offset": offset},
         st.sampled_from(["range", "pose.x", "data", "pose.y"]),
@@ -236,8 +236,10 @@ def test_a_long_map_is_read_in_linear_time() -> None:
     )
 )  # fmt: skip
 def test_no_two_entries_fill_the_same_field(targets: list[str]) -> None:
-    parts = [one.split(".") for one in targets]
-    overlap = any(one is not other and other[: len(one)] == one for one in parts for other in parts)
+    parts = [target.split(".") for target in targets]
+    overlap = any(
+        part is not other and other[: len(part)] == part for part in parts for other in parts
+    )
     try:
         parse(dict.fromkeys(targets, "x"))
     except MappingError as error:
@@ -300,7 +302,7 @@ def test_a_clamp_narrows_a_range_because_it_is_named() -> None:
     assert verdict.compatible, verdict.reasons
     assert not verdict.losses
     make = adapt(parse(mapping), WIDE.schema, NARROW.schema).make
-    assert [make({"width": one})["width"] for one in (0, 65535, 65536, 2**32 - 1)] == [
+    assert [make({"width": number})["width"] for number in (0, 65535, 65536, 2**32 - 1)] == [
         0,
         65535,
         65535,
@@ -365,8 +367,8 @@ def test_where_a_conversion_was_not_tried_a_refusal_says_what_it_needs() -> None
     )
     by_name, by_unit, meant, no_unit, one_unit = done.stdout.splitlines()
     said = "whether fahrenheit can be converted to {} is not known: to compare and convert units "
-    for told, unit in ((by_name, "celsius"), (by_unit, "Cel")):
-        assert f"{said.format(unit)}this needs: pip install" in told
-        assert "[units]" in told
+    for text, unit in ((by_name, "celsius"), (by_unit, "Cel")):
+        assert f"{said.format(unit)}this needs: pip install" in text
+        assert "[units]" in text
     assert meant.count("[units]") == 1
     assert "units" not in no_unit + one_unit

@@ -90,15 +90,15 @@ def test_a_longer_name_does_not_stand_for_the_plugin(more: str, stands: bool) ->
 
 
 def test_uv_makes_it_and_every_line_is_told(tmp_path: Path, home: Path) -> None:
-    told: list[str] = []
+    reports: list[str] = []
     uv = _fake_uv(tmp_path, "echo installing")
-    python = environments.create("jazzy", ("a", "b[c]"), python="3.12", tell=told.append, uv=uv)
+    python = environments.create("jazzy", ("a", "b[c]"), python="3.12", tell=reports.append, uv=uv)
     assert python == home / "jazzy" / "bin" / "python"
     assert (tmp_path / "asked").read_text().splitlines() == [
         f"venv --python 3.12 {home / 'jazzy'}",
         f"pip install --python {python} a b[c]",
     ]
-    assert "installing" in told
+    assert "installing" in reports
     (made,) = environments.listed()
     assert (made.name, made.requirements, made.is_whole) == ("jazzy", ("a", "b[c]"), True)
 
@@ -112,10 +112,10 @@ def test_one_that_fails_is_removed_and_its_last_lines_are_told(tmp_path: Path, h
 
 def test_last_lines_that_were_told_are_not_told_again(tmp_path: Path, home: Path) -> None:
     uv = _fake_uv(tmp_path, "echo no such project >&2; exit 2")
-    told: list[str] = []
+    reports: list[str] = []
     with pytest.raises(PluginError, match=r" a ended with status 2$"):
-        environments.create("jazzy", ("a",), tell=told.append, uv=uv)
-    assert told[-1] == "no such project"
+        environments.create("jazzy", ("a",), tell=reports.append, uv=uv)
+    assert reports[-1] == "no such project"
 
 
 def test_a_name_is_not_used_twice(tmp_path: Path) -> None:
@@ -138,9 +138,9 @@ def test_a_mark_that_cannot_be_read_is_an_environment_that_was_cut_short(
     tmp_path: Path, home: Path, text: str
 ) -> None:
     environments.create("jazzy", ("a",), uv=_fake_uv(tmp_path, ""))
-    (mark,) = (one for one in (home / "jazzy").iterdir() if one.is_file())
+    (mark,) = (path for path in (home / "jazzy").iterdir() if path.is_file())
     mark.write_text(text)
-    assert [one.is_whole for one in environments.listed()] == [False]
+    assert [environment.is_whole for environment in environments.listed()] == [False]
 
 
 @pytest.mark.parametrize("printed", ["", "hello", "[" * 5000, "[1]", '{"python": "3"}'])
@@ -213,8 +213,10 @@ def test_what_runs_here_is_handed_on_although_its_wheel_is_gone_and_no_index_has
     assert environments.listed()[0].requirements == ("--no-index", "uoarm-little==1.0")
     [data] = (home / "little").rglob("data.txt")
     assert data.read_text() == "changed here\n"
-    told = subprocess.run([home / "little/bin/little"], capture_output=True, check=True, text=True)
-    assert told.stdout == "little\n"
+    report = subprocess.run(
+        [home / "little/bin/little"], capture_output=True, check=True, text=True
+    )
+    assert report.stdout == "little\n"
 
 
 def test_what_is_pinned_to_another_version_comes_from_an_index(tmp_path: Path) -> None:
@@ -242,7 +244,9 @@ def test_the_doctor_tells_what_is_missing(tmp_path: Path, home: Path) -> None:
     _executable(home / "bad" / "bin" / "python", "echo no module named msgpack >&2; exit 1")
     (home / "bad" / "uoarm-environment.json").write_text(json.dumps({"requirements": []}))
     (home / "cut" / "bin").mkdir(parents=True)
-    found = {one.name: environments.examine(one) for one in environments.listed()}
+    found = {
+        environment.name: environments.examine(environment) for environment in environments.listed()
+    }
     assert found["good"].problem == ""
     assert found["good"].facts["uoarm"] == uoarm.__version__
     assert "python" in found["good"].facts["plugins"]
@@ -283,8 +287,8 @@ if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {asked} "$4/bin/python"; fi"""
     make = ("env", "create", "x", "--plugin", "absent", "--distribution")
     made = CliRunner().invoke(main, [*make, "jazy"])
     assert made.exit_code == 4, made.output
-    told = "uoarm-absent has no distribution 'jazy': there are jazzy, Humble_Hawksbill"
-    assert told in made.stderr
+    message = "uoarm-absent has no distribution 'jazy': there are jazzy, Humble_Hawksbill"
+    assert message in made.stderr
     assert not (home / "x").exists()
     assert CliRunner().invoke(main, [*make, "humble-hawksbill"]).exit_code == 0
 
@@ -300,12 +304,12 @@ def test_extras_are_those_that_an_interpreter_tells(tmp_path: Path) -> None:
 def test_a_plugin_that_lacks_its_middleware_in_an_environment_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = json.dumps({"uoarm": {"version": "1"}, "python": {"usable": "no: it has no camera"}})
+    message = json.dumps({"uoarm": {"version": "1"}, "python": {"usable": "no: it has no camera"}})
     script = tmp_path / "interpreter"
     _executable(
         script,
         f"""
-if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{told}'; else exec {sys.executable} "$@"; fi""",
+if [ "$1" = -m ] && [ "$2" = uoarm ]; then echo '{message}'; else exec {sys.executable} "$@"; fi""",
     )
     text = f"""
 if [ "$1" = venv ]; then mkdir -p "$4/bin"; cp {script} "$4/bin/python"; fi"""

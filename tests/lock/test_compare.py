@@ -27,14 +27,14 @@ def lock(
     structures = {"sent": sent, "taken": taken, "asked": asked}
     return Lock(
         {"sink": LockedFunction(parts, (edge,))},
-        {name: LockedStructure("", one) for name, one in structures.items()},
+        {name: LockedStructure("", structure) for name, structure in structures.items()},
     )
 
 
 def outcomes(before: Lock, after: Lock | Mapping[str, Any]) -> dict[str, Outcome]:
     found: list[Finding] = list(compare(before, after))
-    assert len({one.subject for one in found}) == len(found)
-    return {one.subject: one.outcome for one in found}
+    assert len({finding.subject for finding in found}) == len(found)
+    return {finding.subject: finding.outcome for finding in found}
 
 
 @pytest.mark.parametrize(
@@ -60,6 +60,6 @@ def test_an_edge_is_judged_as_it_was_locked() -> None:
 def test_a_schema_that_names_no_type_is_of_the_type_that_it_stands_for() -> None:
     named = {**NUMBER, "x-type": "a/A"}
     found = list(compare(lock(named, NUMBER, meaning="strict"), {"a/A": dict(SMALL)}))
-    assert [one.changed for one in found] == [True, False]
+    assert [finding.changed for finding in found] == [True, False]
     both = lock(named, named, meaning="strict")
     assert outcomes(both, {"a/A": dict(NUMBER)})["a.out -> b.in"] is Outcome.FITS

@@ -25,24 +25,26 @@ FINDINGS = [
 def test_a_report_of_tests_has_a_case_for_each_finding() -> None:
     root = ET.fromstring(FORMS["junit"](FINDINGS, LOCK))
     assert (root.get("tests"), root.get("failures")) == ("5", "3")
-    suites = [(one.get("name"), one.get("tests"), one.get("failures")) for one in root]
+    suites = [
+        (element.get("name"), element.get("tests"), element.get("failures")) for element in root
+    ]
     assert suites == [("scan", "2", "0"), ("drive", "3", "3")]
     failed = {case.get("name"): case[0] for case in root.iter("testcase") if len(case)}
-    assert [one.get("type") for one in failed.values()] == [
+    assert [element.get("type") for element in failed.values()] == [
         "fits-with-a-map", "undecided", "breaks",
     ]  # fmt: skip
-    told = failed["pad.out -> base.in"]
-    assert "speed: the units differ: km/h & m/s" in str(told.get("message"))
-    assert str(told.text).endswith("map: {speed: {from: <speed>}}")
+    report = failed["pad.out -> base.in"]
+    assert "speed: the units differ: km/h & m/s" in str(report.get("message"))
+    assert str(report.text).endswith("map: {speed: {from: <speed>}}")
 
 
 def test_a_log_of_static_analysis_has_a_result_for_what_does_not_fit() -> None:
     log = json.loads(FORMS["sarif"](FINDINGS, LOCK))
     (run,) = log["runs"]
-    rules = [one["id"] for one in run["tool"]["driver"]["rules"]]
-    told = [(one["ruleId"], one["level"]) for one in run["results"]]
-    assert told == [("fits-with-a-map", "error"), ("undecided", "warning"), ("breaks", "error")]
-    assert all(rules[one["ruleIndex"]] == one["ruleId"] for one in run["results"])
+    rules = [rule["id"] for rule in run["tool"]["driver"]["rules"]]
+    reports = [(result["ruleId"], result["level"]) for result in run["results"]]
+    assert reports == [("fits-with-a-map", "error"), ("undecided", "warning"), ("breaks", "error")]
+    assert all(rules[result["ruleIndex"]] == result["ruleId"] for result in run["results"])
     (place,) = run["results"][0]["locations"]
     assert place["physicalLocation"]["artifactLocation"]["uri"] == "robots/the%20cart/robot.lock"
     assert "map: {speed" in run["results"][0]["message"]["text"]

@@ -66,8 +66,12 @@ def test_enforced_another_structure_is_passed_over_for_a_candidate_that_was_lock
     with RobotManager.from_file(changed) as robot:
         plan = robot.request("temperature").plan
         assert plan.provider.component.name == "spare"
-        (told,) = robot.status().lock
-        assert (told.component, told.port, told.refused) == ("thermometer", "output.default", True)
+        (report,) = robot.status().lock
+        assert (report.component, report.port, report.refused) == (
+            "thermometer",
+            "output.default",
+            True,
+        )
         assert "thermometer.output.default has another structure than in the lock" in str(plan)
 
 
@@ -100,12 +104,12 @@ def test_warned_of_another_structure_is_used_and_told_once_and_counted(
         assert plan.provider.component.name == "thermometer"
         assert "note: thermometer.output.default has another structure than" in str(plan)
         robot.check_availability()  # asks anew
-        (told,) = robot.status().lock
-        assert not told.refused
-        assert told.times > 1
+        (report,) = robot.status().lock
+        assert not report.refused
+        assert report.times > 1
         assert "thermometer" in str(robot.status())
-    about = [one for one in caplog.records if "thermometer" in one.getMessage()]
-    assert [one.levelno for one in about] == [logging.WARNING]
+    about = [record for record in caplog.records if "thermometer" in record.getMessage()]
+    assert [record.levelno for record in about] == [logging.WARNING]
 
 
 def test_a_lock_that_was_written_anew_holds_after_a_reload(changed: Path) -> None:

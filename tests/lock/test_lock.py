@@ -112,9 +112,9 @@ def test_a_field_that_went_breaks_and_says_so_in_each_form(tmp_path: Path, form:
     locked(tmp_path / "a")
     before = read_lock(tmp_path / "a" / "robot.lock")
     after = json.loads((tmp_path / "a" / "robot.lock").read_text())
-    for one in after["structures"].values():
-        if "celsius" in one["structure"]["properties"] and one["structure"]["required"]:
-            one["structure"]["required"] = ["hot"]
+    for item in after["structures"].values():
+        if "celsius" in item["structure"]["properties"] and item["structure"]["required"]:
+            item["structure"]["required"] = ["hot"]
     # The producer's structure may do without the field now; its consumer's still demands it.
     parts = after["functions"]["fireAlarm"]["parts"]
     assert before.functions["fireAlarm"].parts
@@ -132,7 +132,7 @@ def test_a_field_that_went_breaks_and_says_so_in_each_form(tmp_path: Path, form:
     assert done.exit_code == 1, done.output
     if form == "json":
         findings = json.loads(done.stdout)["findings"]
-        assert {one["outcome"] for one in findings} == {"fits", "breaks"}
+        assert {finding["outcome"] for finding in findings} == {"fits", "breaks"}
     else:
         assert "thermometer.default -> too_hot.default: breaks" in done.output
         # Who asks for temperature got the field always; now not.
@@ -144,21 +144,21 @@ def test_outputs_may_narrow_and_components_may_not_go(tmp_path: Path) -> None:
     locked(tmp_path / "a")
     lock = read_lock(tmp_path / "a" / "robot.lock")
     narrower: Any = json.loads((tmp_path / "a" / "robot.lock").read_text())
-    for one in narrower["structures"].values():
-        fields = one["structure"]["properties"]
-        if "celsius" in fields and one["structure"].get("required"):
+    for structure in narrower["structures"].values():
+        fields = structure["structure"]["properties"]
+        if "celsius" in fields and structure["structure"].get("required"):
             fields["celsius"] = {**fields["celsius"], "minimum": 0}
     path = tmp_path / "narrower.lock"
     path.write_text(json.dumps(narrower))
-    outcomes = {one.subject: one.outcome for one in compare(lock, read_lock(path))}
+    outcomes = {finding.subject: finding.outcome for finding in compare(lock, read_lock(path))}
     assert outcomes["output.default"] is Outcome.FITS
     narrower["functions"].pop("temperature")
     narrower["functions"].pop("fireAlarm")
     path.write_text(json.dumps(narrower))
     gone = list(compare(lock, read_lock(path)))
-    assert {one.outcome for one in gone} == {Outcome.BREAKS}
+    assert {finding.outcome for finding in gone} == {Outcome.BREAKS}
     assert "no output.default of a component 'thermometer'" in " ".join(
-        one.sentence for one in gone
+        finding.sentence for finding in gone
     )
 
 

@@ -57,19 +57,19 @@ def lock(folder: Path, seen: Mapping[str, Any] = NUMBER, wish: Mapping[str, Any]
 
 def test_what_frameworks_have_is_in_the_lock_and_compared(tmp_path: Path) -> None:
     before = read_lock(lock(tmp_path))
-    ports = {name: sorted(one.part.ports) for name, one in before.offers.items()}
+    ports = {name: sorted(offer.part.ports) for name, offer in before.offers.items()}
     assert ports == {
         "net:scan": ["input.default"], "net:drive": ["output.default"], "net:double": ["request"],
     }  # fmt: skip
-    assert {one.outcome for one in compare(before, before)} == {Outcome.FITS}
+    assert {finding.outcome for finding in compare(before, before)} == {Outcome.FITS}
     # Who listens takes less now than the laser gives, and who commands says what no base takes.
     after = read_lock(lock(tmp_path, seen={**SMALL, "maximum": 5}, wish={"type": "string"}))
-    told = {
-        (one.function, one.subject): one.outcome
-        for one in compare(before, after)
-        if one.outcome is not Outcome.FITS
+    reports = {
+        (finding.function, finding.subject): finding.outcome
+        for finding in compare(before, after)
+        if finding.outcome is not Outcome.FITS
     }
-    assert told == {
+    assert reports == {
         ("offer net:scan", "laser.default -> net:scan.default"): Outcome.BREAKS,
         ("offer net:drive", "net:drive.default -> base.default"): Outcome.BREAKS,
     }
@@ -79,15 +79,19 @@ def test_an_offer_is_held_to_the_lock(tmp_path: Path) -> None:
     lock(tmp_path)
     wider = {**SMALL, "maximum": 8}
     with robot(tmp_path, wish=wider, mode="lock: enforce") as manager:
-        states = {one.name: one for one in manager.offer(timeout=patience())}
+        states = {
+            offer_status.name: offer_status for offer_status in manager.offer(timeout=patience())
+        }
         assert states["net:drive"].state is OfferState.FAILED
         assert "net:drive.output.default has another structure than in" in states["net:drive"].cause
         assert states["net:scan"].state is states["net:double"].state is OfferState.OPEN
-        assert [(one.component, one.refused) for one in manager.status().lock] == [
-            ("net:drive", True)
-        ]
+        assert [
+            (difference.component, difference.refused) for difference in manager.status().lock
+        ] == [("net:drive", True)]
     with robot(tmp_path, wish=wider, mode="lock: warn") as manager:
-        assert {one.state for one in manager.offer(timeout=patience())} == {OfferState.OPEN}
-        assert [(one.component, one.refused) for one in manager.status().lock] == [
-            ("net:drive", False)
-        ]
+        assert {offer_status.state for offer_status in manager.offer(timeout=patience())} == {
+            OfferState.OPEN
+        }
+        assert [
+            (difference.component, difference.refused) for difference in manager.status().lock
+        ] == [("net:drive", False)]

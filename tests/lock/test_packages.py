@@ -21,9 +21,9 @@ def robot(**hosts: str) -> Robot:
 def install(place: Path, name: str, version: str, *requires: str, bridge: str = "") -> None:
     folder = place / f"{name.replace('-', '_')}-{version}.dist-info"
     folder.mkdir(parents=True)
-    lines = [f"Requires-Dist: {one}" for one in requires]
-    told = ["Metadata-Version: 2.1", f"Name: {name}", f"Version: {version}", *lines, ""]
-    (folder / "METADATA").write_text("\n".join(told))
+    lines = [f"Requires-Dist: {text}" for text in requires]
+    reports = ["Metadata-Version: 2.1", f"Name: {name}", f"Version: {version}", *lines, ""]
+    (folder / "METADATA").write_text("\n".join(reports))
     if bridge:
         (folder / "entry_points.txt").write_text(f"[uoarm.bridges]\n{bridge} = {name}\n")
 

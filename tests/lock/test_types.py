@@ -187,7 +187,7 @@ const wrong: ScanOutput = {};
 def test_a_structure_without_any_is_proven_to_be_its_type(monkeypatch: pytest.MonkeyPatch) -> None:
     """`as_type` takes what is written: every message of the structure is one."""
     members = SCAN["properties"].items()
-    schema = closed(**{key: one for key, one in members if key not in {"pattern", "anything"}})
+    schema = closed(**{key: item for key, item in members if key not in {"pattern", "anything"}})
     made = ModuleType("made")
     monkeypatch.setitem(sys.modules, "made", made)
     source = write_python(read_functions(lock_of(scan={"output.default": schema})))
@@ -284,8 +284,8 @@ SCHEMAS = st.recursive(LEAVES, lambda inner: _schema(inner) | _record(inner), ma
 @given(st.dictionaries(KEYS, st.tuples(_record(SCHEMAS), SCHEMAS), min_size=1, max_size=2))
 def test_no_schema_is_too_strange(functions: dict[str, tuple[Any, Any]]) -> None:
     lock = lock_of(**{
-        name: {"output.default": one, "output.other-one": two, "request": two, "reply": one}
-        for name, (one, two) in functions.items()
+        name: {"output.default": item, "output.other-one": two, "request": two, "reply": item}
+        for name, (item, two) in functions.items()
     })  # fmt: skip
     read = read_functions(lock)
     source = write_python(read)

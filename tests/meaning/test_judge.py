@@ -124,7 +124,7 @@ def test_what_each_message_says_itself_is_not_guessed(key: str) -> None:
 def test_what_an_object_says_holds_for_what_is_in_it() -> None:
     whole = {**record(x=NUMBER, y=unit("rad")), "x-unit": "mm"}
     verdict = edge(whole, record(x=unit("m"), y=unit("rad")))
-    assert [one.path for one in verdict.reasons] == ["x"]
+    assert [reason.path for reason in verdict.reasons] == ["x"]
     assert edge(whole, record(x=unit("mm"), y=unit("rad"))).unstated == ()
     framed = {**record(at={**record(x=NUMBER), "x-frame": "map"}), "x-unit": "mm"}
     assert edge(framed, framed).unstated == ()
@@ -163,7 +163,7 @@ def test_constants_of_one_type_have_one_value_and_new_ones_are_noted() -> None:
     assert "constants that the consumer's has not: STRIP=2" in warning
     verdict = edge(record(marker=older), record(marker=marker(ARROW=1, CUBE=0)))
     assert not verdict.compatible
-    assert [one.path for one in verdict.reasons] == ["marker", "marker"]
+    assert [reason.path for reason in verdict.reasons] == ["marker", "marker"]
     assert "ARROW of Marker is 0 for the producer and 1 for the" in verdict.reasons[0].sentence
     other = marker("visualization_msgs/msg/Marker", ARROW=1)
     alike = Meaning(alike=(frozenset({"Marker", other["x-type"]}),))
@@ -235,7 +235,7 @@ def test_structures_that_refer_to_themselves_are_judged_once_around() -> None:
         return {"$ref": "#/$defs/n", "$defs": {"n": node}}
 
     assert not judge(tree("m"), tree("m")).differences
-    assert {one.path for one in judge(tree("m"), tree("mm")).differences} == {
+    assert {difference.path for difference in judge(tree("m"), tree("mm")).differences} == {
         ("value",), ("children", "[]", "value")
     }  # fmt: skip
 
@@ -278,7 +278,7 @@ def _typed(fields: dict[str, Any], name: str | None) -> dict[str, Any]:
 structures = st.recursive(
     numbers,
     lambda inner: st.one_of(
-        st.builds(lambda one: {"type": "array", "items": one}, inner),
+        st.builds(lambda item: {"type": "array", "items": item}, inner),
         st.builds(_typed, st.dictionaries(st.sampled_from("abc"), inner, max_size=3), types),
     ),
     max_leaves=8,
@@ -311,16 +311,16 @@ def test_structures_nested_deeper_than_python_recurses_are_judged() -> None:
 def test_alike_is_symmetric(one: Any, other: Any, alike: list[frozenset[str]]) -> None:
     there = judge(one, other, tuple(alike)).differences
     back = judge(other, one, tuple(alike)).differences
-    assert {each.path for each in there} == {each.path for each in back}
-    for each in there:
+    assert {difference.path for difference in there} == {difference.path for difference in back}
+    for difference in there:
         mates = [
             found
             for found in back
             if (found.path, found.producer, found.consumer)
-            == (each.path, each.consumer, each.producer)
+            == (difference.path, difference.consumer, difference.producer)
         ]
         assert mates
-        assert (mates[0].conversion is None) == (each.conversion is None)
+        assert (mates[0].conversion is None) == (difference.conversion is None)
 
 
 @given(structures, structures)

@@ -19,17 +19,17 @@ PAIRS = list(pairs())
 
 def test_two_hundred_pairs_have_their_published_factors() -> None:
     wrong = []
-    for one, other, factor, offset, exact in PAIRS:
-        found = conversion(one, other)
+    for name, other, factor, offset, exact in PAIRS:
+        found = conversion(name, other)
         if found is None:
             right = False
         elif exact:
             right = found == Conversion(factor, offset)
         else:
             # As many digits as were published: seven, or the four of a unit of inertia.
-            right = abs(found.factor / factor - 1) < (5e-4 if "oz_av" in one else 5e-7)
+            right = abs(found.factor / factor - 1) < (5e-4 if "oz_av" in name else 5e-7)
         if not right:
-            wrong.append((one, other, factor, offset, found))
+            wrong.append((name, other, factor, offset, found))
     assert not wrong
     assert len(PAIRS) >= 200
     assert len({pair[:2] for pair in PAIRS}) == len(PAIRS)

@@ -75,25 +75,27 @@ def test_the_order_in_which_things_are_seen_says_nothing(
     ]
     robot = matched(ROBOT, findings)
     shuffled = []
-    for each in reversed(findings):
-        components = list(each.components)
+    for finding in reversed(findings):
+        components = list(finding.components)
         random.shuffle(components)  # type: ignore[attr-defined]
-        shuffled.append(BridgeFindings(each.bridge, each.plugin, tuple(components)))
+        shuffled.append(BridgeFindings(finding.bridge, finding.plugin, tuple(components)))
     assert matched(robot, shuffled) == robot
     assert without_candidates(robot) == ROBOT
     _require_no_cycle(robot)
     for function in robot.functions.values():
         for component in function.components:
-            told = {"a": one, "b": two}[component.bridge][component.outputs[0].endpoint.address[0]]
-            assert (told[0] is None) == (component.inputs == ())
+            reports = {"a": one, "b": two}[component.bridge][
+                component.outputs[0].endpoint.address[0]
+            ]
+            assert (reports[0] is None) == (component.inputs == ())
 
 
 def _require_no_cycle(robot: Robot) -> None:
     sources = {
         name: {
             port.source.function
-            for one in function.components
-            for port in one.inputs
+            for component in function.components
+            for port in component.inputs
             if isinstance(port.source, PortRef)
         }
         for name, function in robot.functions.items()
@@ -101,7 +103,7 @@ def _require_no_cycle(robot: Robot) -> None:
     while sources:
         free = {name for name, needed in sources.items() if not needed & sources.keys()}
         assert free, f"a cycle in {sources}"
-        sources = {name: one for name, one in sources.items() if name not in free}
+        sources = {name: source for name, source in sources.items() if name not in free}
 
 
 def test_rules_and_options_of_a_need_go_to_the_ports_they_are_for() -> None:
@@ -146,7 +148,7 @@ functions:
 def test_of_thousands_that_fit_the_first_are_candidates_and_the_others_are_counted() -> None:
     many = tuple(found("a", f"camera{number:04}", None, NUMBER) for number in range(2_000))
     camera = matched(ROBOT, [BridgeFindings("a", "memory", many)]).functions["camera"]
-    names = [one.name for one in camera.components]
+    names = [component.name for component in camera.components]
     assert names == [f"camera@a/camera{number:04}:output" for number in range(32)]
     assert len(camera.passed_over) == 21
     assert camera.passed_over[-1] == ("1,948 more", "not listed")

@@ -21,7 +21,7 @@ def acyclic_robots(draw: st.DrawFn) -> Robot:
         later = NAMES[place + 1 :]
         needs = st.lists(st.sampled_from(later or [""]), max_size=2 if later else 0, unique=True)
         lists = draw(st.lists(needs, min_size=1, max_size=3))
-        made = tuple(component(name, n, tuple(one)) for n, one in enumerate(lists))
+        made = tuple(component(name, n, tuple(list_)) for n, list_ in enumerate(lists))
         functions[name] = Function(name, made)
     return Robot({}, functions)
 

@@ -49,7 +49,7 @@ class World:
         if component.name in self.missing:
             return Unavailable("it is not there")
         kind = MessageStructure({"const": component.priority % 3})
-        ports = {f"input.{one.name}": kind for one in component.inputs}
+        ports = {f"input.{input_.name}": kind for input_ in component.inputs}
         return Structures({**ports, "output.default": kind})
 
     def check(
@@ -91,7 +91,7 @@ def robots(draw: st.DrawFn) -> Robot:
     functions = {}
     for name in NAMES:
         lists = draw(st.lists(needs, min_size=1, max_size=3))
-        made = tuple(component(name, n, one) for n, one in enumerate(lists))
+        made = tuple(component(name, n, list_) for n, list_ in enumerate(lists))
         functions[name] = Function(name, made)
     return Robot({}, functions)
 
@@ -107,9 +107,9 @@ def plain_backtracking(robot: Robot, world: World, name: str) -> dict[str, str] 
     """The first assignment of depth-first chronological search, or None: the definition."""
 
     def fits(chosen: dict[str, Component]) -> bool:
-        for one in chosen.values():
-            kind = one.priority % 3
-            for port in one.inputs:
+        for item in chosen.values():
+            kind = item.priority % 3
+            for port in item.inputs:
                 assert port.source is not None
                 fed = chosen.get(port.source.function)
                 if fed is not None and (fed.priority % 3, kind) in world.forbidden:
@@ -128,10 +128,10 @@ def plain_backtracking(robot: Robot, world: World, name: str) -> dict[str, str] 
                     return True
             return False
 
-        return any(reaches(one, one, set()) for one in chosen)
+        return any(reaches(text, text, set()) for text in chosen)
 
     def extend(chosen: dict[str, Component], agenda: list[str]) -> dict[str, Component] | None:
-        agenda = [one for one in agenda if one not in chosen]
+        agenda = [text for text in agenda if text not in chosen]
         if not agenda:
             return chosen
         for candidate in robot.functions[agenda[0]].components:
@@ -146,7 +146,7 @@ def plain_backtracking(robot: Robot, world: World, name: str) -> dict[str, str] 
         return None
 
     found = extend({}, [name])
-    return None if found is None else {one: c.name for one, c in found.items()}
+    return None if found is None else {key: c.name for key, c in found.items()}
 
 
 @given(robots(), worlds)
@@ -300,7 +300,7 @@ class Heavy(World):
 
     def structures(self, component: Component) -> Structures | Unavailable:
         kind = MessageStructure({"const": component.name})
-        ports = {f"input.{one.name}": kind for one in component.inputs}
+        ports = {f"input.{input_.name}": kind for input_ in component.inputs}
         return Structures({**ports, "output.default": kind})
 
     def check(

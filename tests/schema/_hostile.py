@@ -41,8 +41,8 @@ def choices(count: int) -> Pair:
     """Choices of which none is settled before another is tried."""
     names = [f"f{n}" for n in range(count)]
     either = [
-        {"anyOf": [{"required": [one]}, {"required": [other]}, {"minProperties": 2 * count}]}
-        for one, other in zip(names, [*names[1:], names[0]], strict=True)
+        {"anyOf": [{"required": [text]}, {"required": [other]}, {"minProperties": 2 * count}]}
+        for text, other in zip(names, [*names[1:], names[0]], strict=True)
     ]
     return {"type": "object", "allOf": either}, {"maxProperties": count // 2 - 1}
 

@@ -60,9 +60,9 @@ def groups(draft: str = NEWEST) -> tuple[Group, ...]:
     if draft == NEWEST:
         return tuple(found)
     return tuple(
-        one._replace(schema=_naming(one.schema, OLDER[draft]))
-        for one in found
-        if one.keyword not in _LEFT_OPEN_BY_OLDER
+        group._replace(schema=_naming(group.schema, OLDER[draft]))
+        for group in found
+        if group.keyword not in _LEFT_OPEN_BY_OLDER
     )
 
 
@@ -98,7 +98,7 @@ def _unpack(downloads: Path, folder: Path) -> None:
             member
             for member in tar.getmembers()
             if member.isfile()
-            and member.name.startswith(tuple(f"{_INSIDE}/{one}/" for one in (NEWEST, *OLDER)))
+            and member.name.startswith(tuple(f"{_INSIDE}/{name}/" for name in (NEWEST, *OLDER)))
             and ".." not in member.name
         ]
         for member in members:

@@ -62,8 +62,8 @@ def _outside(
     """What lies behind the far references of either side: one world, but for what is relative."""
     shared = {uri: far_document(choices) for uri in (*FAR, BESIDE)}
     sides = []
-    for one in (producer, consumer):
-        if "$id" in one:
+    for item in (producer, consumer):
+        if "$id" in item:
             sides.append(shared)
         else:
             sides.append({**shared, ROOT: True, "other.json": far_document(choices)})
@@ -77,7 +77,7 @@ def _verify(
     outside: tuple[Mapping[str, Any], Mapping[str, Any]],
 ) -> None:
     given = answer(verdict)
-    takes, wants = (Meaning(one, over, far) for one, far in zip(pair, outside, strict=True))
+    takes, wants = (Meaning(item, over, far) for item, far in zip(pair, outside, strict=True))
     where = f"{outside}{shown(*pair)}"
     refused = takes.bits & ~wants.bits
     if given == "yes" and refused:

@@ -118,7 +118,7 @@ class _Writer:
             if self._anchored[number]:
                 ways += [{"$dynamicRef": "#T"}, {"$dynamicRef": "#T"}, {"$ref": "#T"}]
         if self._kind.far:
-            ways += [{"$ref": one} for one in (*FAR, "other.json")]
+            ways += [{"$ref": name} for name in (*FAR, "other.json")]
         return choices.item(ways) if ways else leaf(choices)
 
 
@@ -164,7 +164,9 @@ def _pair(choices: Choices, kind: _Kind) -> Pair:
         for _ in range(choices.integer(0, 2)):
             _change(choices, consumer)
     if chance(choices, 25):
-        consumer["allOf"] = [{"anyOf": [{"not": one}, leaf(choices)]} for one in consumer["allOf"]]
+        consumer["allOf"] = [
+            {"anyOf": [{"not": item}, leaf(choices)]} for item in consumer["allOf"]
+        ]
     return producer, consumer
 
 
@@ -194,6 +196,6 @@ def _change(choices: Choices, schema: dict[str, Any]) -> None:
 
 def _nameless(schema: Schema) -> Schema:
     """Take the root's identifier away; what names the root by it then says `#`."""
-    text = json.dumps({name: one for name, one in schema.items() if name != "$id"})
+    text = json.dumps({name: value for name, value in schema.items() if name != "$id"})
     nameless: Schema = json.loads(text.replace(f'"{ROOT}"', '"#"').replace(f'"{ROOT}#', '"#'))
     return nameless

@@ -41,10 +41,10 @@ def schema_pairs(groups: Iterable[Group]) -> Iterator[Derived]:
     for group in groups:
         by_keyword.setdefault(group.keyword, []).append(group)
     for keyword, members in by_keyword.items():
-        for one, other in permutations(members, 2):
-            values = tuple(value for group in (one, other) for value, _ in group.cases)
-            name = f"{one.description} / {other.description}"
-            yield Derived(keyword, name, one.schema, other.schema, None, values)
+        for item, other in permutations(members, 2):
+            values = tuple(value for group in (item, other) for value, _ in group.cases)
+            name = f"{item.description} / {other.description}"
+            yield Derived(keyword, name, item.schema, other.schema, None, values)
 
 
 def _negated(schema: Body) -> Body:

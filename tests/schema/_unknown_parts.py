@@ -38,13 +38,13 @@ def places(schema: object, path: Path = ()) -> Iterator[Path]:
         if keyword in _SINGLES:
             inner = [((*path, keyword), value)]
         elif keyword in _LISTS:
-            inner = [((*path, keyword, n), one) for n, one in enumerate(value)]
+            inner = [((*path, keyword, n), item) for n, item in enumerate(value)]
         elif keyword in _MAPS:
-            inner = [((*path, keyword, name), one) for name, one in value.items()]
-        for at, one in inner:
-            if not (isinstance(one, dict) and {"$id", "$dynamicAnchor"} & one.keys()):
+            inner = [((*path, keyword, name), item) for name, item in value.items()]
+        for at, item in inner:
+            if not (isinstance(item, dict) and {"$id", "$dynamicAnchor"} & item.keys()):
                 yield at
-            yield from places(one, at)
+            yield from places(item, at)
 
 
 def replaced(schema: Body, path: Path, part: Body) -> Body:

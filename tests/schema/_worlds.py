@@ -9,7 +9,7 @@ tells them, as a list of documents, and is told what lies behind references that
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import product
 from typing import Any
@@ -51,9 +51,9 @@ class World:
         enough = self.values
         for _ in range(depth):
             inner = self.bound
-            rows = [list(row) for row in product(flat, repeat=2)] + [[one] for one in enough]
-            members = [{"a": one, "k": other} for one, other in product(flat, repeat=2)]
-            members += [{"k": one} for one in enough] + [{"a": one} for one in flat]
+            rows = [list(row) for row in product(flat, repeat=2)] + [[item] for item in enough]
+            members = [{"a": item, "k": other} for item, other in product(flat, repeat=2)]
+            members += [{"k": item} for item in enough] + [{"a": item} for item in flat]
             enough = self.values = [*SCALARS, [], {}, *rows, *members]
             scalar = {"enum": list(SCALARS)}
             self.bound = {
@@ -69,19 +69,19 @@ class World:
                     {"type": "object", "properties": {"k": inner}, "additionalProperties": False},
                 ]
             }
-        unique = {frozen(one): one for one in self.values}
+        unique = {frozen(value): value for value in self.values}
         self.values = list(unique.values())
         self.place = {key: n for n, key in enumerate(unique)}
-        self.depths = [_depth(one) for one in self.values]
+        self.depths = [_depth(value) for value in self.values]
         self.arrays = {
-            n: [self.at(part) for part in one]
-            for n, one in enumerate(self.values)
-            if isinstance(one, list)
+            n: [self.at(part) for part in value]
+            for n, value in enumerate(self.values)
+            if isinstance(value, list)
         }
         self.objects = {
-            n: {name: self.at(part) for name, part in one.items()}
-            for n, one in enumerate(self.values)
-            if isinstance(one, dict)
+            n: {name: self.at(part) for name, part in value.items()}
+            for n, value in enumerate(self.values)
+            if isinstance(value, dict)
         }
         self._plain: dict[str, int] = {}
         self.upto = [
@@ -96,7 +96,7 @@ class World:
         """Return the bits of the values that a keyword without schemas in it allows."""
         key = f"{keyword} {json.dumps(said)}"
         if key not in self._plain:
-            allowed = (n for n, one in enumerate(self.values) if _plain(keyword, said, one))
+            allowed = (n for n, value in enumerate(self.values) if _plain(keyword, said, value))
             self._plain[key] = sum(1 << n for n in allowed)
         return self._plain[key]
 
@@ -108,7 +108,7 @@ def world(depth: int) -> World:
 
 def _depth(value: Any) -> int:
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return max((1 + _depth(one) for one in parts), default=0)
+    return max((1 + _depth(part) for part in parts), default=0)
 
 
 class Meaning:
@@ -130,9 +130,9 @@ class Meaning:
         self._base: dict[int, str] = {}
         self._known: dict[tuple[int, tuple[str, ...], int], int | None] = {}
         self._kept = json.loads(json.dumps([schema, *(far or {}).values()]))
-        for base, one in zip(["", *(far or {})], self._kept, strict=True):
-            self._documents[base] = one
-            self._index(one, base)
+        for base, item in zip(["", *(far or {})], self._kept, strict=True):
+            self._documents[base] = item
+            self._index(item, base)
         self.bits = self._mask(self._kept[0], (), len(over.upto) - 1)
 
     def allows(self, value: object) -> bool:
@@ -150,8 +150,8 @@ class Meaning:
                 self._anchors[base, schema[keyword]] = schema
                 if keyword == "$dynamicAnchor":
                     self._dynamic.add((base, schema[keyword]))
-        for one in _inner(schema):
-            self._index(one, base)
+        for item in _inner(schema):
+            self._index(item, base)
 
     def _mask(self, schema: Schema, scope: tuple[str, ...], depth: int) -> int:
         if isinstance(schema, bool):
@@ -193,7 +193,7 @@ class Meaning:
         if keyword == "not":
             return everything & ~inner(value)
         if keyword in {"allOf", "anyOf", "oneOf"}:
-            masks = [inner(one) for one in value]
+            masks = [inner(item) for item in value]
             once = twice = 0
             for mask in masks:
                 twice |= once & mask
@@ -207,8 +207,8 @@ class Meaning:
             return (holds & then) | (everything & ~holds & other)
         if keyword == "dependentSchemas":
             found = everything
-            for name, one in value.items():
-                found &= inner(one) | ~sum(
+            for name, item in value.items():
+                found &= inner(item) | ~sum(
                     1 << n for n, v in self._world.objects.items() if name in v
                 )
             return found
@@ -224,7 +224,9 @@ class Meaning:
         scope: tuple[str, ...],
         depth: int,
     ) -> int:
-        ok: Callable[[Schema], int] = lambda one: self._mask(one, scope, depth - 1) if depth else 0  # noqa: E731 - short
+        def ok(subschema: Schema) -> int:
+            return self._mask(subschema, scope, depth - 1) if depth else 0
+
         deep = self._world.depths
         arrays = {n: v for n, v in self._world.arrays.items() if deep[n] <= depth}
         objects = {n: v for n, v in self._world.objects.items() if deep[n] <= depth}
@@ -232,30 +234,30 @@ class Meaning:
         if keyword == "items":
             bits, start = ok(value), len(schema.get("prefixItems", ()))
             failing = (
-                n for n, v in arrays.items() if not all(bits >> one & 1 for one in v[start:])
+                n for n, v in arrays.items() if not all(bits >> number & 1 for number in v[start:])
             )
         elif keyword == "prefixItems":
-            rules = [ok(one) for one in value]
+            rules = [ok(item) for item in value]
             failing = (
                 n
                 for n, v in arrays.items()
-                if not all(bits >> one & 1 for bits, one in zip(rules, v, strict=False))
+                if not all(bits >> number & 1 for bits, number in zip(rules, v, strict=False))
             )
         elif keyword == "contains":
             bits = ok(value)
-            failing = (n for n, v in arrays.items() if not any(bits >> one & 1 for one in v))
+            failing = (n for n, v in arrays.items() if not any(bits >> number & 1 for number in v))
         else:
             known = schema.get("properties", {})
-            named = {name: ok(one) for name, one in known.items()}
+            named = {name: ok(item) for name, item in known.items()}
             rest = ok(value) if keyword == "additionalProperties" else 0
             failing = (
                 n
                 for n, v in objects.items()
                 if not all(
-                    (named[name] >> one & 1 if keyword == "properties" else True)
+                    (named[name] >> item & 1 if keyword == "properties" else True)
                     if name in named
-                    else (rest >> one & 1 if keyword == "additionalProperties" else True)
-                    for name, one in v.items()
+                    else (rest >> item & 1 if keyword == "additionalProperties" else True)
+                    for name, item in v.items()
                 )
             )
         return self._world.upto[depth] & ~sum(1 << n for n in failing)
@@ -266,7 +268,7 @@ class Meaning:
         base, _, name = absolute.partition("#")
         if keyword == "$recursiveRef":
             if _recursive(self._documents[base]):
-                base = next(one for one in scope if _recursive(self._documents[one]))
+                base = next(text for text in scope if _recursive(self._documents[text]))
             return self._documents[base], scope
         if not name:
             return self._documents[base], scope
@@ -276,7 +278,7 @@ class Meaning:
                 at = at[step]
             return at, (scope if base in scope else (*scope, base))
         if keyword == "$dynamicRef" and (base, name) in self._dynamic:
-            base = next((one for one in scope if (one, name) in self._dynamic), base)
+            base = next((text for text in scope if (text, name) in self._dynamic), base)
         return self._anchors[base, name], (scope if base in scope else (*scope, base))
 
 
@@ -314,7 +316,7 @@ def _plain(keyword: str, said: Any, value: Any) -> bool:
     if keyword == "const":
         return frozen(value) == frozen(said)
     if keyword == "enum":
-        return frozen(value) in {frozen(one) for one in said}
+        return frozen(value) in {frozen(item) for item in said}
     if keyword == "minimum":
         return not is_number(value) or value >= said
     if keyword == "maximum":
@@ -326,7 +328,7 @@ def _plain(keyword: str, said: Any, value: Any) -> bool:
     if keyword == "maxItems":
         return kind != "array" or len(value) <= said
     if keyword == "uniqueItems":
-        return kind != "array" or not said or len({frozen(one) for one in value}) == len(value)
+        return kind != "array" or not said or len({frozen(item) for item in value}) == len(value)
     if keyword == "required":
         return kind != "object" or all(name in value for name in said)
     if keyword == "minProperties":
@@ -335,7 +337,7 @@ def _plain(keyword: str, said: Any, value: Any) -> bool:
         return kind != "object" or len(value) <= said
     if keyword == "dependentRequired":
         return kind != "object" or all(
-            one in value for name, names in said.items() if name in value for one in names
+            item in value for name, names in said.items() if name in value for item in names
         )
     known = {
         "then",

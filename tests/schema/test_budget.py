@@ -79,18 +79,18 @@ HAS_LONG = {"type": "object", "properties": {LONG: ANY}, "required": [LONG]}
 @pytest.mark.parametrize(
     ("producer", "place"),
     [
-        ({"const": LONG}, lambda one: {"pattern": one}),
-        ({"const": [LONG]}, lambda one: {"items": {"pattern": one}}),
-        ({"const": {LONG: 1}}, lambda one: {"patternProperties": {one: {"type": "string"}}}),
+        ({"const": LONG}, lambda item: {"pattern": item}),
+        ({"const": [LONG]}, lambda item: {"items": {"pattern": item}}),
+        ({"const": {LONG: 1}}, lambda item: {"patternProperties": {item: {"type": "string"}}}),
         (
             {"const": {LONG: 1}},
-            lambda one: {"patternProperties": {one: ANY}, "additionalProperties": {"minimum": 7}},
+            lambda item: {"patternProperties": {item: ANY}, "additionalProperties": {"minimum": 7}},
         ),
-        ({"const": {LONG: 1}}, lambda one: {"propertyNames": {"pattern": one}}),
-        (HAS_LONG, lambda one: {"patternProperties": {one: {"type": "string"}}}),
+        ({"const": {LONG: 1}}, lambda item: {"propertyNames": {"pattern": item}}),
+        (HAS_LONG, lambda item: {"patternProperties": {item: {"type": "string"}}}),
         (
             HAS_LONG,
-            lambda one: {"patternProperties": {one: ANY}, "unevaluatedProperties": False},
+            lambda item: {"patternProperties": {item: ANY}, "unevaluatedProperties": False},
         ),
     ],
 )
@@ -141,7 +141,7 @@ def test_what_is_lost_is_told_within_the_budget() -> None:
     assert whole.compatible
     assert len(whole.losses) == 200
     pool = Pool(Meter(10**6, PATIENT, 10**9))
-    producer, consumer = (Document(one, pool).root for one in losing(200))
+    producer, consumer = (Document(item, pool).root for item in losing(200))
     for steps, octets in ((500, 10**9), (10**6, 30_000)):
         assert 0 < len(find_losses(producer, consumer, Meter(steps, PATIENT, octets))) < 200
     assert not find_losses(producer, consumer, Meter(0, PATIENT, 10**9))
@@ -249,7 +249,7 @@ def test_the_clock_is_read_while_a_goal_of_many_schemas_is_broken_into_demands(
     ticks = count()
     pool = Pool(Meter(10**9, 10**9, 10**9, clock=lambda: next(ticks)))
     root = Document(schema, pool).root
-    numbers = {one.number for one in root.applied()}
+    numbers = {node.number for node in root.applied()}
     assert len(numbers) == len(MANY_PARTS)
     before = next(ticks)
     State("number", ()).add(Branch(literals=[(root, sign)]))
@@ -265,7 +265,7 @@ def test_the_clock_is_read_while_the_steps_of_many_numbers_are_gathered() -> Non
 
     with pytest.raises(BudgetError) as ended:
         find_number_whole(goal, spend)
-    assert any(one.name == "_steps" for one in ended.traceback)
+    assert any(entry.name == "_steps" for entry in ended.traceback)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

@@ -120,8 +120,8 @@ def test_a_text_of_a_length_is_found_exactly_where_there_is_one(
     def does(text: str) -> bool:
         return (
             text not in excluded
-            and all(found_in(one, text) for one in wanted)
-            and not any(found_in(one, text) for one in unwanted)
+            and all(found_in(name, text) for name in wanted)
+            and not any(found_in(name, text) for name in unwanted)
         )
 
     layer = [""]
@@ -143,7 +143,7 @@ def test_a_long_text_is_read_off_the_period(pattern: str, least: int, more: int)
     meter = Meter(10**9, 1_000.0, 10**9)
     found = shortest_word([pattern], [], least, least + more, [], meter)
     alone = [shortest_word([pattern], [], n, n, [], meter) for n in range(least, least + more + 1)]
-    lengths = [len(one) for one in alone if one is not None]
+    lengths = [len(name) for name in alone if name is not None]
     assert (None if found is None else len(found)) == min(lengths, default=None)
-    for one in alone:
-        assert one is None or found_in(pattern, one)
+    for name in alone:
+        assert name is None or found_in(pattern, name)

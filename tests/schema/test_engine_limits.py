@@ -97,6 +97,6 @@ def test_a_spent_budget_says_of_what(steps: int, seconds: float, cause: str) -> 
 def test_more_steps_of_numbers_than_are_taken_apart_at_once_are_still_decided() -> None:
     primes = (2, 3, 5, 7, 11)
     producer = {"type": "integer", "multipleOf": 2310}
-    assert check(producer, {"allOf": [{"multipleOf": one} for one in primes]}).compatible
-    verdict = check({"type": "integer"}, {"anyOf": [{"multipleOf": one} for one in primes]})
-    assert all(verdict.counterexample % one for one in primes)
+    assert check(producer, {"allOf": [{"multipleOf": number} for number in primes]}).compatible
+    verdict = check({"type": "integer"}, {"anyOf": [{"multipleOf": number} for number in primes]})
+    assert all(verdict.counterexample % number for number in primes)

@@ -78,7 +78,7 @@ def test_a_malformed_schema_is_refused_beside_its_equal(malformed: Any, expected
 )
 def test_fields_that_are_equal_to_python_alone_are_read_apart(producer: Any, consumer: Any) -> None:
     """Small schemas that were met before in the same check are not read again."""
-    verdict = check(*({"properties": {"a": one}} for one in (producer, consumer)))
+    verdict = check(*({"properties": {"a": item}} for item in (producer, consumer)))
     assert verdict.incompatible
     both = {"properties": {"a": producer, "b": consumer}}
     swapped = {"properties": {"a": consumer, "b": producer}}

@@ -160,7 +160,7 @@ def test_a_schema_written_the_old_way_means_the_same(schema: Body) -> None:
 def _old(schema: Any) -> Any:
     """Write a schema with the older forms, wherever they can stand."""
     if isinstance(schema, list):
-        return [_old(one) for one in schema]
+        return [_old(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
     found = {name: _inside(name, value) for name, value in schema.items()}
@@ -178,5 +178,5 @@ def _inside(keyword: str, value: Any) -> Any:
         return value
     if keyword in {"properties", "patternProperties", "dependentSchemas", "$defs"}:
         members: Mapping[str, Any] = value
-        return {name: _old(one) for name, one in members.items()}
+        return {name: _old(member) for name, member in members.items()}
     return _old(value) if isinstance(value, dict | list) else value

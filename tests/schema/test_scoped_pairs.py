@@ -42,6 +42,6 @@ def test_a_public_validator_means_the_same(draw: object) -> None:
     for seed in range(150):
         schema = draw(RandomChoices(seed))[0]  # type: ignore[operator] # a generator
         validator = jsonschema_rs.validator_for(schema)
-        bits = sum(1 << n for n, one in enumerate(over.values) if validator.is_valid(one))
+        bits = sum(1 << n for n, value in enumerate(over.values) if validator.is_valid(value))
         different += bits != Meaning(schema, over).bits
     assert different <= 8, different

@@ -47,8 +47,8 @@ def test_a_verdict_beside_an_unknown_schema_holds_for_any_schema(
         if given == "undecided":
             continue
         decided += 1
-        known = [with_part(one) for one in fillings(choices)]
-        for one in [*known, *([] if both else [pair])]:
-            other = answer(check(*one))
-            assert other in {given, "undecided"}, (seed, given, shown(*unknown), shown(*one))
+        known = [with_part(filling) for filling in fillings(choices)]
+        for item in [*known, *([] if both else [pair])]:
+            other = answer(check(*item))
+            assert other in {given, "undecided"}, (seed, given, shown(*unknown), shown(*item))
     assert decided, "nothing was decided, so nothing was tried"

@@ -139,13 +139,17 @@ def _enumerated(
     else:
         raise UnfitError(where, "an enum map needs a field that has a known set of values")
     table: dict[Any, Any] = {}
-    for one in values:
+    for value in values:
         text = (
-            one if isinstance(one, str) else str(one).lower() if isinstance(one, bool) else str(one)
+            value
+            if isinstance(value, str)
+            else str(value).lower()
+            if isinstance(value, bool)
+            else str(value)
         )
         if text not in known:
-            raise UnfitError(where, f"the enum map says nothing of the value {one!r}")
-        table[one] = known[text]
+            raise UnfitError(where, f"the enum map says nothing of the value {value!r}")
+        table[value] = known[text]
     return {"enum": list({repr(v): v for v in table.values()}.values())}, table
 
 
@@ -157,12 +161,12 @@ def _scaled(scale: Scale, source: Structure, schema: Any, where: str) -> Any:
     if kind not in {"integer", "number"}:
         raise UnfitError(where, "scale and offset need a number or an array of numbers")
     stays_whole = kind == "integer" and all(
-        isinstance(one, int) for one in (scale.factor, scale.offset)
+        isinstance(item, int) for item in (scale.factor, scale.offset)
     )
     low, high = _bound(plain, "inimum", scale), _bound(plain, "aximum", scale)
     if scale.factor < 0:
         low, high = high, low
-    bounds = {key: one for key, one in (("minimum", low), ("maximum", high)) if one is not None}
+    bounds = {key: item for key, item in (("minimum", low), ("maximum", high)) if item is not None}
     kept = {key: plain[key] for key in INHERITED if key in plain}
     if "x-unit" in kept:
         kept[SCALED] = (scale.factor, scale.offset)
@@ -181,7 +185,7 @@ def _clamped(clamp: Clamp, source: Structure, schema: Any, where: str) -> tuple[
     kind = plain.get("type")
     if kind not in {"integer", "number"}:
         raise UnfitError(where, "clamp needs a number or an array of numbers")
-    if kind == "integer" and not all(isinstance(one, int) for one in (clamp.low, clamp.high)):
+    if kind == "integer" and not all(isinstance(item, int) for item in (clamp.low, clamp.high)):
         raise UnfitError(where, "clamp needs integers here, since the field is an integer")
     least, most = _bound(plain, "inimum", Scale()), _bound(plain, "aximum", Scale())
     low = clamp.low if least is None else min(max(least, clamp.low), clamp.high)
@@ -207,7 +211,9 @@ def _losses(entries: tuple[Entry, ...], source: Structure, prefix: str = "") -> 
     for path, schema in waiting:
         if path in carried:
             continue
-        if path and not any(one is not None and one[: len(path)] == path for one in carried):
+        if path and not any(
+            tuple_ is not None and tuple_[: len(path)] == path for tuple_ in carried
+        ):
             found.append(prefix + write_path(path))
             continue
         try:

@@ -25,7 +25,7 @@ def converting_map(
     fits: Callable[[Mapping[str, Any], tuple[str, ...]], bool],
 ) -> str:
     """Return lines to paste that convert each value of another unit, or nothing."""
-    by = {one.path: one.conversion for one in differences}
+    by = {difference.path: difference.conversion for difference in differences}
     if None in by.values():
         return ""
     source, target = Structure(producer.schema), Structure(consumer.schema)
@@ -35,7 +35,7 @@ def converting_map(
             mapping["."] = {"from": ".", **_lines(by[()])}
         for name in {} if mapping else target.fields():
             if name in source.fields():
-                inside = {path[1:]: one for path, one in by.items() if path[:1] == (name,)}
+                inside = {path[1:]: value for path, value in by.items() if path[:1] == (name,)}
                 if inside:
                     _fill(mapping, (name,), (name,), inside, source, target)
         losses = adapt(parse(mapping), producer.schema, consumer.schema).losses

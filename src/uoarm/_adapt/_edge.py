@@ -85,7 +85,7 @@ def check_edge(
         return _judge(producer, consumer, mapping, losses, meaning, left()).compatible
 
     lines = ""
-    if mapping is None and any(one.conversion for one in verdict.differences):
+    if mapping is None and any(difference.conversion for difference in verdict.differences):
         lines = converting_map(producer, consumer, verdict.differences, fits)
     lines = lines or suggest(producer, consumer, fits, left, meaning)
     if not lines:
@@ -135,8 +135,13 @@ def _with_meaning(verdict: EdgeVerdict, emitted: Any, taken: Any, meaning: Meani
     found = judge(emitted, taken, meaning.alike)
     unstated = tuple(map(write_places, found.unstated))
     reasons = [
-        Reason(one.sentence, write_places(one.path), one.producer, one.consumer)
-        for one in found.differences
+        Reason(
+            difference.sentence,
+            write_places(difference.path),
+            difference.producer,
+            difference.consumer,
+        )
+        for difference in found.differences
     ]
     if meaning.level is MeaningLevel.STRICT:
         sentence = (
@@ -177,11 +182,11 @@ def _verdict(verdict: Verdict, losses: tuple[str, ...], allow_loss: tuple[str, .
         return EdgeVerdict(False, (Reason(sentence),), is_undecided=True)
     if not verdict.compatible:
         reasons = tuple(
-            Reason(one.sentence, one.path, one.producer, one.consumer, verdict.excerpt)
-            for one in verdict.reasons
+            Reason(reason.sentence, reason.path, reason.producer, reason.consumer, verdict.excerpt)
+            for reason in verdict.reasons
         )
         return EdgeVerdict(False, reasons or (Reason("a message would be refused"),))
-    warnings = [f"{one.path}: {one.sentence}" for one in verdict.losses]
-    idle = [one for one in allow_loss if one not in losses]
-    warnings += [f"allow_loss names {one!r}, which is not lost" for one in idle]
+    warnings = [f"{loss.path}: {loss.sentence}" for loss in verdict.losses]
+    idle = [name for name in allow_loss if name not in losses]
+    warnings += [f"allow_loss names {name!r}, which is not lost" for name in idle]
     return EdgeVerdict(True, losses=losses, warnings=tuple(warnings))

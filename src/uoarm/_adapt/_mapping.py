@@ -115,14 +115,14 @@ def _overlaps(targets: list[Path], where: str) -> Iterator[str]:
     """Yield what fills a field that another entry fills whole or in part; linear in the names."""
     inner: dict[Path, Path] = {}
     seen: set[Path] = set()
-    for one in targets:
-        outer = next((one[:end] for end in range(len(one) + 1) if one[:end] in seen), None)
-        other = inner.get(one) if outer is None else outer
+    for target in targets:
+        outer = next((target[:end] for end in range(len(target) + 1) if target[:end] in seen), None)
+        other = inner.get(target) if outer is None else outer
         if other is not None:
-            yield f"{where}: {write_path(other)} and {write_path(one)} fill the same field"
-        seen.add(one)
-        for end in range(len(one)):
-            inner.setdefault(one[:end], one)
+            yield f"{where}: {write_path(other)} and {write_path(target)} fill the same field"
+        seen.add(target)
+        for end in range(len(target)):
+            inner.setdefault(target[:end], target)
 
 
 def _path(text: str, where: str, mistakes: list[str]) -> Path:
@@ -198,6 +198,6 @@ def _is_range(value: Any) -> bool:
     return (
         isinstance(value, list | tuple)
         and len(value) == 2  # noqa: PLR2004 - both ends
-        and all(isinstance(one, int | float) and not isinstance(one, bool) for one in value)
+        and all(isinstance(item, int | float) and not isinstance(item, bool) for item in value)
         and value[0] <= value[1]
     )

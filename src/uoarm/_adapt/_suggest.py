@@ -75,13 +75,15 @@ def untried_conversion(producer: MessageStructure, consumer: MessageStructure) -
     source, target = Structure(producer.schema), Structure(consumer.schema)
     try:
         wanted = target.fields()
-        units = [_unit_of(*one) for one in wanted.items()] if len(wanted) <= _MAX_FIELDS else []
+        units = [_unit_of(*item) for item in wanted.items()] if len(wanted) <= _MAX_FIELDS else []
         have = (
-            [_unit_of(path[-1], one) for path, one in leaves(source) if path] if any(units) else []
+            [_unit_of(path[-1], item) for path, item in leaves(source) if path]
+            if any(units)
+            else []
         )
     except UnfitError:
         return ""
-    pairs = ((one, unit) for unit in units if unit not in have for one in have if one and unit)
+    pairs = ((name, unit) for unit in units if unit not in have for name in have if name and unit)
     pair = next(pairs, None)
     if pair is None or not (missing := missing_for_units()):
         return ""
@@ -149,15 +151,15 @@ def _best(
     """
     unit = _unit_of(name, schema)
     fitting: dict[Path, Conversion] = {}
-    for path, one in have:
-        told = _unit_of(path[-1], one) if path else None
-        by = _convert(told, unit)
-        if by is None and None in {told, unit} and _are_alike(name, path):
+    for path, item in have:
+        text = _unit_of(path[-1], item) if path else None
+        by = _convert(text, unit)
+        if by is None and None in {text, unit} and _are_alike(name, path):
             by = _AS_IT_IS
         if by is None:
             continue
         # What fits only after it was converted is judged with the whole map.
-        if _is_numeric(one) if by.changes else likeness.accepts(one, schema):
+        if _is_numeric(item) if by.changes else likeness.accepts(item, schema):
             fitting[path] = by
     same = [path for path in fitting if path[-1] == name]
     if same:
@@ -230,7 +232,7 @@ def flow(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_word(k)}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(flow(one) for one in value) + "]"
+        return "[" + ", ".join(flow(item) for item in value) + "]"
     return _word(value) if isinstance(value, str) else json.dumps(value)
 
 

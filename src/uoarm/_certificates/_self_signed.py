@@ -58,5 +58,5 @@ def read(pem: bytes) -> Found | None:
     except (ValueError, x509.ExtensionNotFound):
         return None
     hosts = names.get_values_for_type(x509.DNSName)
-    addresses = [str(one) for one in names.get_values_for_type(x509.IPAddress)]
+    addresses = [str(value) for value in names.get_values_for_type(x509.IPAddress)]
     return Found(frozenset([*hosts, *addresses]), certificate.not_valid_after_utc)

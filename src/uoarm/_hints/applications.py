@@ -84,15 +84,15 @@ class MessageType(Generic[T]):
 
     def _refusal(self, verdict: Verdict) -> str:
         if verdict.undecided is not None:
-            told = [f"it cannot be decided: {verdict.undecided}"]
+            reports = [f"it cannot be decided: {verdict.undecided}"]
         else:
-            told = [
-                f"{one.path}: {one.sentence}" if one.path else one.sentence
-                for one in verdict.reasons[:_REASONS]
+            reports = [
+                f"{reason.path}: {reason.sentence}" if reason.path else reason.sentence
+                for reason in verdict.reasons[:_REASONS]
             ]
             more = len(verdict.reasons) - _REASONS
-            told += [f"and {more} more"] if more > 0 else []
-        lines = "".join(f"\n  - {line}" for line in told)
+            reports += [f"and {more} more"] if more > 0 else []
+        lines = "".join(f"\n  - {line}" for line in reports)
         return (
             f"{self._place} may give messages that are no {self._name}:{lines}\n"
             f"change {self._name}, or leave `as_type` out for plain values"
@@ -114,5 +114,5 @@ def as_message(value: Any, place: str) -> Message:
         raise MessageError(f"{place}: the message is nested too deep") from None
     except Exception as error:
         where, kind = fault_of(value), type(value).__name__
-        told = f"{where}: {error}" if where else str(error)
-        raise MessageError(f"{place}: this is no {kind}: {told}") from error
+        text = f"{where}: {error}" if where else str(error)
+        raise MessageError(f"{place}: this is no {kind}: {text}") from error

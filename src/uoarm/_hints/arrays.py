@@ -100,7 +100,7 @@ class NumpyArray:
 
 
 def _shape(lengths: tuple[int | None, ...]) -> str:
-    return f"({', '.join('any' if one is None else str(one) for one in lengths)})"
+    return f"({', '.join('any' if length is None else str(length) for length in lengths)})"
 
 
 def _numpy(name: str) -> Any:
@@ -141,7 +141,7 @@ def array_of(hint: Any) -> NumpyArray | None:
     item = scalar_of(inner[0]) if inner else None
     if item is None:
         raise HintError(f"the type hint {hint!r} does not say which numbers: {_HOW}")
-    stated = next((one.lengths for one in notes if isinstance(one, Shape)), None)
+    stated = next((note.lengths for note in notes if isinstance(note, Shape)), None)
     return NumpyArray(item, _lengths(shape) if stated is None else stated)
 
 
@@ -150,7 +150,7 @@ def _lengths(shape: Any) -> tuple[int | None, ...]:
     parts = get_args(shape)
     if not parts or Ellipsis in parts or get_origin(shape) is not tuple:
         return (None,)
-    return tuple(get_args(one)[0] if get_origin(one) is Literal else None for one in parts)
+    return tuple(get_args(part)[0] if get_origin(part) is Literal else None for part in parts)
 
 
 @cache

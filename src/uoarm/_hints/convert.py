@@ -93,19 +93,19 @@ def _path_to_fault(hint: Any, value: Any) -> list[str]:
     parts: dict[str, tuple[Any, Any]] = {}
     if is_record(value.__class__) and not is_model(value.__class__):
         hints = get_type_hints(value.__class__, include_extras=True)
-        parts = {name: (one, getattr(value, name, None)) for name, one in hints.items()}
+        parts = {name: (item, getattr(value, name, None)) for name, item in hints.items()}
     elif isinstance(value, list | tuple):
         inner = (*get_args(hint), Any)[0]
-        parts = {str(number): (inner, one) for number, one in enumerate(value)}
+        parts = {str(number): (inner, item) for number, item in enumerate(value)}
     elif isinstance(value, dict):
         hints = get_type_hints(hint, include_extras=True) if is_typeddict(hint) else {}
         inner = (*get_args(hint), Any)[-1]
-        parts = {str(name): (hints.get(name, inner), one) for name, one in value.items()}
-    for name, (part, one) in parts.items():
+        parts = {str(name): (hints.get(name, inner), item) for name, item in value.items()}
+    for name, (part, item) in parts.items():
         try:
-            _converter().get_unstructure_hook(part)(one)
+            _converter().get_unstructure_hook(part)(item)
         except Exception:  # noqa: BLE001 - whatever the field raises, it is the one
-            return [name, *_path_to_fault(part, one)]
+            return [name, *_path_to_fault(part, item)]
     return []
 
 
@@ -122,15 +122,17 @@ def plain_inside(value: Any) -> Message:
         return value
     if kind is dict:
         made = {
-            name: plain_inside(one) for name, one in value.items() if one.__class__ not in _FLAT
+            name: plain_inside(element)
+            for name, element in value.items()
+            if element.__class__ not in _FLAT
         }
-        changed = any(value[name] is not one for name, one in made.items())
+        changed = any(value[name] is not element for name, element in made.items())
         return {**value, **made} if changed else value
     if kind is list or kind is tuple:
         if _FLAT.issuperset(map(type, value)):
             return value
-        items = [plain_inside(one) for one in value]
-        changed = any(one is not item for one, item in zip(value, items, strict=True))
+        items = [plain_inside(element) for element in value]
+        changed = any(element is not item for element, item in zip(value, items, strict=True))
         return items if changed else value
     return plain(value)
 
@@ -162,7 +164,7 @@ def _tell(error: BaseException, kind: type | None) -> str:
         return f"the field {error.args[0]!r} is missing"
     found = getattr(error, "errors", None)
     if callable(found):  # pydantic's, whose text is a page
-        return "; ".join(f"{one['msg']} @ {'.'.join(map(str, one['loc']))}" for one in found())
+        return "; ".join(f"{item['msg']} @ {'.'.join(map(str, item['loc']))}" for item in found())
     return str(error) or type(error).__name__
 
 
@@ -233,7 +235,7 @@ def _numbers(hint: Any) -> Any:
 
 
 def _is_passed(hint: Any) -> bool:
-    return not any(hint is one for one in (bool, int, float, str)) and is_plain(hint)
+    return not any(hint is item for item in (bool, int, float, str)) and is_plain(hint)
 
 
 def _as_it_is(value: Any, _: Any) -> Any:

@@ -81,7 +81,7 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
     buffer; who wants one kind of these hints `NDArray`.
     """
     hint = unwrapped(hint)
-    if is_enum(hint) or is_record(hint) or any(hint is one for one in _BUFFERS):
+    if is_enum(hint) or is_record(hint) or any(hint is buffer for buffer in _BUFFERS):
         return False
     if scalar_of(hint) is not None or array_of(hint) is not None:
         return False
@@ -89,13 +89,13 @@ def is_plain(hint: Any, depth: int = 0) -> bool:
         return True  # its structure is refused
     if is_typeddict(hint):
         fields = get_type_hints(hint, include_extras=True).values()
-        return all(is_plain(one, depth + 1) for one in fields)
+        return all(is_plain(field, depth + 1) for field in fields)
     origin, arguments = get_origin(hint), get_args(hint)
     if origin is Annotated:
         is_octets = any(isinstance(note, OctetsMark) for note in arguments[1:])
         return is_octets or is_plain(arguments[0], depth)
     if origin in {Required, NotRequired, Union, types.UnionType, list, dict}:
-        return all(is_plain(one, depth + 1) for one in arguments)
+        return all(is_plain(argument, depth + 1) for argument in arguments)
     return origin is not tuple
 
 
@@ -138,7 +138,7 @@ def _generic(hint: Any, depth: int) -> Mapping[str, object]:
     if origin is Literal:
         return {"enum": list(arguments)}
     if origin in {Union, types.UnionType}:
-        return {"anyOf": [schema_of(one, depth + 1) for one in arguments]}
+        return {"anyOf": [schema_of(argument, depth + 1) for argument in arguments]}
     if origin is list:
         return {"type": "array", "items": schema_of(arguments[0], depth + 1)}
     if origin is tuple:
@@ -168,7 +168,7 @@ def _tuple(arguments: tuple[Any, ...], depth: int) -> Mapping[str, object]:
     count = len(arguments)
     return {
         "type": "array",
-        "prefixItems": [schema_of(one, depth + 1) for one in arguments],
+        "prefixItems": [schema_of(argument, depth + 1) for argument in arguments],
         "items": False,
         "minItems": count,
     }
@@ -178,7 +178,7 @@ def _fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
     """Return name to (hint, required) of a record type, None for any other."""
     if is_typeddict(hint):
         hints = get_type_hints(hint, include_extras=True)
-        return {name: (one, _is_required(hint, name, one)) for name, one in hints.items()}
+        return {name: (value, _is_required(hint, name, value)) for name, value in hints.items()}
     if not is_record(hint):
         return None
     hints = get_type_hints(hint, include_extras=True)
@@ -186,7 +186,7 @@ def _fields_of(hint: Any) -> dict[str, tuple[Any, bool]] | None:
         names = list(hint._fields)
     else:
         found: Iterable[Any] = attrs.fields(hint) if attrs.has(hint) else dataclasses.fields(hint)
-        names = [one.name for one in found if one.init]
+        names = [item.name for item in found if item.init]
     return {name: (hints.get(name, Any), True) for name in names}
 
 
@@ -209,16 +209,16 @@ def _model(model: Any) -> Mapping[str, object]:
     """Return pydantic's own schema of a model, without references, closed as other records are."""
     whole = model.model_json_schema(mode="serialization")
     definitions = whole.pop("$defs", {})
-    for one in (whole, *definitions.values()):
-        if "properties" in one:
-            one.setdefault("additionalProperties", False)
-            one["required"] = list(one["properties"])
+    for item in (whole, *definitions.values()):
+        if "properties" in item:
+            item.setdefault("additionalProperties", False)
+            item["required"] = list(item["properties"])
 
     def inline(part: Any, depth: int) -> Any:
         if depth > _MAX_DEPTH * 4:
             raise HintError(f"the type hint {model!r} is nested too deep or recursive")
         if isinstance(part, list):
-            return [inline(one, depth + 1) for one in part]
+            return [inline(item, depth + 1) for item in part]
         if not isinstance(part, dict):
             return part
         if part.get("format") == "binary":
@@ -226,8 +226,8 @@ def _model(model: Any) -> Mapping[str, object]:
             raise HintError(text)
         if isinstance(part.get("$ref"), str):
             definition = definitions[part["$ref"].rpartition("/")[2]]
-            part = {**definition, **{key: one for key, one in part.items() if key != "$ref"}}
-        return {key: inline(one, depth + 1) for key, one in part.items()}
+            part = {**definition, **{key: value for key, value in part.items() if key != "$ref"}}
+        return {key: inline(value, depth + 1) for key, value in part.items()}
 
     schema: Mapping[str, object] = inline(whole, 0)
     return schema

@@ -42,12 +42,12 @@ class LockGuard:
 
     def hold(self, component: Component, structures: Structures) -> Structures | Unavailable:
         """Return structures that may be used, with a warning where they are others; or why not."""
-        told = self.differences(component.name, structures.by_port)
-        if not told:
+        reports = self.differences(component.name, structures.by_port)
+        if not reports:
             return structures
         if self.mode is LockMode.ENFORCE:
-            return Unavailable("; ".join(told))
-        return evolve(structures, warnings=(*structures.warnings, *told))
+            return Unavailable("; ".join(reports))
+        return evolve(structures, warnings=(*structures.warnings, *reports))
 
     def hold_offer(self, name: str, ports: Mapping[str, MessageStructure]) -> None:
         """Hold what an offer has in its framework against the lock.
@@ -55,9 +55,9 @@ class LockGuard:
         Raises:
             ResolutionError: it is not as it was locked, and may not be used.
         """
-        told = self.differences(name, ports)
-        if told and self.mode is LockMode.ENFORCE:
-            raise ResolutionError("; ".join(told))
+        reports = self.differences(name, ports)
+        if reports and self.mode is LockMode.ENFORCE:
+            raise ResolutionError("; ".join(reports))
 
     def differences(self, component: str, ports: Mapping[str, MessageStructure]) -> tuple[str, ...]:
         """Say for each port of a component that is not as it was locked what is different.
@@ -66,14 +66,14 @@ class LockGuard:
         """
         return tuple(
             self._differs(component, port, self._ports.get((component, port)))
-            for port, one in ports.items()
-            if self._ports.get((component, port)) != one.fingerprint
+            for port, value in ports.items()
+            if self._ports.get((component, port)) != value.fingerprint
         )
 
     def status(self) -> tuple[LockDifference, ...]:
         """Return what was found to be different, by component and port."""
         with self._counting:
-            return tuple(one for _, one in sorted(self._found.items()))
+            return tuple(difference for _, difference in sorted(self._found.items()))
 
     def _differs(self, component: str, port: str, locked: str | None) -> str:
         place = f"{component}.{port}"

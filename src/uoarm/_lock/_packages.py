@@ -60,10 +60,10 @@ def differing_packages(
     """Return a line for each package of a bridge of both that has another version."""
     return [
         f"bridge {name}: {package} {now or 'is gone'}, was {then or 'not there'}"
-        for name, one in before.items()
+        for name, value in before.items()
         if name in after
-        for package in sorted(one.packages.keys() | after[name].packages)
-        if (then := one.packages.get(package)) != (now := after[name].packages.get(package))
+        for package in sorted(value.packages.keys() | after[name].packages)
+        if (then := value.packages.get(package)) != (now := after[name].packages.get(package))
     ]
 
 
@@ -87,20 +87,22 @@ def _installed(folder: Path | None) -> dict[str, Distribution]:
     if folder is None:
         found = distributions()
     else:
-        found = distributions(path=[str(one) for one in folder.glob("lib/python*/site-packages")])
+        found = distributions(path=[str(path) for path in folder.glob("lib/python*/site-packages")])
     by_name: dict[str, Distribution] = {}
-    for one in found:
-        name = one.metadata["Name"]
+    for distribution in found:
+        name = distribution.metadata["Name"]
         if name:
-            by_name.setdefault(_normal(name), one)  # the first on the path is what is imported
+            by_name.setdefault(
+                _normal(name), distribution
+            )  # the first on the path is what is imported
     return by_name
 
 
 def _packages(installed: Mapping[str, Distribution], plugin: str) -> dict[str, str]:
     own = [
         name
-        for name, one in installed.items()
-        if any(point.group == _GROUP and point.name == plugin for point in one.entry_points)
+        for name, value in installed.items()
+        if any(point.group == _GROUP and point.name == plugin for point in value.entry_points)
     ]
     waiting, found = list(own), {}
     while waiting:

@@ -151,9 +151,9 @@ def record(
     for name, plan in sorted(plans.items()):
         used = () if isinstance(plan, str) else [step.component.name for step in plan.steps]
         others = tuple(
-            part(one, described[one.name])
-            for one in robot.functions[name].components
-            if one.name in described and one.name not in used
+            part(component, described[component.name])
+            for component in robot.functions[name].components
+            if component.name in described and component.name not in used
         )
         if isinstance(plan, str):
             functions[name] = LockedFunction(others=others, refused=plan)
@@ -164,18 +164,19 @@ def record(
             for port in step.component.inputs
         }
         parts = tuple(part(step.component, step.structures) for step in plan.steps)
-        edges = tuple(_edge(one, inputs[one.consumer, one.input]) for one in plan.edges)
+        edges = tuple(_edge(edge, inputs[edge.consumer, edge.input]) for edge in plan.edges)
         passed_over = {
-            one.component: one.reasons[0].sentence if one.reasons else "" for one in plan.rejected
+            rejection.component: rejection.reasons[0].sentence if rejection.reasons else ""
+            for rejection in plan.rejected
         }
         functions[name] = LockedFunction(parts, edges, passed_over, others=others)
     offers = {
-        one.name: LockedOffer(
-            part(one, described[one.name]),
-            tuple(_offered(one, plans.get(one.function, ""), described[one.name])),
+        offer.name: LockedOffer(
+            part(offer, described[offer.name]),
+            tuple(_offered(offer, plans.get(offer.function, ""), described[offer.name])),
         )
-        for one in robot.offers
-        if one.name in described
+        for offer in robot.offers
+        if offer.name in described
     }
     return Lock(
         functions, dict(sorted(structures.items())), bridges=bridges_of(robot), offers=offers
@@ -236,8 +237,8 @@ def read_lock(path: Path) -> Lock:
     """
     data = read_json(path)
     if not isinstance(data, dict) or data.get("version") != _VERSION:
-        told = data.get("version") if isinstance(data, dict) else None
-        raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {told}")
+        report = data.get("version") if isinstance(data, dict) else None
+        raise LockError(f"{path}: expected a lock of version {_VERSION}, got version {report}")
     try:
         lock = from_json(data, Lock)
         for part in lock.parts():

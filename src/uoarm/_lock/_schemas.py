@@ -39,7 +39,9 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
         ConfigurationError: what reads the files is not installed.
     """
     formats = _formats()
-    known = _OF_ROS.union(() if is_installed else _SCHEMAS, *(one.suffixes for one, _ in formats))
+    known = _OF_ROS.union(
+        () if is_installed else _SCHEMAS, *(format_.suffixes for format_, _ in formats)
+    )
     paths = sorted(path for path in folder.rglob("*") if path.suffix in known)
     if not paths or len(paths) > _MOST_FILES:
         kinds = ", ".join(f"*{suffix}" for suffix in sorted(known))
@@ -57,10 +59,10 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
             names = (path.stem, schema.get("title"), name_of_type(schema.get("x-type")))
             found |= {name: schema for name in names if isinstance(name, str) and name}
     left = {path.suffix for path in paths} - _SCHEMAS
-    for one, point in formats:
-        if one.suffixes & left:
-            left -= one.suffixes
-            defined = _read(one, point, folder)
+    for format_, point in formats:
+        if format_.suffixes & left:
+            left -= format_.suffixes
+            defined = _read(format_, point, folder)
             _refuse_unreadable(folder, lock, defined.problems)
             found |= defined.schemas
     if left:
@@ -74,18 +76,18 @@ def read_schemas(folder: Path, lock: Lock, *, is_installed: bool = False) -> dic
 def untold(lock: Lock, schemas: Mapping[str, Any]) -> list[str]:
     """Return the types of a lock that are not among schemas, and so are not compared."""
     names = {
-        frozenset({one.native_type, name_of_type(one.structure.get("x-type"))} - {""})
-        for one in lock.structures.values()
-        if isinstance(one.structure, Mapping)
+        frozenset({structure.native_type, name_of_type(structure.structure.get("x-type"))} - {""})
+        for structure in lock.structures.values()
+        if isinstance(structure.structure, Mapping)
     }
-    return sorted(min(one) for one in names if one and one.isdisjoint(schemas))
+    return sorted(min(name) for name in names if name and name.isdisjoint(schemas))
 
 
 def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
     found = []
     for point in sorted(entry_points(group=_GROUP), key=lambda point: point.name):
         try:
-            found += [(one, point) for one in _load(point)]
+            found += [(format_, point) for format_ in _load(point)]
         except Exception as error:
             # Without it a definition that differs would pass for one that is not there.
             text = f"the plugin {point.name} cannot be used: {cause_of(error, point)}"
@@ -95,11 +97,11 @@ def _formats() -> list[tuple[DefinitionFormat, EntryPoint]]:
 
 def _load(point: EntryPoint) -> list[DefinitionFormat]:
     formats = values_of(point, DefinitionHooks, "uoarm_definition_formats", DefinitionFormat)
-    for one in formats:
-        if one.contract != CONTRACT_VERSION:
+    for format_ in formats:
+        if format_.contract != CONTRACT_VERSION:
             raise PluginError(
-                f"it is written for version {one.contract} of the hooks, this uoarm has version "
-                f"{CONTRACT_VERSION}: install matching versions"
+                f"it is written for version {format_.contract} of the hooks, this uoarm has "
+                f"version {CONTRACT_VERSION}: install matching versions"
             )
     return formats
 
@@ -116,5 +118,7 @@ def _read(one: DefinitionFormat, point: EntryPoint, folder: Path) -> Definitions
 
 def _refuse_unreadable(folder: Path, lock: Lock, problems: Mapping[str, str]) -> None:
     """Raise LockError for the first type of the lock that cannot be read, which may differ."""
-    for name in sorted({one.native_type for one in lock.structures.values()} & set(problems)):
+    for name in sorted(
+        {structure.native_type for structure in lock.structures.values()} & set(problems)
+    ):
         raise LockError(f"{folder}: the definition of {name} cannot be read: {problems[name]}")

@@ -12,10 +12,10 @@ _PLAIN = ("Byte", "Char", "Float32", "Float64", "Int8", "Int16", "Int32", "Int64
 BUILT_IN: tuple[frozenset[str], ...] = (
     # Their definitions: examples without a meaning, "create your own semantically meaningful one".
     *(
-        frozenset(f"{package}/msg/{one}" for package in ("std_msgs", "example_interfaces")
-                  for one in names)
+        frozenset(f"{package}/msg/{name}" for package in ("std_msgs", "example_interfaces")
+                  for name in names)
         for names in (_PLAIN, ("Bool",), ("String",), ("Empty",),
-                      tuple(f"{one}MultiArray" for one in _PLAIN))
+                      tuple(f"{name}MultiArray" for name in _PLAIN))
     ),
     # Point32.msg: "a point in free space (with 32 bits of precision)"; the foxglove schemas name
     # the ROS message that each stands for.

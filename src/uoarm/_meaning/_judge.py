@@ -193,12 +193,12 @@ class _Walk:
         for view in made:
             # A consumer with a choice takes a value as what agrees with it most.
             best: _Found | None = None
-            for each in taken:
-                if len(made) == len(taken) == 1 or _may_be_alike(view, each):
-                    told = _Found()
-                    self._compare_views(view, each, path, mine, theirs, covered, told)
-                    if best is None or len(told.differences) < len(best.differences):
-                        best = told
+            for mapping in taken:
+                if len(made) == len(taken) == 1 or _may_be_alike(view, mapping):
+                    report = _Found()
+                    self._compare_views(view, mapping, path, mine, theirs, covered, report)
+                    if best is None or len(report.differences) < len(best.differences):
+                        best = report
             if best is not None:
                 found.add(best)
 
@@ -245,11 +245,11 @@ class _Walk:
             return None
         if not are_alike(mine, theirs, self.alike):
             sentence = f"the types differ: {mine} is not {theirs}"
-            told = f"x-type {mine}", f"x-type {theirs}"
-            found.differences.append(Difference(path, sentence, *told))
+            reports = f"x-type {mine}", f"x-type {theirs}"
+            found.differences.append(Difference(path, sentence, *reports))
             return False
         for key in ("version", "hash"):
-            said = [_of_type(each, key) for each in (one, other)]
+            said = [_of_type(mapping, key) for mapping in (one, other)]
             if mine == theirs and None not in said and said[0] != said[1]:
                 where = write_places(path) or "message"
                 found.notes.append(
@@ -268,7 +268,7 @@ class _Walk:
             return []
         if schema.keys().isdisjoint(_CHOICES):
             return [schema]
-        bases: list[Said] = [{key: one for key, one in schema.items() if key not in _CHOICES}]
+        bases: list[Said] = [{key: value for key, value in schema.items() if key not in _CHOICES}]
         if "$ref" in schema:
             bases = self._all([_target(root, schema["$ref"])], bases, root, depth)
         bases = self._all(schema.get("allOf", ()), bases, root, depth)
@@ -298,8 +298,8 @@ def _compare_constants(one: Any, other: Any, name: str, path: Path, found: _Foun
                 f"the constant {key} of {name} is {value!r} for the producer and {other[key]!r} "
                 "for the consumer"
             )
-            told = f"{key}={value!r}", f"{key}={other[key]!r}"
-            found.differences.append(Difference(path, sentence, *told))
+            reports = f"{key}={value!r}", f"{key}={other[key]!r}"
+            found.differences.append(Difference(path, sentence, *reports))
     more = [f"{key}={value!r}" for key, value in one.items() if key not in other]
     if more:
         where = write_places(path) or "message"
@@ -326,35 +326,35 @@ def _compare_words(
         mine, theirs = one.get(keyword), other.get(keyword)
         if isinstance(mine, str) and isinstance(theirs, str) and mine != theirs:
             sentence = f"the {words} differ: {mine} is not {theirs}"
-            told = f"{keyword} {mine}", f"{keyword} {theirs}"
-            found.differences.append(Difference(path, sentence, *told))
+            reports = f"{keyword} {mine}", f"{keyword} {theirs}"
+            found.differences.append(Difference(path, sentence, *reports))
 
 
 def _compare_units(one: Said, path: Path, mine: Any, theirs: Any, found: _Found) -> None:
     if mine == theirs or not (isinstance(mine, str) and isinstance(theirs, str)):
         return
-    told = f"x-unit {mine}", f"x-unit {theirs}"
+    reports = f"x-unit {mine}", f"x-unit {theirs}"
     scaled = one.get(SCALED)
     try:
         by = conversion(mine, theirs)
     except UnitError as error:
         sentence = f"{mine} and {theirs} cannot be compared: {error}"
-        found.differences.append(Difference(path, sentence, *told))
+        found.differences.append(Difference(path, sentence, *reports))
         return
     if scaled is not None:
         sentence = _of_scaled(scaled, by, mine, theirs)
         if sentence:
-            found.differences.append(Difference(path, sentence, *told))
+            found.differences.append(Difference(path, sentence, *reports))
         elif by is None:
             where = write_places(path)
             found.notes.append(f"{where}: the map makes {theirs} of {mine} by a factor")
     elif by is None:
         sentence = f"the units differ: {mine} measures something else than {theirs}"
-        found.differences.append(Difference(path, sentence, *told))
+        found.differences.append(Difference(path, sentence, *reports))
     elif by.changes:
         lines = ", ".join(f"{name}: {number}" for name, number in by.lines.items())
         sentence = f"the units differ: {mine} becomes {theirs} with {lines}"
-        found.differences.append(Difference(path, sentence, *told, by))
+        found.differences.append(Difference(path, sentence, *reports, by))
 
 
 class _NotFollowedError(Exception):
@@ -418,15 +418,15 @@ def _is_number(schema: Said) -> bool:
     """Say whether values are numbers that measure something: no codes, no constants."""
     kinds = schema.get("type")
     if isinstance(kinds, list):
-        kinds = next((one for one in kinds if one in _NUMBERS), None)
+        kinds = next((kind for kind in kinds if kind in _NUMBERS), None)
     return kinds in _NUMBERS and "enum" not in schema and "const" not in schema
 
 
 def _may_be_alike(one: Said, other: Said) -> bool:
     kinds = []
-    for each in (one, other):
-        told = each.get("type")
-        kind = {told} if isinstance(told, str) else set(told or ())
+    for mapping in (one, other):
+        text = mapping.get("type")
+        kind = {text} if isinstance(text, str) else set(text or ())
         kinds.append({"number" if name == "integer" else name for name in kind})
     return not kinds[0] or not kinds[1] or bool(kinds[0] & kinds[1])
 
@@ -438,7 +438,7 @@ def _of_scaled(scaled: Any, by: Conversion | None, mine: str, theirs: str) -> st
     """
     if by is None:
         return ""
-    factor, offset = (Fraction(one) for one in scaled)
+    factor, offset = (Fraction(item) for item in scaled)
     right = abs(abs(factor) - by.factor) <= _TOLERANCE * by.factor
     if by.offset:
         right = right and abs(offset - by.offset) <= _TOLERANCE * abs(by.offset)
@@ -446,13 +446,13 @@ def _of_scaled(scaled: Any, by: Conversion | None, mine: str, theirs: str) -> st
         return ""
     has = Conversion(factor, offset).lines or {"scale": 1}
     needs = by.lines or {"scale": 1}
-    said = [", ".join(f"{name}: {one}" for name, one in lines.items()) for lines in (has, needs)]
+    said = [", ".join(f"{name}: {line}" for name, line in lines.items()) for lines in (has, needs)]
     return f"the map has {said[0]}, but {mine} becomes {theirs} with {said[1]}"
 
 
 def _of_type(schema: Said, key: str) -> Any:
-    told = schema.get("x-type")
-    return told.get(key) if isinstance(told, Mapping) else None
+    report = schema.get("x-type")
+    return report.get(key) if isinstance(report, Mapping) else None
 
 
 def write_places(path: Path) -> str:

@@ -44,11 +44,11 @@ class Conversion:
     @property
     def lines(self) -> dict[str, float]:
         """What a map says of it: `scale` and `offset`, each only where it does something."""
-        told = {"scale": (self.factor, 1), "offset": (self.offset, 0)}
+        reports = {"scale": (self.factor, 1), "offset": (self.offset, 0)}
         return {
-            name: int(one) if one.denominator == 1 else float(one)
-            for name, (one, idle) in told.items()
-            if one != idle
+            name: int(fraction) if fraction.denominator == 1 else float(fraction)
+            for name, (fraction, idle) in reports.items()
+            if fraction != idle
         }
 
     def apply(self, number: float) -> float:
@@ -182,7 +182,7 @@ def _atom(name: str, text: str) -> _Unit:
         zero, unity, two = (
             registry.Quantity(Fraction(number), known).to_root_units() for number in range(3)
         )
-        values = [Fraction(one.magnitude) for one in (zero, unity, two)]
+        values = [Fraction(item.magnitude) for item in (zero, unity, two)]
     except Exception as error:  # pint raises whatever its parts do
         if type(error).__name__ == "UndefinedUnitError":
             raise UnitError(f"the unit {text!r} is not known: nothing is named {name!r}") from None
@@ -242,10 +242,10 @@ def _tokens(written: str, text: str) -> Iterator[tuple[str, str, int]]:
         if match is None:
             raise UnitError(f"{text!r} is no unit: {written[position]!r} stands in none")
         kind = next(key for key in ("note", "operator", "ten", "number", "name") if match[key])
-        told = match["power"] or "1"
+        report = match["power"] or "1"
         if kind == "ten":
-            told = match["ten"][3:]
-        power = int(told.lstrip("^*"))
+            report = match["ten"][3:]
+        power = int(report.lstrip("^*"))
         if abs(power) > (_MOST_CHARACTERS if kind == "ten" else _MOST_POWER):
             raise UnitError(f"{text!r} is no unit: a power of {power} is beyond sense")
         yield kind, match[kind], power

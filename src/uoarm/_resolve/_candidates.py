@@ -82,9 +82,11 @@ def without_candidates(robot: Robot) -> Robot:
     """Return a robot with what its configuration names, and nothing that was discovered."""
     functions = {
         name: evolve(
-            one, components=tuple(c for c in one.components if c.match is None), passed_over=()
+            function,
+            components=tuple(c for c in function.components if c.match is None),
+            passed_over=(),
         )
-        for name, one in robot.functions.items()
+        for name, function in robot.functions.items()
     }
     return evolve(robot, functions=functions)
 
@@ -109,7 +111,7 @@ def add_candidates(
         proofs: judges pairs of structures.
     """
     robot = without_candidates(robot)
-    if not any(one.needs for one in robot.functions.values()):
+    if not any(function.needs for function in robot.functions.values()):
         return robot
     return _Matching(robot, findings, structures, topic, proofs).run()
 
@@ -123,13 +125,15 @@ def keep_candidates(robot: Robot, kept: Iterable[Component]) -> Robot:
             function has no needs they count for nothing.
     """
     functions = dict(robot.functions)
-    for one in kept:
-        function = functions.get(one.function)
+    for component in kept:
+        function = functions.get(component.function)
         if function is None or function.needs is None:
             continue
-        components = {each.name: each for each in function.components} | {one.name: one}
-        passed = tuple(each for each in function.passed_over if each != _NOTHING_SEEN)
-        functions[one.function] = evolve(
+        components = {component.name: component for component in function.components} | {
+            component.name: component
+        }
+        passed = tuple(pair for pair in function.passed_over if pair != _NOTHING_SEEN)
+        functions[component.function] = evolve(
             function, components=tuple(components.values()), passed_over=passed
         )
     return evolve(robot, functions=functions)
@@ -145,21 +149,21 @@ class _Matching:
         proofs: Proofs,
     ) -> None:
         self._robot = robot
-        self._findings = sorted(findings, key=lambda one: one.bridge)
+        self._findings = sorted(findings, key=lambda finding: finding.bridge)
         self._structures = structures
         self._topic = topic
         self._proofs = proofs
         self._levels: dict[str, _Level] = {}
         self._given: dict[str, list[_Given]] = {}
         self._sources: dict[str, set[str]] = {}
-        for one in robot.components():
-            self._add_sources(one)
+        for component in robot.components():
+            self._add_sources(component)
         self._emitted = {
-            (each.bridge, told): found.name
-            for each in self._findings
-            for found in each.components
+            (finding.bridge, report): found.name
+            for finding in self._findings
+            for found in finding.components
             for port in found.ports
-            if port.endpoint.role is Role.OUTPUT and (told := topic(port.endpoint)) is not None
+            if port.endpoint.role is Role.OUTPUT and (report := topic(port.endpoint)) is not None
         }
 
     def run(self) -> Robot:
@@ -174,8 +178,8 @@ class _Matching:
             self._given[name] = list(self._gives(function))
         self._feed_all()
         functions = {
-            name: self._whole(self._levels[name]) if name in self._levels else one
-            for name, one in self._robot.functions.items()
+            name: self._whole(self._levels[name]) if name in self._levels else value
+            for name, value in self._robot.functions.items()
         }
         return evolve(self._robot, functions=functions)
 
@@ -190,9 +194,9 @@ class _Matching:
             yield from references(other, self._findings, of_other)
         side = "output" if need.role is Role.OUTPUT else "input"
         for component in other.components:
-            told = self._structures(component)
-            by_port = told.by_port if isinstance(told, Structures) else {}
-            yield from (one for key, one in by_port.items() if key.startswith(f"{side}."))
+            report = self._structures(component)
+            by_port = report.by_port if isinstance(report, Structures) else {}
+            yield from (value for key, value in by_port.items() if key.startswith(f"{side}."))
 
     def _unambiguous(
         self, function: Function, found: list[Offer], passed: list[tuple[str, str]]
@@ -206,17 +210,17 @@ class _Matching:
 
         if need.refuse_ambiguous:
             alike: dict[tuple[object, ...], list[Offer]] = {}
-            for one in found:
-                alike.setdefault(one.alike, []).append(one)
+            for offer in found:
+                alike.setdefault(offer.alike, []).append(offer)
             several = [group for group in alike.values() if len(group) > 1]
             for group in several:
-                told = ", ".join(name(one) for one in group[:_MOST_PASSED])
-                cause = f"ambiguous: {len(group)} fit equally well, which is refused: {told}"
-                passed = [*((name(one), cause) for one in group), *passed]
-            found = [one for group in alike.values() if len(group) == 1 for one in group]
+                text = ", ".join(name(offer) for offer in group[:_MOST_PASSED])
+                cause = f"ambiguous: {len(group)} fit equally well, which is refused: {text}"
+                passed = [*((name(offer), cause) for offer in group), *passed]
+            found = [offer for group in alike.values() if len(group) == 1 for offer in group]
         beyond = found[_MOST_CANDIDATES:]
         cause = f"it fits, but {_MOST_CANDIDATES} others do and rank before it"
-        return found[:_MOST_CANDIDATES], [*passed, *((name(one), cause) for one in beyond)]
+        return found[:_MOST_CANDIDATES], [*passed, *((name(offer), cause) for offer in beyond)]
 
     def _gives(self, function: Function) -> Iterator[_Given]:
         """Yield what a function can feed inputs with."""
@@ -224,17 +228,19 @@ class _Matching:
         for component in function.components:
             if not component.outputs:
                 continue  # a device that is not there is waited for, for nothing
-            told = self._structures(component)
-            by_port = told.by_port if isinstance(told, Structures) else {}
+            report = self._structures(component)
+            by_port = report.by_port if isinstance(report, Structures) else {}
             for output in component.outputs if by_port else ():
                 made = by_port[f"output.{output.name}"]
                 several.setdefault(output.name, []).append((made, output.endpoint))
         level = self._levels.get(function.name)
         found = [] if level is None else level.offers
-        main = [(one.port.message, one.port.endpoint) for one in found]
-        streams = [(one, end) for one, end in main if one and end.role is Role.OUTPUT]
+        main = [(offer.port.message, offer.port.endpoint) for offer in found]
+        streams = [
+            (structure, end) for structure, end in main if structure and end.role is Role.OUTPUT
+        ]
         if len(several) <= 1:
-            each = [one for group in several.values() for one in group] + streams
+            each = [pair for group in several.values() for pair in group] + streams
             names = {function.name, *several, *(end.port for _, end in streams)} - {"default"}
             if each:
                 yield self._carrying(PortRef(function.name), names, each)
@@ -248,7 +254,7 @@ class _Matching:
         names: Collection[str],
         ports: list[tuple[MessageStructure, Endpoint]],
     ) -> _Given:
-        structures = {one.fingerprint: one for one, _ in ports}
+        structures = {structure.fingerprint: structure for structure, _ in ports}
         topics = {
             (end.bridge, self._topic(end)) for _, end in ports if self._topic(end) is not None
         }
@@ -258,7 +264,7 @@ class _Matching:
 
     def _feed_all(self) -> None:
         """Find feeds until nothing more is fed; others than the best where nothing else moves."""
-        ready = {name for name, one in self._robot.functions.items() if one.components}
+        ready = {name for name, function in self._robot.functions.items() if function.components}
         waits = True
         while True:
             fed = {
@@ -289,7 +295,9 @@ class _Matching:
         return is_new
 
     def _add_sources(self, component: Component) -> None:
-        sources = {one.source.function for one in component.inputs if one.source is not None}
+        sources = {
+            input_.source.function for input_ in component.inputs if input_.source is not None
+        }
         self._sources.setdefault(component.function, set()).update(sources)
 
     def _depends(self, function: str, other: str) -> bool:
@@ -310,35 +318,42 @@ class _Matching:
         name = candidate_name(function.name, spec.name, offer.found, offer.port)
         own = _endpoint(offer.port, name, need)
         inputs: list[Input] = []
-        told = [offer.told]
-        streams = [one for one in offer.found.ports if one.endpoint.role is Role.INPUT]
+        reports = [offer.told]
+        streams = [
+            found_port for found_port in offer.found.ports if found_port.endpoint.role is Role.INPUT
+        ]
         for port in streams if need.role is Role.OUTPUT else ():
             end = _endpoint(port, name, need)
             if _is_one_of(end.port, need.from_application):
                 inputs.append(Input(end.port, end))
-                told.append(f"{end.port} from the application")
+                reports.append(f"{end.port} from the application")
                 continue
             feed = self._feed(function.name, offer, port, ready, waits=waits)
             if isinstance(feed, _Feed):
                 adapted, source = feed.adapted, feed.given.reference
                 inputs.append(Input(end.port, end, source, adapted.mapping, adapted.allow_loss))
-                told.append(f"{end.port} from {source}{_how(feed)}")
+                reports.append(f"{end.port} from {source}{_how(feed)}")
             elif feed and not _is_one_of(end.port, need.unfed):
                 return feed
         if need.role is Role.INPUT:
             inputs.append(Input(own.port, own))
-        ports = [offer.port, *(one for one in streams if need.role is Role.OUTPUT)]
-        said = [one for port in ports for one in (port.message, port.request, port.reply)]
+        ports = [offer.port, *(stream for stream in streams if need.role is Role.OUTPUT)]
+        said = [
+            structure for port in ports for structure in (port.message, port.request, port.reply)
+        ]
         return Component(
             name=name,
             function=function.name,
             bridge=spec.name,
-            priority=min((one.priority for one in function.components), default=0) - 1,
+            priority=min((component.priority for component in function.components), default=0) - 1,
             inputs=tuple(inputs),
             outputs=(Output(own.port, own),) if need.role is Role.OUTPUT else (),
             service=Service(own) if need.role is Role.SERVICE else None,
             parameters=own.parameters,
-            match=Match("; ".join(told), tuple(one.fingerprint for one in said if one is not None)),
+            match=Match(
+                "; ".join(reports),
+                tuple(structure.fingerprint for structure in said if structure is not None),
+            ),
         )
 
     def _feed(
@@ -358,35 +373,35 @@ class _Matching:
             for given in several
             if (adapted := self._adapted(given, port.message, need.mapping)) is not None
         ]
-        feeds.sort(key=lambda one: one.rank)  # those alike stay in the order of the file
-        there = [one for one in feeds if one.given.reference.function in ready]
+        feeds.sort(key=lambda feed: feed.rank)  # those alike stay in the order of the file
+        there = [feed for feed in feeds if feed.given.reference.function in ready]
         if topic is not None and self._emitted.get(place, offer.found.name) != offer.found.name:
-            there = [one for one in there if place in one.given.topics]
+            there = [feed for feed in there if place in feed.given.topics]
             return there[0] if there else ""
         if not feeds:
             return f"no function feeds its input {name}, which `unfed` does not name"
         if not there or (waits and there[0] is not feeds[0]):
             return f"its input {name} could be fed by {feeds[0].given.reference}, which has nothing"
-        alike = [str(one.given.reference) for one in feeds if one.rank == there[0].rank]
+        alike = [str(feed.given.reference) for feed in feeds if feed.rank == there[0].rank]
         if need.refuse_ambiguous and len(alike) > 1:
             return f"ambiguous: {', '.join(alike)} fit its input {name} equally well"
         return there[0]
 
     def _adapted(self, given: _Given, wanted: MessageStructure, rules: Options) -> Adapted | None:
-        for one in given.structures:
-            adapted = self._proofs.adapted(one, wanted, rules)
+        for structure in given.structures:
+            adapted = self._proofs.adapted(structure, wanted, rules)
             if adapted is not None:
                 return adapted
         return None
 
     def _whole(self, level: _Level) -> Function:
         """Return a function with its candidates, and what was left out."""
-        made = {one.name: one for _, one in sorted(level.made.items())}
+        made = {component.name: component for _, component in sorted(level.made.items())}
         passed = [
-            (candidate_name(level.function.name, one.spec.name, one.found, one.port), cause)
+            (candidate_name(level.function.name, offer.spec.name, offer.found, offer.port), cause)
             for number, cause in sorted(level.causes.items())
             if number not in level.made
-            for one in (level.offers[number],)
+            for offer in (level.offers[number],)
         ]
         passed += level.passed
         if not made and not passed:
@@ -401,7 +416,7 @@ class _Matching:
 def _suits(
     given: _Given, port: FoundPort, adapted: Adapted, place: tuple[str, object]
 ) -> tuple[bool, bool, bool, bool]:
-    is_exact = any(one == port.message for one in given.structures)
+    is_exact = any(structure == port.message for structure in given.structures)
     is_named = port.endpoint.port in given.names
     return place not in given.topics, adapted.mapping is not None, not is_named, not is_exact
 
@@ -412,7 +427,7 @@ def _endpoint(port: FoundPort, component: str, need: Need) -> Endpoint:
 
 
 def _is_one_of(name: str, patterns: Iterable[str]) -> bool:
-    return any(fnmatchcase(name, one) for one in patterns)
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def _how(feed: _Feed) -> str:

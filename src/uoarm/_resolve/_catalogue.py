@@ -81,7 +81,9 @@ class StructureCache:
         """Return a cache that knows what this one does, but for some components."""
         made = StructureCache(bridge, hold)
         with self._lock:
-            known = {name: one.found for name, one in self._entries.items() if name not in without}
+            known = {
+                name: entry.found for name, entry in self._entries.items() if name not in without
+            }
         made._entries = {name: _Entry(found=found) for name, found in known.items()}
         return made
 

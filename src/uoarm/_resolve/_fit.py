@@ -96,8 +96,8 @@ class Fit:
             mapping=port.mapping,
             losses=tuple(judged.losses),
             warnings=tuple(
-                f"{producer.name}.{output.name} -> {consumer.name}.{port.name}: {one}"
-                for one in judged.warnings
+                f"{producer.name}.{output.name} -> {consumer.name}.{port.name}: {warning}"
+                for warning in judged.warnings
             ),
             unstated=tuple(judged.unstated),
             strict=port.meaning.level is MeaningLevel.STRICT,

@@ -74,12 +74,12 @@ def references(
         return named
     seen = (
         port.message
-        for each in findings
-        for one in each.components
-        for port in one.ports
+        for finding in findings
+        for component in finding.components
+        for port in component.ports
         if port.message is not None and port.message.native_type == need.like
     )
-    return tuple({one.fingerprint: one for one in seen}.values())
+    return tuple({structure.fingerprint: structure for structure in seen}.values())
 
 
 def offers(
@@ -92,7 +92,7 @@ def offers(
     """Return the ports that fit, best first, and those that were passed over with the reason."""
     need = function.needs
     assert need is not None, "the caller looked"
-    named = {_place(end) for one in function.components for end in _ends(one)}
+    named = {_place(end) for component in function.components for end in _ends(component)}
     fitting: list[Offer] = []
     passed = list(_without_ports(function, findings, bridges))
     for spec, found, port in _looked_at(need, findings, bridges):
@@ -109,9 +109,9 @@ def offers(
         if refused:
             passed.append((name, refused))
             continue
-        rank, told = _rank(need, spec, found, port, is_exact=exact)
-        fitting.append(Offer(spec, found, port, (*rank, name), told))
-    fitting.sort(key=lambda one: one.rank)
+        rank, text = _rank(need, spec, found, port, is_exact=exact)
+        fitting.append(Offer(spec, found, port, (*rank, name), text))
+    fitting.sort(key=lambda item: item.rank)
     return fitting, sorted(passed)
 
 
@@ -120,10 +120,10 @@ def _without_ports(
 ) -> Iterator[tuple[str, str]]:
     """Yield components of the right name that show no port, with what is said of them."""
     names = function.needs.names if function.needs is not None else ()
-    for each in findings:
-        for found in each.components if each.bridge in bridges else ():
+    for finding in findings:
+        for found in finding.components if finding.bridge in bridges else ():
             if not found.ports and _first(names, (found.name, found.name.lstrip("/"))) is not None:
-                name = f"{function.name}@{each.bridge}/{found.name.lstrip('/')}"
+                name = f"{function.name}@{finding.bridge}/{found.name.lstrip('/')}"
                 if len(name) <= _LONGEST_NAME and name.isprintable():
                     yield name, found.detail or "it shows no port"
 
@@ -132,11 +132,11 @@ def _looked_at(
     need: Need, findings: Iterable[BridgeFindings], bridges: Mapping[str, BridgeSpec]
 ) -> Iterator[tuple[BridgeSpec, FoundComponent, FoundPort]]:
     """Yield the ports that are of the right kind, by role, framework, names and labels."""
-    for each in findings:
-        spec = bridges.get(each.bridge)
+    for finding in findings:
+        spec = bridges.get(finding.bridge)
         if spec is None or {spec.name, spec.plugin} & set(need.exclude):
             continue
-        for found in each.components:
+        for found in finding.components:
             if _first(need.names, (found.name, found.name.lstrip("/"))) is None:
                 continue
             if _first(need.labels, (found.detail,)) is None:
@@ -157,23 +157,29 @@ def _judged(
     if need.role is Role.SERVICE:
         pairs = ((need.request, port.request), (port.reply, need.reply))
         if need.like:  # a type of services is told by its request's or its reply's name
-            types = {one.native_type for one in (port.request, port.reply) if one is not None}
+            types = {
+                structure.native_type
+                for structure in (port.request, port.reply)
+                if structure is not None
+            }
             return ("" if need.like in types else f"it is no {need.like}"), True
         if (need.request and not port.request) or (need.reply and not port.reply):
             return "its structure is not known", False
-        told = [proofs.refusal(one, other) for one, other in pairs if one and other]
-        return "; ".join(filter(None, told)), all(
-            one == other for one, other in pairs if one and other
+        reports = [
+            proofs.refusal(structure, other) for structure, other in pairs if structure and other
+        ]
+        return "; ".join(filter(None, reports)), all(
+            structure == other for structure, other in pairs if structure and other
         )
     if port.message is None:
         return "its structure is not known", False
     if not wanted:
         return "", False
     refusals = []
-    for one in wanted:
-        if one.schema == port.message.schema:
+    for structure in wanted:
+        if structure.schema == port.message.schema:
             return "", True
-        pair = (port.message, one) if need.role is Role.OUTPUT else (one, port.message)
+        pair = (port.message, structure) if need.role is Role.OUTPUT else (structure, port.message)
         refusals.append(proofs.refusal(*pair))
     return ("" if "" in refusals else refusals[0]), False
 
@@ -187,7 +193,7 @@ def _rank(
     by_name = _first(need.names, (found.name, found.name.lstrip("/"))) or 0
     by_port = _first(need.ports, (port.endpoint.port, *port.endpoint.address)) or 0
     by_label = _first(need.labels, (found.detail,)) or 0
-    told = [
+    reports = [
         f"preferred {spec.name}" if preferred < len(need.prefer) else "",
         "exact structure" if is_exact else "contained structure",
         f"machine {spec.host['machine']}" if is_elsewhere and spec.host else "this machine",
@@ -197,18 +203,20 @@ def _rank(
         f"label {need.labels[by_label]}" if need.labels else "",
     ]
     rank = (preferred, not is_exact, is_elsewhere, is_hosted, by_name, by_port, by_label)
-    return rank, ", ".join(filter(None, told))
+    return rank, ", ".join(filter(None, reports))
 
 
 def _index(words: tuple[str, ...], names: tuple[str, ...]) -> int:
-    return next((number for number, one in enumerate(words) if one in names), len(words))
+    return next((number for number, word in enumerate(words) if word in names), len(words))
 
 
 def _first(patterns: tuple[str, ...], texts: tuple[str, ...]) -> int | None:
     """Return the number of the first pattern that a text matches; 0 where there are none."""
     if not patterns:
         return 0
-    numbers = (n for n, one in enumerate(patterns) if any(fnmatchcase(t, one) for t in texts))
+    numbers = (
+        n for n, pattern in enumerate(patterns) if any(fnmatchcase(t, pattern) for t in texts)
+    )
     return next(numbers, None)
 
 

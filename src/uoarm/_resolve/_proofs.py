@@ -89,7 +89,9 @@ class Proofs:
         def judge(factor: int) -> tuple[str, bool]:
             seconds = factor * _PAIR_SECONDS
             verdict = check_edge(producer, consumer, seconds=seconds, suggest_seconds=0)
-            told = [f"{one.path}: {one.sentence}".removeprefix(": ") for one in verdict.reasons]
+            told = [
+                f"{reason.path}: {reason.sentence}".removeprefix(": ") for reason in verdict.reasons
+            ]
             refused = "" if verdict.compatible else "; ".join(told[:3]) or "refused"
             return refused, not verdict.is_undecided
 
@@ -159,9 +161,9 @@ class Proofs:
                 self.unjudged += 1
                 return unjudged if known is None else known.told
             factor = 1 if known is None else min(_MOST_FACTOR, 2 * known.factor)
-            told, is_decided = judge(factor)
+            report, is_decided = judge(factor)
             again = math.inf if is_decided else self._clock() + _PATIENCE * factor * _PAIR_SECONDS
-            known = answers[key] = _Answer(told, factor, again)
+            known = answers[key] = _Answer(report, factor, again)
             if len(answers) > _REMEMBERED:
                 answers.popitem(last=False)
         answers.move_to_end(key)

@@ -152,12 +152,16 @@ class Resolver:
             before, self._functions = self._functions, functions
             self._revision += 1
             changed = {
-                one for one in {*before, *functions} if before.get(one) != functions.get(one)
+                function
+                for function in {*before, *functions}
+                if before.get(function) != functions.get(function)
             }
             # Whoever is fed by what is the same has the same feeds before and after.
-            components = (one for each in before.values() for one in each.components)
+            components = (
+                component for function in before.values() for component in function.components
+            )
             gone = fed_by(changed, components)
-            self._plans = {name: one for name, one in self._plans.items() if name not in gone}
+            self._plans = {name: plan for name, plan in self._plans.items() if name not in gone}
 
     def _until(self, asked_in_vain: float | None) -> float:
         if asked_in_vain is None:

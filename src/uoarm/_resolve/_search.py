@@ -119,7 +119,7 @@ class Search:
         depth, function = len(self._frames), self._functions[name]
         frame = _Frame(function, rest, depth, introducer)
         frame.rejected += (
-            Rejection(name, one, None, (Reason(cause),)) for one, cause in function.passed_over
+            Rejection(name, text, None, (Reason(cause),)) for text, cause in function.passed_over
         )
         self._frames.append(frame)
 
@@ -177,7 +177,7 @@ class Search:
         path = self._path_between(producer, frame)
         if path is not None:
             cycle = " -> ".join([*path, name])
-            depths = {self._assigned[one].depth for one in path if one in self._assigned}
+            depths = {self._assigned[text].depth for text in path if text in self._assigned}
             return _Refusal((Reason(f"it would close the cycle {cycle}"),), depths)
         assert producer.chosen is not None
         assert producer.structures is not None
@@ -197,7 +197,7 @@ class Search:
         assert port.source is not None, "fed by a function"
         output = producer.output(port.source.port)
         if output is None:
-            has = ", ".join(one.name for one in producer.outputs) or "none"
+            has = ", ".join(item.name for item in producer.outputs) or "none"
             wanted = port.source.port or "default"
             text = f"{producer.name} has no output {wanted!r} for {consumer.name}; it has {has}"
             return _Refusal((Reason(text),))
@@ -291,8 +291,8 @@ class Search:
             function=name,
             steps=tuple(steps),
             edges=tuple(edges),
-            rejected=tuple(one for frame in self._frames for one in frame.rejected),
-            warnings=tuple(one for frame in self._frames for one in frame.warnings),
+            rejected=tuple(rejection for frame in self._frames for rejection in frame.rejected),
+            warnings=tuple(warning for frame in self._frames for warning in frame.warnings),
         )
 
 

@@ -30,12 +30,12 @@ def write_document(robot: Functions) -> str:
         definitions[root.name] = schema
     functions = {
         name: {
-            **{f"output.{port}": _reference(kind) for port, kind in one.outputs.items()},
-            **{f"input.{port}": _reference(kind) for port, kind in one.inputs.items()},
-            **({"request": _reference(one.request)} if one.request else {}),
-            **({"reply": _reference(one.reply)} if one.reply else {}),
+            **{f"output.{port}": _reference(kind) for port, kind in function.outputs.items()},
+            **{f"input.{port}": _reference(kind) for port, kind in function.inputs.items()},
+            **({"request": _reference(function.request)} if function.request else {}),
+            **({"reply": _reference(function.reply)} if function.reply else {}),
         }
-        for name, one in robot.functions.items()
+        for name, function in robot.functions.items()
     }
     whole = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

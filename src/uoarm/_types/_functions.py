@@ -87,13 +87,13 @@ def read_functions(lock: Lock) -> Functions:
                 shape = made.shape
                 root = shape.name if isinstance(shape, Named) else names.give(wanted)
                 roots[fingerprint] = Root(root, schema, shape, tuple(made.records))
-            told = roots[fingerprint].name
+            text = roots[fingerprint].name
             if kind == "output":
-                function.outputs[own] = told
+                function.outputs[own] = text
             elif kind == "input":
-                function.inputs[own] = told
+                function.inputs[own] = text
             else:
-                single[kind] = told
+                single[kind] = text
         functions[name] = Function(
             function.outputs, function.inputs, single.get("request", ""), single.get("reply", "")
         )

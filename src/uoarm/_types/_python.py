@@ -63,8 +63,8 @@ def write_python(robot: Functions) -> str:
     lines += ["", ""]
     for root in robot.roots:
         if root.shape != Named(root.name):
-            told = f"{root.name}: TypeAlias = {_type(root.shape)}"
-            lines.append(told + _comment(notes_of(root.shape)))
+            text = f"{root.name}: TypeAlias = {_type(root.shape)}"
+            lines.append(text + _comment(notes_of(root.shape)))
     lines += ["", "", *_robot(robot)]
     return "\n".join(lines) + "\n" + _TAIL
 
@@ -86,8 +86,8 @@ def _record(record: Record, hiding: set[str]) -> Iterator[str]:
     yield f'    "{record.name}",'
     yield "    {"
     for key, (shape, required) in record.members.items():
-        told = _member(shape, required=required)
-        yield f"        {key!a}: {told!a}," + _comment(notes_of(shape))
+        text = _member(shape, required=required)
+        yield f"        {key!a}: {text!a}," + _comment(notes_of(shape))
     yield "    },"
     yield ")"
 
@@ -113,12 +113,12 @@ def _type(shape: Shape) -> str:
 
 
 def _literal(values: Sequence[str | int | bool | None]) -> str:
-    return f"Literal[{', '.join(ascii(one) for one in values)}]" if values else ""
+    return f"Literal[{', '.join(ascii(value) for value in values)}]" if values else ""
 
 
 def _comment(notes: Iterator[str] | list[str]) -> str:
-    told = [note for note in dict.fromkeys(notes) if note]
-    return f"  # {'; '.join(told)}" if told else ""
+    reports = [note for note in dict.fromkeys(notes) if note]
+    return f"  # {'; '.join(reports)}" if reports else ""
 
 
 def _robot(robot: Functions) -> Iterator[str]:
@@ -147,7 +147,7 @@ def _robot(robot: Functions) -> Iterator[str]:
                 f"        timeout: float = ...) -> {function.reply}: ...",
             ])  # fmt: skip
     for several in (requests, calls):
-        for one in several:
+        for item in several:
             if len(several) > 1:
                 yield "    @overload"
-            yield from one
+            yield from item

@@ -149,7 +149,7 @@ class Shaper:
         for keyword in ("anyOf", "oneOf"):
             parts = schema.get(keyword)
             if isinstance(parts, list) and parts:
-                return _union([self._shape(one, name, depth + 1) for one in parts])
+                return _union([self._shape(part, name, depth + 1) for part in parts])
         parts = schema.get("allOf")
         if isinstance(parts, list) and parts:
             return self._all_of(parts, name, depth)
@@ -205,7 +205,7 @@ class Shaper:
         if isinstance(rest, list):  # of drafts before 2020-12
             return Array(Plain("any", "items of an older draft"))
         if isinstance(first, list) and first:
-            items = tuple(self._shape(one, f"{name}Item", depth + 1) for one in first)
+            items = tuple(self._shape(item, f"{name}Item", depth + 1) for item in first)
             if (rest is False or high == len(items)) and low == len(items):
                 return Array(_union([*items]), items, f"{low} items")
             others = [] if rest is False else [self._shape(rest, f"{name}Item", depth + 1)]
@@ -216,9 +216,9 @@ class Shaper:
     def _object(self, schema: Mapping[str, Any], name: str, depth: int, at: str) -> Shape:
         members = schema.get("properties")
         members = members if isinstance(members, Mapping) else {}
-        told = schema.get("required")
-        told = told if isinstance(told, list) else []
-        required = {one for one in told if isinstance(one, str)}
+        reports = schema.get("required")
+        reports = reports if isinstance(reports, list) else []
+        required = {item for item in reports if isinstance(item, str)}
         others = schema.get("additionalProperties", True)
         patterns = schema.get("patternProperties")
         if not members and not required and (patterns or others is not False):
@@ -256,12 +256,12 @@ def notes_of(shape: Shape) -> Iterator[str]:
 def _literals(values: list[Any]) -> Shape:
     if not values or len(values) > _MOST_LITERALS:
         return Plain("any", f"an enumeration of {len(values)} values")
-    if all(one is None or isinstance(one, bool | int | str) for one in values):
-        if all(not isinstance(one, int) or _is_safe(one) for one in values):
-            kept = {(type(one), one): one for one in values}
+    if all(value is None or isinstance(value, bool | int | str) for value in values):
+        if all(not isinstance(value, int) or _is_safe(value) for value in values):
+            kept = {(type(value), value): value for value in values}
             return Literals(tuple(kept.values()))
         return Plain("any", "an enumeration with wide integers")
-    if all(isinstance(one, int | float) and not isinstance(one, bool) for one in values):
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
         return Plain("number", "an enumeration")
     return Plain("any", "an enumeration of objects, arrays or numbers")
 
@@ -270,11 +270,11 @@ def _union(shapes: list[Shape]) -> Shape:
     """Return one of several; where one is anything, all is."""
     parts: list[Shape] = []
     for shape in shapes:
-        for one in shape.parts if isinstance(shape, Union) else (shape,):
-            if isinstance(one, Plain) and one.kind == "any":
-                return Plain("any", one.note)
-            if one not in parts and one != Plain("never"):
-                parts.append(one)
+        for part in shape.parts if isinstance(shape, Union) else (shape,):
+            if isinstance(part, Plain) and part.kind == "any":
+                return Plain("any", part.note)
+            if part not in parts and part != Plain("never"):
+                parts.append(part)
     if not parts:
         return Plain("never")
     return parts[0] if len(parts) == 1 else Union(tuple(parts))

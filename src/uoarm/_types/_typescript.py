@@ -56,8 +56,8 @@ _NUMBERS = {"integer", "wide", "number"}
 def write_typescript(robot: Functions) -> str:
     """Return the declarations: the same text for the same functions."""
     lines = [_HEAD]
-    told = " | ".join(json.dumps(name) for name in robot.functions)
-    lines.append(f"export type FunctionName = {told or 'never'};")
+    text = " | ".join(json.dumps(name) for name in robot.functions)
+    lines.append(f"export type FunctionName = {text or 'never'};")
     for root in robot.roots:
         for record in root.records:
             lines += ["", *_record(record)]
@@ -102,7 +102,7 @@ def _type(shape: Shape) -> str:
         case Plain():
             return _PLAIN[shape.kind]
         case Literals():
-            return " | ".join(json.dumps(one) for one in shape.values)
+            return " | ".join(json.dumps(value) for value in shape.values)
         case Array():
             return _array(shape)
         case Table():
@@ -118,16 +118,16 @@ def _array(shape: Array) -> str:
     if any(_may_be_numbers(part) for part in parts):
         return f"Numbers<{_type(shape.items)}>"
     if shape.tuple is not None:
-        return f"[{', '.join(_type(one) for one in shape.tuple)}]"
+        return f"[{', '.join(_type(item) for item in shape.tuple)}]"
     return f"({_type(shape.items)})[]"
 
 
 def _may_be_numbers(part: Shape) -> bool:
     if isinstance(part, Literals):
-        return any(isinstance(one, int) for one in part.values)
+        return any(isinstance(value, int) for value in part.values)
     return isinstance(part, Plain) and part.kind in _NUMBERS
 
 
 def _comment(notes: Iterable[str]) -> str:
-    told = [note for note in dict.fromkeys(notes) if note]
-    return f" // {'; '.join(told)}" if told else ""
+    reports = [note for note in dict.fromkeys(notes) if note]
+    return f" // {'; '.join(reports)}" if reports else ""

@@ -72,7 +72,10 @@ def examine(environment: Environment) -> Finding:
         return Finding(name, {}, f"it lacks what a host needs: {last}")
     try:
         said = json.loads(done.stdout)
-        facts = {key: ", ".join(one) if isinstance(one, list) else one for key, one in said.items()}
+        facts = {
+            key: ", ".join(value) if isinstance(value, list) else value
+            for key, value in said.items()
+        }
         theirs = str(facts["uoarm"])
     except (ValueError, RecursionError, AttributeError, LookupError, TypeError):
         text = f"its interpreter prints what it was not asked: {done.stdout[:60]!r}"
@@ -93,10 +96,10 @@ def extras_in(interpreter: Path, names: Iterable[str]) -> dict[str, list[str]]:
             timeout=_SECONDS,
             check=False,
         )
-        told = json.loads(done.stdout)
+        reports = json.loads(done.stdout)
     except (OSError, subprocess.TimeoutExpired, ValueError, RecursionError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return reports if isinstance(reports, dict) else {}
 
 
 def _unusable(interpreter: Path) -> dict[str, str]:
@@ -109,8 +112,8 @@ def _unusable(interpreter: Path) -> dict[str, str]:
             timeout=_SECONDS,
             check=False,
         )
-        told = json.loads(done.stdout)
-        found = {name: str(of["usable"]) for name, of in told.items() if "usable" in of}
+        report = json.loads(done.stdout)
+        found = {name: str(of["usable"]) for name, of in report.items() if "usable" in of}
     except (
         OSError,
         subprocess.TimeoutExpired,

@@ -69,7 +69,7 @@ def create(
         folder.parent.mkdir(parents=True, exist_ok=True)
         _run(make, tell)
         with TemporaryDirectory(prefix="uoarm-wheels-") as wheels:
-            given = [handed_on(one, Path(wheels)) for one in requirements]
+            given = [handed_on(requirement, Path(wheels)) for requirement in requirements]
             _run([*install, *given], tell)
         _require_extras(interpreter, requirements)
         said = json.dumps({"name": name, "requirements": requirements})
@@ -86,7 +86,7 @@ def _require_extras(interpreter: Path, requirements: tuple[str, ...]) -> None:
     """Refuse an extra that a project has not: pip and uv only warn of it, and leave it out."""
     wanted = extras_of(requirements)
     for name, known in extras_in(interpreter, wanted).items():
-        plain = {_normal(one) for one in known}
+        plain = {_normal(text) for text in known}
         for extra in wanted[name]:
             if _normal(extra) not in plain:
                 raise PluginError(unknown_extra(name, extra, known))

@@ -74,7 +74,10 @@ def installed(name: str) -> Path:
     """
     folder = environment_folder(name)
     if not (folder / MARK).is_file():
-        whole = ", ".join(one.name for one in listed() if one.is_whole) or "none"
+        whole = (
+            ", ".join(environment.name for environment in listed() if environment.is_whole)
+            or "none"
+        )
         what = "is not whole: make it again" if folder.is_dir() else "is not there"
         raise PluginError(f"the environment {name!r} {what} (whole are: {whole})")
     return folder
@@ -96,7 +99,7 @@ def remove(name: str) -> None:
     """
     folder = environment_folder(name)
     if not folder.is_dir():
-        known = ", ".join(one.name for one in listed()) or "none"
+        known = ", ".join(environment.name for environment in listed()) or "none"
         raise PluginError(f"there is no environment {name!r} (there are: {known})")
     try:
         shutil.rmtree(folder)

@@ -35,7 +35,7 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
             among the further requirements without its version, which nothing would install.
     """
     ours = _requirement(installed(_CORE), _CORE, "hosts")
-    point = next((one for one in entry_points(group=_GROUP) if one.name == plugin), None)
+    point = next((entry for entry in entry_points(group=_GROUP) if entry.name == plugin), None)
     provider = None if point is None else point.dist
     if provider is not None and provider.name == _CORE:
         if version is not None:
@@ -43,12 +43,12 @@ def requirements(plugin: str, version: str | None, more: tuple[str, ...] = ()) -
         return (ours, *more)
     if provider is not None and version is not None:
         _require_extra(provider, version)
-    given = [one for one in more if _names(one, f"uoarm-{plugin}")] if provider is None else []
+    given = [name for name in more if _names(name, f"uoarm-{plugin}")] if provider is None else []
     if given:
         asks = re.compile(rf"\[([^\]]*,)?\s*{re.escape(version or '')}\s*[,\]]")
         if version is not None and not any(map(asks.search, given)):
-            told = f"{given[0]} stands for the plugin, and does not ask for {version!r}"
-            raise PluginError(f"{told}: expected [{version}] after its name or path")
+            text = f"{given[0]} stands for the plugin, and does not ask for {version!r}"
+            raise PluginError(f"{text}: expected [{version}] after its name or path")
         return (ours, *more)
     return (ours, _requirement(provider, f"uoarm-{plugin}", version), *more)
 
@@ -72,13 +72,13 @@ def handed_on(requirement: str, folder: Path) -> str:
 
 def extras_of(requirements: Iterable[str]) -> dict[str, list[str]]:
     """Return the extras that requirements name, by project; those of paths are not known."""
-    found = (_WITH_EXTRAS.match(one) for one in requirements)
-    return {one[1]: re.findall(r"[A-Za-z0-9._-]+", one[2]) for one in found if one}
+    found = (_WITH_EXTRAS.match(requirement) for requirement in requirements)
+    return {match[1]: re.findall(r"[A-Za-z0-9._-]+", match[2]) for match in found if match}
 
 
 def unknown_extra(name: str, extra: str, known: Iterable[str]) -> str:
     """Return that a project has no such extra, and which it has."""
-    there = ", ".join(one for one in known if one != "dev")
+    there = ", ".join(text for text in known if text != "dev")
     what = "distribution" if name.startswith(f"{_CORE}-") else "extra"
     return f"{name} has no {what} {extra!r}: there are {there or 'none'}"
 
@@ -91,7 +91,7 @@ def _require_extra(provider: Distribution, extra: str) -> None:
 
 
 def _is_ours(found: Distribution) -> bool:
-    return found.name == _CORE or any(one.group == _GROUP for one in found.entry_points)
+    return found.name == _CORE or any(point.group == _GROUP for point in found.entry_points)
 
 
 def _requirement(found: Distribution | None, name: str, extra: str | None) -> str:

@@ -86,10 +86,10 @@ def _search(producer: Node, consumer: Node, pool: Pool, judgements: Judgements) 
         accepts = judgements.accepts
         return accepts(one, found.value) and not accepts(other, found.value)
 
-    for path, one, other in differences(producer, consumer, pool.meter):
-        likely = messages.likely(one, other)
-        found = next((value for value in likely if refused(one, other, value)), None)
-        result = found or solver.solve(((one, True), (other, False)))
+    for path, node, other in differences(producer, consumer, pool.meter):
+        likely = messages.likely(node, other)
+        found = next((value for value in likely if refused(node, other, value)), None)
+        result = found or solver.solve(((node, True), (other, False)))
         if not path:
             return result
         if isinstance(result, Found):

@@ -122,22 +122,22 @@ class _Telling:
     def tell(self, value: Any) -> Any:
         root: list[Any] = [None]
         waiting: list[tuple[Any, Any, Any]] = [(value, root, 0)]
-        for one, holder, place in waiting:
-            holder[place] = told = self._shallow(one)
-            if isinstance(told, dict):
-                names = list(islice(one, self._take(len(one))))
-                told.update(dict.fromkeys(names))
-                waiting.extend((one[name], told, name) for name in names)
-                if len(names) < len(one):
-                    told["..."] = f"{len(one) - len(names):,} more members"
-            elif isinstance(told, list):
+        for element, holder, place in waiting:
+            holder[place] = reports = self._shallow(element)
+            if isinstance(reports, dict):
+                names = list(islice(element, self._take(len(element))))
+                reports.update(dict.fromkeys(names))
+                waiting.extend((element[name], reports, name) for name in names)
+                if len(names) < len(element):
+                    reports["..."] = f"{len(element) - len(names):,} more members"
+            elif isinstance(reports, list):
                 shown = 0
-                for _, item, count in islice(runs_of(one), self._take(_TOLD_ITEMS)):
-                    waiting.append((item, told, len(told)))
-                    told.append(None)
-                    told += [f"... {count - 1:,} more of the same"] if count > 1 else []
+                for _, item, count in islice(runs_of(element), self._take(_TOLD_ITEMS)):
+                    waiting.append((item, reports, len(reports)))
+                    reports.append(None)
+                    reports += [f"... {count - 1:,} more of the same"] if count > 1 else []
                     shown += count
-                told += [f"... {len(one) - shown:,} more"] if shown < len(one) else []
+                reports += [f"... {len(element) - shown:,} more"] if shown < len(element) else []
         return root[0]
 
     def _take(self, parts: int) -> int:

@@ -49,7 +49,9 @@ def failures(
 def _direct_parts(
     node: Node, value: Any, judgements: Judgements
 ) -> list[tuple[Node, Any, tuple[str | int, ...]]]:
-    parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [(one, value, ()) for one in node.all_of]
+    parts: list[tuple[Node, Any, tuple[str | int, ...]]] = [
+        (subschema, value, ()) for subschema in node.all_of
+    ]
     if node.reference is not None:
         parts.append((node.target(), value, ()))
     if kind_of(value) == "array":

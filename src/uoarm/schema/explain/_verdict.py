@@ -93,10 +93,10 @@ class Verdict:
         return {
             "compatible": self.compatible,
             "undecided": self.undecided,
-            "reasons": tuple(asdict(one) for one in self.reasons),
+            "reasons": tuple(asdict(reason) for reason in self.reasons),
             "counterexample": describe(self._message) if self.abridged else self.counterexample,
             "excerpt": self.excerpt,
-            "losses": tuple(asdict(one) for one in self.losses),
+            "losses": tuple(asdict(loss) for loss in self.losses),
             "abridged": self.abridged,
             "disputed_patterns": self.disputed_patterns,
             "incompatible": self.incompatible,

@@ -105,7 +105,9 @@ _DRAFT_4 = Dialect(
     alone=True,
     named="id",
 )
-_KNOWN = {_plain(one.uri): one for one in (NEWEST, DRAFT_2019, _DRAFT_7, _DRAFT_6, _DRAFT_4)}
+_KNOWN = {
+    _plain(dialect.uri): dialect for dialect in (NEWEST, DRAFT_2019, _DRAFT_7, _DRAFT_6, _DRAFT_4)
+}
 
 
 def dialect_of(schema: object) -> Dialect | None:
@@ -115,7 +117,7 @@ def dialect_of(schema: object) -> Dialect | None:
 
 
 def _meaning(view: Mapping[str, Any]) -> dict[str, int]:
-    return {name: id(one) for name, one in view.items() if name not in ANNOTATIONS}
+    return {name: id(value) for name, value in view.items() if name not in ANNOTATIONS}
 
 
 def _is_old(schema: Mapping[str, Any]) -> bool:
@@ -157,8 +159,8 @@ def _dependencies(seen: dict[str, Any]) -> None:
     if not isinstance(found, Mapping):
         seen["dependentSchemas"] = found
         return
-    named = {name: one for name, one in found.items() if isinstance(one, list)}
-    others = {name: one for name, one in found.items() if name not in named}
+    named = {name: value for name, value in found.items() if isinstance(value, list)}
+    others = {name: value for name, value in found.items() if name not in named}
     seen |= {"dependentRequired": named} if named else {}
     seen |= {"dependentSchemas": others} if others else {}
 

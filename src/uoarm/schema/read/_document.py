@@ -61,8 +61,8 @@ class Pool:
 
         They would else be left to the collector of garbage, which stops everything for a while.
         """
-        for one in self.documents:
-            one.close()
+        for document in self.documents:
+            document.close()
         self.documents.clear()
 
     def number(self, content: object) -> int:
@@ -110,8 +110,8 @@ class Document:
             OutOfScopeError: nothing of it is decided.
         """
         if self._is_plain:
-            for one in self._checked:
-                self._read_one(one)
+            for item in self._checked:
+                self._read_one(item)
             return self._nodes[id(self._first(self._schema)), ()]
         base = self._resources.base_in(self._schema)
         root = self._read(self._schema, self._scopes.enter((), base))
@@ -140,8 +140,8 @@ class Document:
         """Return a node that holds where one of some nodes does."""
         if len(nodes) == 1:
             return nodes[0]
-        number = self._pool.number(("either", frozenset(one.number for one in nodes)))
-        return Node(number, {"anyOf": [one.raw for one in nodes]}, self, any_of=tuple(nodes))
+        number = self._pool.number(("either", frozenset(node.number for node in nodes)))
+        return Node(number, {"anyOf": [node.raw for node in nodes]}, self, any_of=tuple(nodes))
 
     def _find(self, reference: Reference) -> Node:
         try:
@@ -168,7 +168,7 @@ class Document:
         """
         if not self._resources.refers:
             return 0
-        if not any(self._is_loose(one) for one in self._resources.far):
+        if not any(self._is_loose(name) for name in self._resources.far):
             try:
                 return self._pool.number(("document", self._keys.of(schema)))
             except (OutOfScopeError, SchemaError):
@@ -237,7 +237,7 @@ class Document:
             elif keyword in _MANY:
                 parts = unread if keyword in _UNREAD else found
                 steps = enumerate(value) if isinstance(value, list) else value.items()
-                parts.extend([(self._first(one), (at, step), False) for step, one in steps])
+                parts.extend([(self._first(item), (at, step), False) for step, item in steps])
             if keyword in _PATTERNS:
                 self._dispute([value] if keyword == "pattern" else value)
         self.meter.spend(work)
@@ -356,7 +356,7 @@ class Document:
                     path.add(id(node))
                     stack.append((node, True))
                     known = len(self._nodes)
-                    stack.extend((one, False) for one in node.applied())
+                    stack.extend((subschema, False) for subschema in node.applied())
                     if len(self._nodes) > known:
                         waiting.extend(list(self._nodes.values())[known:])
         return False

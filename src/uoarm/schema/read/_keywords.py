@@ -64,16 +64,16 @@ def _several(field: str) -> Reader:
     def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
         nodes = tuple(map(child, value))
         setattr(node, field, nodes)
-        return tuple(one.number for one in nodes)
+        return tuple(subschema.number for subschema in nodes)
 
     return read
 
 
 def _named(field: str) -> Reader:
     def read(node: Node, value: Any, child: Child, _: KeyOf) -> object:
-        named = tuple((name, child(one)) for name, one in value.items())
+        named = tuple((name, child(item)) for name, item in value.items())
         setattr(node, field, named)
-        return frozenset((name, one.number) for name, one in named)
+        return frozenset((name, subschema.number) for name, subschema in named)
 
     return read
 
@@ -105,7 +105,7 @@ def _plain(field: str) -> Reader:
 
 
 _ALONE = {
-    one: frozenset([one]) for one in ("null", "boolean", "number", "string", "array", "object")
+    text: frozenset([text]) for text in ("null", "boolean", "number", "string", "array", "object")
 }
 
 
@@ -121,8 +121,8 @@ def _type(node: Node, value: Any, _: Child, __: KeyOf) -> object:
 
 
 def _properties(node: Node, value: Any, child: Child, _: KeyOf) -> object:
-    node.properties = {name: child(one) for name, one in value.items()}
-    return frozenset((name, one.number) for name, one in node.properties.items())
+    node.properties = {name: child(item) for name, item in value.items()}
+    return frozenset((name, property_.number) for name, property_ in node.properties.items())
 
 
 def _required(node: Node, value: Any, _: Child, __: KeyOf) -> object:
@@ -137,9 +137,9 @@ def _dependent_required(node: Node, value: Any, _: Child, key_of: KeyOf) -> obje
 
 def _values(node: Node, value: Any, _: Child, key_of: KeyOf) -> None:
     """Take in the values of `const` or `enum`; those that both have where both stand."""
-    values = {key_of(one): one for one in value}
+    values = {key_of(item): item for item in value}
     if node.values is not None:
-        values = {key: one for key, one in values.items() if key in node.values}
+        values = {key: item for key, item in values.items() if key in node.values}
     node.values = values
 
 

@@ -86,7 +86,7 @@ class Node:
     def applied(self) -> list[Node]:
         """Return the schemas that this one applies to the same value."""
         single = [self.negated, self.condition, self.then, self.otherwise]
-        found = [one for one in single if one is not None]
+        found = [node for node in single if node is not None]
         found += [*self.all_of, *(self.any_of or ()), *(self.one_of or ())]
-        found += [one for _, one in self.dependent_schemas]
+        found += [node for _, node in self.dependent_schemas]
         return found if self.reference is None else [*found, self.target()]

@@ -79,7 +79,7 @@ class Resources:
     @property
     def aims(self) -> set[str]:
         """The fragments of all references."""
-        return {one.partition("#")[2] for one in self._references}
+        return {reference.partition("#")[2] for reference in self._references}
 
     def absolute(self, schema: Mapping[str, Any], reference: str) -> str:
         """Return a reference of a schema in the form that `find` takes."""

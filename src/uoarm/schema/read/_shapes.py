@@ -50,7 +50,9 @@ def check_keyword(keyword: str, value: object, pointer: Pointer) -> int:
             raise SchemaError(write_pointer(pointer), "a number above zero", value)
         if keyword in _PATTERNED:
             patterns: Any = [value] if keyword == "pattern" else value
-            return sum(_demand_pattern(one, pointer) + len(one) // 16 for one in patterns)
+            return sum(
+                _demand_pattern(pattern, pointer) + len(pattern) // 16 for pattern in patterns
+            )
     small = value.__class__ in _SMALL or not isinstance(value, _SIZED)
     return 0 if small else len(value) // 16  # type: ignore[arg-type] # it has a size
 
@@ -76,7 +78,7 @@ def _is_map(value: object) -> bool:
 def _is_names(value: object) -> bool:
     if not isinstance(value, (list, tuple)):
         return False
-    return _NAMES.issuperset(map(type, value)) or all(isinstance(one, str) for one in value)
+    return _NAMES.issuperset(map(type, value)) or all(isinstance(item, str) for item in value)
 
 
 def _is_number(value: object) -> bool:
@@ -98,7 +100,7 @@ def _is_schemas(value: object) -> bool:
 
 
 def _is_lists_of_names(value: object) -> bool:
-    return _is_map(value) and all(_is_names(one) for one in value.values())  # type: ignore[attr-defined] # a map
+    return _is_map(value) and all(_is_names(item) for item in value.values())  # type: ignore[attr-defined] # a map
 
 
 def _is_type(value: object) -> bool:
@@ -107,7 +109,7 @@ def _is_type(value: object) -> bool:
     return (
         isinstance(value, list)
         and bool(value)
-        and all(isinstance(one, str) and one in _TYPES for one in value)
+        and all(isinstance(item, str) and item in _TYPES for item in value)
     )
 
 

@@ -32,17 +32,17 @@ def is_plain(schema: object, meter: Meter) -> bool:
     for _ in range(_MAX_LEVELS):
         below: list[Any] = []
         meter.spend(len(level) // 32)
-        for one in level:
-            kind = one.__class__
+        for item in level:
+            kind = item.__class__
             if kind in _ALWAYS:
                 continue
             if kind is dict:
-                if not (placing.isdisjoint(one) and _NAMES.issuperset(map(type, one))):
+                if not (placing.isdisjoint(item) and _NAMES.issuperset(map(type, item))):
                     return False
-                within = one.values()
+                within = item.values()
             elif kind is list:
-                within = one
-            elif kind is float and isfinite(one):
+                within = item
+            elif kind is float and isfinite(item):
                 continue
             else:
                 return False

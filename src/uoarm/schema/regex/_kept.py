@@ -40,7 +40,7 @@ class Kept(Generic[T]):
         made = self._make(text)
         with self._lock:
             self._kept[text] = made
-            weight = sum(self._weigh(one) for one in self._kept.values())
+            weight = sum(self._weigh(item) for item in self._kept.values())
             while weight > self._most and len(self._kept) > 1:
                 weight -= self._weigh(self._kept.popitem(last=False)[1])
         return made

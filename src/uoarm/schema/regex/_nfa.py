@@ -52,20 +52,20 @@ class Nfa:
         A look ahead is shared by the copies.
         """
         at = len(self.always) - start
-        for one in range(start, start + size):
+        for index in range(start, start + size):
             self.state()
-            self.always[-1].extend(to + at for to in self.always[one])
-            self.asserts[-1].extend((kind, to + at) for kind, to in self.asserts[one])
-            self.looks[-1].extend((sign, inner, to + at) for sign, inner, to in self.looks[one])
-            self.edges[-1].extend((chars, to + at) for chars, to in self.edges[one])
+            self.always[-1].extend(to + at for to in self.always[index])
+            self.asserts[-1].extend((kind, to + at) for kind, to in self.asserts[index])
+            self.looks[-1].extend((sign, inner, to + at) for sign, inner, to in self.looks[index])
+            self.edges[-1].extend((chars, to + at) for chars, to in self.edges[index])
 
     def parts(self) -> Iterator[Nfa]:
         """Yield this automaton and all that it looks ahead with."""
         waiting = [self]
         seen = {id(self)}  # copies of a look ahead share their automaton
-        for one in waiting:
-            yield one
-            for looks in one.looks:
+        for nfa in waiting:
+            yield nfa
+            for looks in nfa.looks:
                 for _, inner, _ in looks:
                     if id(inner) not in seen:
                         seen.add(id(inner))

@@ -69,7 +69,9 @@ def _compile(pattern: str) -> Nfa:
 
 _MAX_KEPT = 60_000
 """States of all automata that are kept, of some 500 octets each."""
-compile_pattern = Kept(_compile, lambda nfa: sum(len(one.always) for one in nfa.parts()), _MAX_KEPT)
+compile_pattern = Kept(
+    _compile, lambda nfa: sum(len(item.always) for item in nfa.parts()), _MAX_KEPT
+)
 
 
 def is_disputed(pattern: str) -> bool:
@@ -264,10 +266,10 @@ class _Parser:
             pieces.append((first + number * size, last + number * size))
         begin, end = self.nfa.state(), self.nfa.state()
         at = begin
-        for number, (one, other) in enumerate(pieces):
+        for number, (index, other) in enumerate(pieces):
             if number >= least:
                 self.nfa.always[at].append(end)
-            self.nfa.always[at].append(one)
+            self.nfa.always[at].append(index)
             at = other
         if most is None:
             self.nfa.always[at].append(pieces[-1][0])

@@ -156,7 +156,7 @@ def _make(pattern: str) -> Walker:
     return Walker(compile_pattern(pattern))
 
 
-walker_of = Kept(_make, lambda one: one.weight, _MAX_KEPT)
+walker_of = Kept(_make, lambda item: item.weight, _MAX_KEPT)
 """Returns the walker of a pattern, which remembers what it has walked."""
 
 

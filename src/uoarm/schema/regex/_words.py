@@ -62,7 +62,7 @@ def shortest_word(
     """
     if most is not None and most < least:
         return None
-    if not wanted and not unwanted and not any(len(one) == least for one in excluded):
+    if not wanted and not unwanted and not any(len(name) == least for name in excluded):
         _check_length(least)
         return "a" * least
     letters, halves = _letters([*wanted, *unwanted], excluded)
@@ -97,7 +97,7 @@ class _Search:
     ) -> None:
         meter.spend(len(excluded) // 16)
         self._meter = meter
-        self._walkers = [walker_of(one) for one in (*wanted, *unwanted)]
+        self._walkers = [walker_of(name) for name in (*wanted, *unwanted)]
         self._wanted = len(wanted)
         self._excluded = sorted(excluded)
         self._letters = letters
@@ -106,7 +106,7 @@ class _Search:
 
     def run(self, least: int, most: int | None) -> str | None:
         rivals = (0, len(self._excluded)) if self._excluded else None
-        start: State = (tuple(one.start for one in self._walkers), rivals)
+        start: State = (tuple(walker.start for walker in self._walkers), rivals)
         self._layers.append({start: None})
         seen: dict[frozenset[State], int] = {}
         while True:
@@ -204,7 +204,7 @@ class _Search:
 
 def _weight(state: State) -> int:
     """Return about how much work one step from a state is."""
-    return sum(len(one[1]) + sum(len(duties) for _, duties in one[1]) for one in state[0])
+    return sum(len(pair[1]) + sum(len(duties) for _, duties in pair[1]) for pair in state[0])
 
 
 def _letters(patterns: Sequence[str], excluded: Collection[str]) -> tuple[list[str], list[str]]:
@@ -229,7 +229,7 @@ def _letters(patterns: Sequence[str], excluded: Collection[str]) -> tuple[list[s
     best: dict[int, str] = {}
     halves: dict[int, str] = {}
     kind = 0
-    bounds = sorted(one for one in changes if one <= _LAST)
+    bounds = sorted(change for change in changes if change <= _LAST)
     for low, end in zip(bounds, [*bounds[1:], _LAST + 1], strict=True):
         kind ^= changes[low]
         if kind & 1:

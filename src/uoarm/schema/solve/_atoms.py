@@ -47,7 +47,7 @@ def _string_violations(node: Node) -> list[Atom]:
 
 def _array_atoms(node: Node) -> list[Atom]:
     atoms = _sizes(node.min_items, node.max_items)
-    atoms.extend(("at", n, (one, True)) for n, one in enumerate(node.prefix))
+    atoms.extend(("at", n, (subschema, True)) for n, subschema in enumerate(node.prefix))
     if node.items is not None:
         atoms.append(("tail", len(node.prefix), (node.items, True)))
     if node.contains is not None:
@@ -59,7 +59,7 @@ def _array_atoms(node: Node) -> list[Atom]:
 
 def _array_violations(node: Node) -> list[Atom]:
     atoms = _sizes_violated(node.min_items, node.max_items)
-    atoms.extend(("someat", n, (one, False)) for n, one in enumerate(node.prefix))
+    atoms.extend(("someat", n, (subschema, False)) for n, subschema in enumerate(node.prefix))
     if node.items is not None:
         atoms.append(("some", len(node.prefix), (node.items, False)))
     if node.contains is not None:
@@ -75,8 +75,8 @@ def _array_violations(node: Node) -> list[Atom]:
 def _object_atoms(node: Node) -> list[Atom]:
     atoms = _sizes(node.min_properties, node.max_properties)
     atoms.extend(("has", name) for name in node.required)
-    atoms.extend(("member", name, (one, True)) for name, one in node.properties.items())
-    atoms.extend(("pattern", pattern, (one, True)) for pattern, one in node.patterns)
+    atoms.extend(("member", name, (property_, True)) for name, property_ in node.properties.items())
+    atoms.extend(("pattern", pattern, (subschema, True)) for pattern, subschema in node.patterns)
     if node.additional is not None:
         atoms.append(("rest", node, (node.additional, True)))
     if node.names is not None:
@@ -86,8 +86,12 @@ def _object_atoms(node: Node) -> list[Atom]:
 
 def _object_violations(node: Node) -> list[Atom]:
     atoms: list[Atom] = [("lacks", name) for name in node.required]
-    atoms.extend(("somemember", name, (one, False)) for name, one in node.properties.items())
-    atoms.extend(("somepattern", pattern, (one, False)) for pattern, one in node.patterns)
+    atoms.extend(
+        ("somemember", name, (property_, False)) for name, property_ in node.properties.items()
+    )
+    atoms.extend(
+        ("somepattern", pattern, (subschema, False)) for pattern, subschema in node.patterns
+    )
     if node.additional is not None:
         atoms.append(("somerest", node, (node.additional, False)))
     if node.names is not None:

@@ -26,7 +26,7 @@ _MAX_WRITTEN = 100
 _MAX_TEXT = 1_000
 _MAX_ITEMS = 10_000_000
 _ASIDE = frozenset({"number", "raw", "document", "tags", "properties", "items"})
-_SAID = tuple(one.name for one in fields(Node) if one.name not in _ASIDE)
+_SAID = tuple(field.name for field in fields(Node) if field.name not in _ASIDE)
 _said = attrgetter(*_SAID)
 _FOLLOWS: dict[str, Callable[[Any, Any], bool]] = {
     **dict.fromkeys(("minimum", "above", "min_length", "min_items", "min_properties"), ge),
@@ -167,18 +167,18 @@ class Messages:
             inner = around[-1].items if isinstance(step, int) else around[-1].properties[step]
             assert inner is not None, "a path leads through what is there"
             around.append(inner)
-        if any(one.min_items > _MAX_ITEMS for one in around):
+        if any(subschema.min_items > _MAX_ITEMS for subschema in around):
             return None
-        for step, one in zip(reversed(path), reversed(around[:-1]), strict=True):
+        for step, subschema in zip(reversed(path), reversed(around[:-1]), strict=True):
             is_item = isinstance(step, int)
-            for part in one.prefix if is_item else _needed(one, "object"):
+            for part in subschema.prefix if is_item else _needed(subschema, "object"):
                 if self.simplest(part) is None:
                     return None
             if is_item:
-                front = [self._made[part.number] for part in one.prefix]
-                value = _repeated(front, value, max(1, one.min_items - len(front)))
+                front = [self._made[part.number] for part in subschema.prefix]
+                value = _repeated(front, value, max(1, subschema.min_items - len(front)))
             else:
-                value = {**self._of_kind(one, "object"), step: value}
+                value = {**self._of_kind(subschema, "object"), step: value}
         return Found(value)
 
     def _of_kind(self, node: Node, kind: str) -> Any:
@@ -243,4 +243,4 @@ def _number(node: Node) -> int:
 def _repeated(front: list[Any], item: Any, count: int) -> Any:
     if count <= _MAX_WRITTEN:
         return [*front, *[item] * count]
-    return Repeated([*((one, 1) for one in front), (item, count)])
+    return Repeated([*((element, 1) for element in front), (item, count)])

@@ -147,7 +147,7 @@ class Judgements:
         size = len(value)
         if size < node.min_items or (node.max_items is not None and size > node.max_items):
             return False
-        if node.unique and len({self.key_of(one) for _, one, _ in runs_of(value)}) < size:
+        if node.unique and len({self.key_of(element) for _, element, _ in runs_of(value)}) < size:
             return False
         if node.prefix or node.items is not None:
             for start, item, count in runs_of(value):
@@ -180,7 +180,7 @@ class Judgements:
         if any(name not in value for name in node.required):
             return False
         for name, needed in node.dependent_required:
-            if name in value and any(one not in value for one in needed):
+            if name in value and any(text not in value for text in needed):
                 return False
         self.spend((count + len(node.required)) // 16)
         for name, item in value.items():
@@ -295,15 +295,15 @@ def _number(node: Node, value: float) -> bool:
 def _logic(node: Node, value: Any, marks: Marks | None) -> Answer:
     if node.reference is not None and not (yield from _apply(node.target(), value, marks)):
         return False
-    for one in node.all_of:
-        if not (yield from _apply(one, value, marks)):
+    for subschema in node.all_of:
+        if not (yield from _apply(subschema, value, marks)):
             return False
     if node.any_of is not None and not (yield from _any_of(node.any_of, value, marks)):
         return False
     if node.one_of is not None:
         hits = 0
-        for one in node.one_of:
-            hits += yield from _apply(one, value, marks)
+        for subschema in node.one_of:
+            hits += yield from _apply(subschema, value, marks)
         if hits != 1:
             return False
     if node.negated is not None and (yield node.negated, value, None):
@@ -320,9 +320,9 @@ def _any_of(nodes: Iterable[Node], value: Any, marks: Marks | None) -> Answer:
     """Apply several schemas; one that is not decided does not matter beside one that holds."""
     hits = 0
     undecided: OutOfScopeError | None = None
-    for one in nodes:
+    for node in nodes:
         try:
-            hits += yield from _apply(one, value, marks)
+            hits += yield from _apply(node, value, marks)
         except OutOfScopeError as error:
             undecided = error
         if hits and marks is None:

@@ -47,7 +47,7 @@ def _positive(node: Node, kind: str) -> Branch | None:
     if node.values is not None:
         whole.atoms.append(("in", node))
     whole.atoms.extend(ATOMS[kind](node))
-    whole.literals.extend((one, True) for one in node.all_of)
+    whole.literals.extend((subschema, True) for subschema in node.all_of)
     if node.reference is not None:
         whole.literals.append((node.target(), True))
     if node.any_of is not None:
@@ -75,9 +75,10 @@ def _if_there(node: Node | None, *, sign: bool) -> list[Literal]:
 
 def _possible(nodes: Iterable[Node], kind: str) -> list[Node]:
     return [
-        one
-        for one in nodes
-        if one.unsupported or not (one.never or (one.kinds is not None and kind not in one.kinds))
+        node
+        for node in nodes
+        if node.unsupported
+        or not (node.never or (node.kinds is not None and kind not in node.kinds))
     ]
 
 
@@ -90,10 +91,10 @@ def _check_few(nodes: Sequence[Node]) -> None:
 
 def _any_one(nodes: Sequence[Node]) -> Choice:
     ways: list[Branch] = []
-    for number, one in enumerate(nodes, 1):
+    for number, node in enumerate(nodes, 1):
         if not number % 8:
-            one.document.meter.spend()
-        ways.append(Branch(literals=[(one, True)]))
+            node.document.meter.spend()
+        ways.append(Branch(literals=[(node, True)]))
     return Choice(ways)
 
 
@@ -103,8 +104,8 @@ def _exactly_one(nodes: Iterable[Node], kind: str) -> Choice:
         return _any_one(possible)
     _check_few(possible)
     ways: list[Branch] = []
-    for i, one in enumerate(possible):
-        one.document.meter.spend(1 + len(possible) // 8)
+    for i, node in enumerate(possible):
+        node.document.meter.spend(1 + len(possible) // 8)
         ways.append(Branch(literals=[(other, i == j) for j, other in enumerate(possible)]))
     return Choice(ways)
 
@@ -115,16 +116,16 @@ def _two_at_once(nodes: Iterable[Node], kind: str) -> list[Branch]:
         return []
     _check_few(possible)
     ways: list[Branch] = []
-    for place, one in enumerate(possible):
-        one.document.meter.spend(1 + len(possible) // 8)
-        ways += [Branch(literals=[(one, True), (two, True)]) for two in possible[place + 1 :]]
+    for place, node in enumerate(possible):
+        node.document.meter.spend(1 + len(possible) // 8)
+        ways += [Branch(literals=[(node, True), (two, True)]) for two in possible[place + 1 :]]
     return ways
 
 
 def _dependencies(node: Node) -> list[Choice]:
     needs = [
         Choice(
-            [Branch([("lacks", name)]), Branch([("has", name), *(("has", one) for one in names)])]
+            [Branch([("lacks", name)]), Branch([("has", name), *(("has", text) for text in names)])]
         )
         for name, names in node.dependent_required
     ]
@@ -141,13 +142,13 @@ def _violations(node: Node, kind: str) -> list[Branch]:
     if node.values is not None:
         ways.append(Branch([("notin", node)]))
     ways.extend(Branch([atom]) for atom in VIOLATIONS[kind](node))
-    ways.extend(Branch(literals=[(one, False)]) for one in node.all_of)
+    ways.extend(Branch(literals=[(subschema, False)]) for subschema in node.all_of)
     if node.reference is not None:
         ways.append(Branch(literals=[(node.target(), False)]))
     if node.any_of is not None:
-        ways.append(Branch(literals=[(one, False) for one in node.any_of]))
+        ways.append(Branch(literals=[(subschema, False) for subschema in node.any_of]))
     if node.one_of is not None:
-        ways.append(Branch(literals=[(one, False) for one in node.one_of]))
+        ways.append(Branch(literals=[(subschema, False) for subschema in node.one_of]))
         ways.extend(_two_at_once(node.one_of, kind))
     if node.negated is not None:
         ways.append(Branch(literals=[(node.negated, True)]))
@@ -158,7 +159,7 @@ def _violations(node: Node, kind: str) -> list[Branch]:
             ways.append(Branch(literals=[(node.condition, False), (node.otherwise, False)]))
     if kind == "object":
         for name, names in node.dependent_required:
-            ways.extend(Branch([("has", name), ("lacks", one)]) for one in names)
+            ways.extend(Branch([("has", name), ("lacks", text)]) for text in names)
         for name, rule in node.dependent_schemas:
             ways.append(Branch([("has", name)], [(rule, False)]))
         if node.unevaluated_properties is not None:

@@ -55,18 +55,18 @@ def below(bound: Fraction, *, strict: bool) -> Numbers:
 
 def points(values: Iterable[Fraction]) -> Numbers:
     """Return the set of some single numbers."""
-    plain = sorted({_plain(one) for one in values})
-    return Numbers(False, tuple((one, side) for one in plain for side in (0, 1)))
+    plain = sorted({_plain(value) for value in values})
+    return Numbers(False, tuple((item, side) for item in plain for side in (0, 1)))
 
 
 def counted(sets: Iterable[Numbers], keep: Callable[[int], bool]) -> Numbers:
     """Return the numbers that are in a number of the sets for which `keep` holds."""
     count = 0
     changes: dict[Cut, int] = {}
-    for one in sets:
-        count += one.begins
-        step = -1 if one.begins else 1
-        for cut in one.cuts:
+    for set_ in sets:
+        count += set_.begins
+        step = -1 if set_.begins else 1
+        for cut in set_.cuts:
             changes[cut] = changes.get(cut, 0) + step
             step = -step
     begins = inside = keep(count)

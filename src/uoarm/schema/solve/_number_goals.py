@@ -122,15 +122,15 @@ class _Sets:
         if node.multiple is not None and not self._divides[node.multiple]:
             return NO_NUMBER
         parts = _own(node)
-        for one in node.all_of:
-            parts += [(yield one)]
+        for subschema in node.all_of:
+            parts += [(yield subschema)]
         if node.reference is not None:
             parts.append((yield node.target()))
         for branches, keep in ((node.any_of, _some), (node.one_of, _one)):
             if branches is not None:
                 ways: list[Numbers] = []
-                for one in branches:
-                    ways += [(yield one)]
+                for branch in branches:
+                    ways += [(yield branch)]
                 parts.append(counted(ways, keep))
         if node.negated is not None:
             parts.append(_outside((yield node.negated)))
@@ -157,8 +157,8 @@ def _holds_no_integer(low: Bound, high: Bound) -> bool:
 def _own(node: Node) -> list[Numbers]:
     parts: list[Numbers] = []
     if node.values is not None:
-        numbers = (one for one in node.values.values() if kind_of(one) == "number")
-        parts.append(points(exact(one) for one in numbers))  # type: ignore[arg-type] # numbers
+        numbers = (value for value in node.values.values() if kind_of(value) == "number")
+        parts.append(points(exact(number) for number in numbers))  # type: ignore[arg-type] # numbers
     if node.minimum is not None:
         parts.append(above(node.minimum, strict=False))
     if node.above is not None:

@@ -80,11 +80,11 @@ def _on_lattice(
         most -= high[1] and most * step == high[0]
     if least is not None and most is not None and least > most:
         return EMPTY
-    periods = [(step / one).denominator for one in never]
+    periods = [(step / fraction).denominator for fraction in never]
     if 1 in periods:
         return EMPTY
     skipped = False
-    taken = {int(one / step) for one in excluded if (one / step).denominator == 1}
+    taken = {int(fraction / step) for fraction in excluded if (fraction / step).denominator == 1}
     for tries, factor in enumerate(_outwards(least, most)):
         if not tries % 32:
             spend(1)
@@ -130,7 +130,7 @@ def _anywhere(
     excluded: frozenset[Fraction],
 ) -> Result:
     def fits(number: Fraction) -> bool:
-        if number in excluded or any((number / one).denominator == 1 for one in never):
+        if number in excluded or any((number / fraction).denominator == 1 for fraction in never):
             return False
         if low is not None and (number < low[0] or (number == low[0] and low[1])):
             return False
@@ -160,10 +160,12 @@ def _candidates(
         yield from (low[0], low[0] + 1)
     if high is not None:
         yield from (high[0], high[0] - 1)
-    whole = [Fraction(0)] + [Fraction(math.floor(one[0])) for one in (low, high) if one is not None]
+    whole = [Fraction(0)] + [
+        Fraction(math.floor(pair[0])) for pair in (low, high) if pair is not None
+    ]
     for power in range(1, _CLOSEST):
         for part in (Fraction(1, 2**power), Fraction(1, 10**power), Fraction(1, 3**power)):
-            yield from (one + sign * part for one in whole for sign in (1, -1))
+            yield from (fraction + sign * part for fraction in whole for sign in (1, -1))
     start = low[0] if low is not None else (high[0] - 1 if high is not None else Fraction(0))
     width = high[0] - start if high is not None and low is not None else Fraction(1)
     for power in range(1, 60):

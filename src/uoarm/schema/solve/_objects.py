@@ -247,7 +247,7 @@ def _name_classes(
     for node in [n for n, _ in view.rests] + [d[1] for d in view.demands if d[0] == "somerest"]:
         patterns.update(dict.fromkeys(pattern for pattern, _ in node.patterns))  # type: ignore[attr-defined] # a node
     patterns.update((str(demand[1]), None) for demand in demands if demand[0] == "somepattern")
-    nodes = {node.number: node for node in (_matching(solver, one) for one in patterns)}
+    nodes = {node.number: node for node in (_matching(solver, name) for name in patterns)}
     for demand in demands:
         if demand[0] == "somename":
             literal: Any = demand[-1]
@@ -256,7 +256,7 @@ def _name_classes(
         raise TooLong(f"{len(nodes)} patterns of names meet")
     classes: list[list[Literal]] = [[]]
     for node in nodes.values():
-        classes = [[*one, (node, sign)] for one in classes for sign in (False, True)]
+        classes = [[*class_, (node, sign)] for class_ in classes for sign in (False, True)]
     return classes
 
 
@@ -278,7 +278,7 @@ def _matching(solver: Solver, pattern: str) -> Node:
 
 def _unnamed(solver: Solver, node: Node) -> list[Literal]:
     """Return what a name must meet to be none that a schema names."""
-    literals: list[Literal] = [(_matching(solver, one), False) for one, _ in node.patterns]
+    literals: list[Literal] = [(_matching(solver, name), False) for name, _ in node.patterns]
     if node.properties:
         names = sorted(node.properties)
         literals.append((solver.make(f"one of {names}", {"enum": names}), False))

@@ -264,7 +264,7 @@ def _exclude_composites(solver: Solver, state: State) -> bool:
     """Turn `is none of these arrays or objects` into choices about their parts."""
     if state.kind not in {"array", "object"}:
         return True
-    for atom in [one for one in state.atoms if one[0] == "notin"]:
+    for atom in [tuple_ for tuple_ in state.atoms if tuple_[0] == "notin"]:
         state.atoms.remove(atom)
         for key, value in atom[1].values.items():  # type: ignore[attr-defined] # a node
             if kind_of(value) != state.kind:
@@ -280,7 +280,7 @@ def _shape(value: object) -> dict[str, object]:
     """Return a schema that only this array or object meets, without naming it whole."""
     if isinstance(value, dict):
         return {
-            "properties": {name: {"const": one} for name, one in value.items()},
+            "properties": {name: {"const": element} for name, element in value.items()},
             "required": list(value),
             "additionalProperties": False,
         }
@@ -291,5 +291,5 @@ def _shape(value: object) -> dict[str, object]:
         raise TooLong(f"an array of {size:,} items would have to be told apart from others")
     if size:
         items = [item for _, item, count in runs_of(value) for _ in range(count)]
-        shape["prefixItems"] = [{"const": one} for one in items]
+        shape["prefixItems"] = [{"const": element} for element in items]
     return shape

@@ -245,7 +245,7 @@ def possible_kinds(goal: Goal) -> list[str]:
     kinds = list(KINDS)
     for node, sign in goal:
         if sign and node.kinds is not None and not node.unsupported:
-            kinds = [one for one in kinds if one in node.kinds]
+            kinds = [kind for kind in kinds if kind in node.kinds]
     return kinds
 
 

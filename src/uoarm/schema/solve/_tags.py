@@ -45,26 +45,26 @@ def certainly_disjoint(nodes: Sequence[Node], kind: str) -> bool:
         return False
     tags = [tags_of(node) for node in nodes]
     return any(
-        all(name in one for one in tags) and _apart([one[name] for one in tags]) for name in tags[0]
+        all(name in tag for tag in tags) and _apart([tag[name] for tag in tags]) for name in tags[0]
     )
 
 
 def _apart(sets: Sequence[AbstractSet[Key]]) -> bool:
-    return len(frozenset[Key]().union(*sets)) == sum(len(one) for one in sets)
+    return len(frozenset[Key]().union(*sets)) == sum(len(set_) for set_ in sets)
 
 
 def _find(node: Node) -> Tags:
     conjuncts = [node]
-    for one in conjuncts:
-        conjuncts.extend(one.all_of)
-        if one.reference is not None:
-            conjuncts.append(one.target())
-        if one.unsupported or len(conjuncts) > _MAX_CONJUNCTS:
+    for conjunct in conjuncts:
+        conjuncts.extend(conjunct.all_of)
+        if conjunct.reference is not None:
+            conjuncts.append(conjunct.target())
+        if conjunct.unsupported or len(conjuncts) > _MAX_CONJUNCTS:
             return {}
-    required = {name for one in conjuncts for name in one.required}
+    required = {name for conjunct in conjuncts for name in conjunct.required}
     return {
         name: rule.values.keys()
-        for one in conjuncts
-        for name, rule in one.properties.items()
+        for conjunct in conjuncts
+        for name, rule in conjunct.properties.items()
         if rule.values is not None and name in required and not rule.unsupported
     }

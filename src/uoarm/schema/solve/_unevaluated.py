@@ -47,18 +47,18 @@ def _sources(node: Node, kind: str) -> list[Source]:
     """
     found: list[Source] = []
     waiting: list[tuple[Node, Guard]] = [(node, ())]
-    for one, guard in waiting:
+    for subschema, guard in waiting:
         if len(waiting) > _MAX_SOURCES:
             raise OutOfScopeError("too many schemas stand beside an unevaluated keyword")
-        if one.unsupported:
-            raise OutOfScopeError(one.unsupported)
-        if one.never or (one.kinds is not None and kind not in one.kinds):
+        if subschema.unsupported:
+            raise OutOfScopeError(subschema.unsupported)
+        if subschema.never or (subschema.kinds is not None and kind not in subschema.kinds):
             continue
-        everything = _evaluates_all(one, kind, rooted=one is node)
-        if everything or _evaluates_some(one, kind):
-            found.append(Source(one, guard, everything))
-        if not everything or one is node:
-            waiting.extend((inner, guard + more) for inner, more in _beside(one, kind))
+        everything = _evaluates_all(subschema, kind, rooted=subschema is node)
+        if everything or _evaluates_some(subschema, kind):
+            found.append(Source(subschema, guard, everything))
+        if not everything or subschema is node:
+            waiting.extend((inner, guard + more) for inner, more in _beside(subschema, kind))
     return found
 
 
@@ -76,12 +76,12 @@ def _evaluates_some(node: Node, kind: str) -> bool:
 
 def _beside(node: Node, kind: str) -> Iterator[tuple[Node, Guard]]:
     """Yield the schemas that a node applies to the same value, each with its own condition."""
-    for one in node.all_of:
-        yield one, ()
+    for subschema in node.all_of:
+        yield subschema, ()
     if node.reference is not None:
         yield node.target(), ()
-    for one in (*(node.any_of or ()), *(node.one_of or ())):
-        yield one, ((one, True),)
+    for subschema in (*(node.any_of or ()), *(node.one_of or ())):
+        yield subschema, ((subschema, True),)
     if node.condition is not None:
         yield node.condition, ((node.condition, True),)
         if node.then is not None:
@@ -99,18 +99,20 @@ _MAX_SPLIT = 6
 def members_hold(node: Node, rule: Node) -> list[Branch]:
     """Return the ways in which every member is evaluated or meets the rule."""
     always, whole, partly = _sorted(_sources(node, "object"))
-    ways = [_held(one.guard) for one in whole]
-    if any(not one.guard for one in whole):
+    ways = [_held(source.guard) for source in whole]
+    if any(not source.guard for source in whole):
         return [Branch()]
-    wide = [one for one in partly if one.node.patterns]
-    narrow = [one for one in partly if not one.node.patterns]
+    wide = [source for source in partly if source.node.patterns]
+    narrow = [source for source in partly if not source.node.patterns]
     for used in _subsets(wide, "patterns of names"):
         sure = [*always, *used]
         cover = _cover(node, sure, sure)
-        way = _held([condition for one in used for condition in one.guard])
+        way = _held([condition for source in used for condition in source.guard])
         for name in _names(narrow):
             if not named_rules(cover, name):
-                holders = [_held(one.guard) for one in narrow if name in one.node.properties]
+                holders = [
+                    _held(source.guard) for source in narrow if name in source.node.properties
+                ]
                 meets = Branch([("member", name, (rule, True))])
                 way.choices.append(Choice([meets, *holders]))
         way.atoms.append(("rest", _cover(node, [*sure, *narrow], sure), (rule, True)))
@@ -121,22 +123,24 @@ def members_hold(node: Node, rule: Node) -> list[Branch]:
 def members_fail(node: Node, rule: Node) -> list[Branch]:
     """Return the ways in which some member is not evaluated and fails the rule."""
     always, whole, partly = _sorted(_sources(node, "object"))
-    if any(not one.guard for one in whole) or rule.raw is True:
+    if any(not source.guard for source in whole) or rule.raw is True:
         return []
     cover = _cover(node, always, always)
     ways: list[Branch] = []
     for name in _names(partly):
         if not named_rules(cover, name):
             way = Branch([("somemember", name, (rule, False))])
-            way.choices += [_failed(one.guard) for one in whole]
-            way.choices += [_failed(one.guard) for one in partly if named_rules(one.node, name)]
+            way.choices += [_failed(source.guard) for source in whole]
+            way.choices += [
+                _failed(source.guard) for source in partly if named_rules(source.node, name)
+            ]
             ways.append(way)
-    wide = [one for one in partly if one.node.patterns]
+    wide = [source for source in partly if source.node.patterns]
     for avoided in _subsets(wide, "patterns of names"):
         rest = _cover(node, [*always, *partly], [*always, *avoided])
         way = Branch([("somerest", rest, (rule, False))])
-        way.choices += [_failed(one.guard) for one in whole]
-        way.choices += [_failed(one.guard) for one in wide if one not in avoided]
+        way.choices += [_failed(source.guard) for source in whole]
+        way.choices += [_failed(source.guard) for source in wide if source not in avoided]
         ways.append(way)
     return ways
 
@@ -144,22 +148,22 @@ def members_fail(node: Node, rule: Node) -> list[Branch]:
 def items_hold(node: Node, rule: Node) -> list[Branch]:
     """Return the ways in which every item is evaluated or meets the rule."""
     always, whole, partly = _sorted(_sources(node, "array"))
-    ways = [_held(one.guard) for one in whole]
-    if any(not one.guard for one in whole):
+    ways = [_held(source.guard) for source in whole]
+    if any(not source.guard for source in whole):
         return [Branch()]
-    counting = [one for one in partly if one.node.contains is not None]
+    counting = [source for source in partly if source.node.contains is not None]
     for used in _subsets(counting, "contains"):
         sure = [*always, *used]
         covered = _longest(sure)
         meets = _or_contained(node, rule, sure)
-        guard = [condition for one in used for condition in one.guard]
+        guard = [condition for source in used for condition in source.guard]
         way = _held(guard)
         way.atoms.append(("tail", covered, (meets, True)))
         ways.append(way)
-        for one in partly:
-            if len(one.node.prefix) > covered:
-                way = _held([*guard, *one.guard])
-                way.atoms.append(("tail", len(one.node.prefix), (meets, True)))
+        for source in partly:
+            if len(source.node.prefix) > covered:
+                way = _held([*guard, *source.guard])
+                way.atoms.append(("tail", len(source.node.prefix), (meets, True)))
                 ways.append(way)
     return ways
 
@@ -167,19 +171,19 @@ def items_hold(node: Node, rule: Node) -> list[Branch]:
 def items_fail(node: Node, rule: Node) -> list[Branch]:
     """Return the ways in which some item is not evaluated and fails the rule."""
     always, whole, partly = _sorted(_sources(node, "array"))
-    if any(not one.guard for one in whole) or rule.raw is True:
+    if any(not source.guard for source in whole) or rule.raw is True:
         return []
     ways: list[Branch] = []
     covered = _longest(always)
-    starts = {len(one.node.prefix) for one in partly if len(one.node.prefix) > covered}
-    counting = [one for one in partly if one.node.contains is not None]
+    starts = {len(source.node.prefix) for source in partly if len(source.node.prefix) > covered}
+    counting = [source for source in partly if source.node.contains is not None]
     for failed in _subsets(counting, "contains"):
         meets = _or_contained(node, rule, [*always, *failed])
         for start in sorted({covered, *starts}):
             way = Branch([("some", start, (meets, False))])
-            out = [one for one in partly if len(one.node.prefix) > start]
-            out += [one for one in counting if one not in failed]
-            way.choices += [_failed(one.guard) for one in (*whole, *out)]
+            out = [source for source in partly if len(source.node.prefix) > start]
+            out += [source for source in counting if source not in failed]
+            way.choices += [_failed(source.guard) for source in (*whole, *out)]
             ways.append(way)
     return ways
 
@@ -189,13 +193,13 @@ def _sorted(found: Iterable[Source]) -> tuple[list[Source], list[Source], list[S
     always: list[Source] = []
     whole: list[Source] = []
     partly: list[Source] = []
-    for one in found:
-        if one.all_parts:
-            whole.append(one)
-        elif one.guard:
-            partly.append(one)
+    for source in found:
+        if source.all_parts:
+            whole.append(source)
+        elif source.guard:
+            partly.append(source)
         else:
-            always.append(one)
+            always.append(source)
     return always, whole, partly
 
 
@@ -208,26 +212,26 @@ def _subsets(found: Sequence[Source], what: str) -> Iterator[tuple[Source, ...]]
 
 def _held(guard: Iterable[Condition]) -> Branch:
     held = Branch()
-    for one in guard:
-        if isinstance(one, str):
-            held.atoms.append(("has", one))
+    for item in guard:
+        if isinstance(item, str):
+            held.atoms.append(("has", item))
         else:
-            held.literals.append(one)
+            held.literals.append(item)
     return held
 
 
 def _failed(guard: Guard) -> Choice:
     ways = [
-        Branch([("lacks", one)])
-        if isinstance(one, str)
-        else Branch(literals=[(one[0], not one[1])])
-        for one in guard
+        Branch([("lacks", item)])
+        if isinstance(item, str)
+        else Branch(literals=[(item[0], not item[1])])
+        for item in guard
     ]
     return Choice(ways)
 
 
 def _names(found: Iterable[Source]) -> list[str]:
-    return list(dict.fromkeys(name for one in found for name in one.node.properties))
+    return list(dict.fromkeys(name for source in found for name in source.node.properties))
 
 
 def _cover(node: Node, named: Iterable[Source], matched: Iterable[Source]) -> Node:
@@ -236,16 +240,18 @@ def _cover(node: Node, named: Iterable[Source], matched: Iterable[Source]) -> No
         node.number,
         node.raw,
         node.document,
-        properties={name: rule for one in named for name, rule in one.node.properties.items()},
-        patterns=tuple(pattern for one in matched for pattern in one.node.patterns),
+        properties={
+            name: rule for source in named for name, rule in source.node.properties.items()
+        },
+        patterns=tuple(pattern for source in matched for pattern in source.node.patterns),
     )
 
 
 def _longest(found: Iterable[Source]) -> int:
-    return max((len(one.node.prefix) for one in found), default=0)
+    return max((len(source.node.prefix) for source in found), default=0)
 
 
 def _or_contained(node: Node, rule: Node, found: Iterable[Source]) -> Node:
     """Return what an item meets that follows a rule or counts as contained."""
-    contained = [one.node.contains for one in found if one.node.contains is not None]
+    contained = [source.node.contains for source in found if source.node.contains is not None]
     return node.document.either([rule, *contained])
