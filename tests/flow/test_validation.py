@@ -94,6 +94,57 @@ def test_every_missing_field_is_named() -> None:
         check({"width": 1})
 
 
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        (
+            {"width": -1, "dta": b""},
+            [
+                "width: expected at least 0, got -1",
+                "the message: the field 'data' is missing",
+                'dta: unknown field (did you mean "data"?)',
+            ],
+        ),
+        (
+            {"width": 1, "data": [256, "a", 300, 300]},
+            [
+                "data.0: expected at most 255, got 256",
+                'data.1: expected a whole number, got "a"',
+                "data.2: expected at most 255, got 300",
+            ],
+        ),
+        ({"width": 1, "data": [-1] * 1000}, ["data.0: expected at least 0, got -1"]),
+    ],
+)
+def test_all_mistakes_are_said_at_once(message: Message, told: list[str]) -> None:
+    with pytest.raises(MessageError) as caught:
+        check(message)
+    said = str(caught.value).removeprefix("camera.default: ").split("; ")
+    assert sorted(said) == sorted(told)
+
+
+def test_where_a_field_is_missing_those_that_nothing_says_anything_of_are_named() -> None:
+    structure = MessageStructure(
+        {"type": "object", "properties": {"data": {"type": "boolean"}}, "required": ["data"]}
+    )
+    checker = make_check(structure, ValidationMode.ALWAYS, "light")
+    assert checker is not None
+    with pytest.raises(MessageError) as caught:
+        checker({"dta": True, "who": "me"})
+    assert str(caught.value) == (
+        "light: the message: the field 'data' is missing; "
+        'the field "dta" is unknown (did you mean "data"?); the field "who" is unknown'
+    )
+    checker({"data": True, "who": "me"})
+
+
+def test_a_message_with_a_thousand_mistakes_is_refused_in_few_words() -> None:
+    with pytest.raises(MessageError) as caught:
+        check({"width": 1, "data": b"", **{f"more{number}": 1 for number in range(1000)}})
+    assert str(caught.value).count("unknown field") == 10
+    assert str(caught.value).endswith("; ...")
+
+
 def test_off_makes_no_check() -> None:
     assert make_check(IMAGE, ValidationMode.OFF, "x") is None
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.meaning.unit_pairs import pairs
 
-from uoarm._meaning import Conversion, UnitError, conversion, unit_mistake
+from uoarm._meaning import Conversion, UnitError, _units, conversion, unit_mistake
 from uoarm.testing import patience
 
 PAIRS = list(pairs())
@@ -98,3 +98,41 @@ except UnitError as error:
 def test_a_unit_that_is_not_known_is_an_error_of_its_own() -> None:
     with pytest.raises(UnitError, match="'flugs'"):
         conversion("m", "flugs")
+
+
+@pytest.fixture(params=["with pint", "without"])
+def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "without":
+        monkeypatch.setattr(_units, "missing_for_units", lambda: "this needs: pip install pint")
+
+
+@pytest.mark.usefixtures("either_way")
+@pytest.mark.parametrize(
+    ("unit", "meant"),
+    [
+        ("metr", "metre"),
+        ("metrs/s", "metre"),
+        ("secnd", "second"),
+        ("kilogrm", "kilogram"),
+        ("radain/s", "radian"),
+        ("celcius", "celsius"),
+        ("degress", "degree"),
+        ("Newton.m", "newton"),
+    ],
+)
+def test_a_misspelt_unit_gets_a_near_name(unit: str, meant: str) -> None:
+    assert f"did you mean {meant!r}?" in unit_mistake(unit)
+    with pytest.raises(UnitError, match=f"did you mean '{meant}'"):
+        conversion(unit, "m")
+
+
+def test_without_pint_no_unit_is_refused_that_pint_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pint
+
+    names = [name for name in pint.UnitRegistry()._units if name.isidentifier()]
+    names += [f"{name}s" for name in names]
+    right = [name for name in names if not unit_mistake(name)]
+    monkeypatch.setattr(_units, "missing_for_units", lambda: "this needs: pip install pint")
+    assert [name for name in right if unit_mistake(name)] == []
+    units = {unit for one, other, *_ in PAIRS for unit in (one, other)}
+    assert [unit for unit in units if unit_mistake(unit)] == []

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 from attrs import define, field
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["make_check"]
 
 _SAMPLE_EVERY = 128
+_LOOKED_AT = 50  # mistakes; those of other items of a list that are alike are said once
+_SHOWN = 10
 _LONG = 10**40  # of these Python writes no more than 4,300 digits
 
 
@@ -120,12 +123,15 @@ class _Judgement:
         self.accepts = compile_check(self.schema, self._judge)
 
     def told(self, message: Message) -> str:
-        """Return what is wrong with a message, and where; nothing where it matches."""
-        error = next(self._whole().iter_errors(message), None)
-        if error is None:
-            return ""
-        path, sentence = _sentence(error)
-        return f"{'.'.join(map(str, path)) or 'the message'}: {_shorten(sentence)}"
+        """Return all that is wrong with a message, and where; nothing where it matches."""
+        speller = Speller()
+        told: dict[tuple[Path, str], str] = {}
+        for error in islice(self._whole().iter_errors(message), _LOOKED_AT):
+            path, sentence = _sentence(error, speller)
+            alike = tuple("*" if isinstance(part, int) else part for part in path), sentence
+            place = ".".join(map(str, path)) or "the message"
+            told.setdefault(alike, f"{place}: {_shorten(sentence)}")
+        return "; ".join([*list(told.values())[:_SHOWN], *(["..."] if len(told) > _SHOWN else [])])
 
     def _judge(self, part: Schema) -> Accepts:
         validator: Validator | None = None
@@ -152,23 +158,36 @@ def _judgement(structure: MessageStructure) -> _Judgement:
     return _Judgement(structure.schema)
 
 
-def _sentence(error: ValidationError) -> tuple[Path, str]:
-    """Return the place and what is wrong; the validator names one missing field in each error."""
+def _sentence(error: ValidationError, speller: Speller) -> tuple[Path, str]:
+    """Return the place and what is wrong; the validator names one missing field in each error.
+
+    Where a field is missing, those that the structure says nothing of are named, too: one of them
+    may be what was meant.
+    """
     path: Path = tuple(error.absolute_path)
     rules: Any = error.schema
-    if error.validator == "required" and isinstance(error.instance, Mapping):
-        missing = [repr(name) for name in rules["required"] if name not in error.instance]
-        if len(missing) == 1:
-            return path, f"the field {missing[0]} is missing"
-        return path, f"the fields {', '.join(missing[:-1])} and {missing[-1]} are missing"
+    value: Any = error.instance
+    if error.validator == "required" and isinstance(value, Mapping):
+        missing = [name for name in rules["required"] if name not in value]
+        names = list(map(repr, missing))
+        told = f"the field {names[0]} is missing"
+        if len(missing) > 1:
+            told = f"the fields {', '.join(names[:-1])} and {names[-1]} are missing"
+        are_known = "additionalProperties" in rules or "patternProperties" in rules
+        others = () if are_known else value.keys() - rules.get("properties", {})
+        return path, "; ".join([told, *_unknown(others, missing, speller)])
     if error.validator == "additionalProperties":
         known = rules.get("properties", {})
-        return (
-            path,
-            f"unknown field ({Speller().guess_or_list(str(path[-1]), known, 'known fields')})",
-        )
-    path, sentence, hint, _ = next(mistakes(error, Speller(), _write))
+        hint = speller.guess_or_list(str(path[-1]), known, "known fields")
+        return path, f"unknown field ({hint})"
+    path, sentence, hint, _ = next(mistakes(error, speller, _write))
     return path, f"{sentence} ({hint})" if hint and error.validator != "type" else sentence
+
+
+def _unknown(names: Iterable[object], missing: list[str], speller: Speller) -> Iterator[str]:
+    for name in sorted(map(str, names))[:_SHOWN]:
+        hint = speller.guess(name, missing)
+        yield f"the field {clip(name)} is unknown{hint and f' ({hint})'}"
 
 
 def _write(value: Any) -> str:

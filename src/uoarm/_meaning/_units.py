@@ -6,10 +6,11 @@ What UCUM spells otherwise than pint does is told here. Angles are kept apart fr
 
 from __future__ import annotations
 
+import difflib
 import re
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from fractions import Fraction
 from functools import cache, lru_cache
 from typing import Any
@@ -85,6 +86,29 @@ _EXPRESSIONS: Mapping[str, str] = {
     "rpm": "{rev}/min", "{rpm}": "{rev}/min", "Nm": "N.m", "mNm": "mN.m", "kmh": "km/h",
     "Ah": "A.h", "mAh": "mA.h", "Wh": "W.h", "kWh": "kW.h", "bpm": "{beats}/min", "mps": "m/s",
 }  # fmt: skip
+# What a misspelt unit may be meant to be, also where pint is not installed: its names and symbols
+# without prefixes, those that people use and those that are near to them.
+_WORDS = """
+A a abampere abcoulomb abfarad abhenry abmho abohm absiemens abvolt amp ampere amu arcdeg arcdegree
+arcmin arcminute arcsec arcsecond atm atmosphere B bar barad barie barn barrel barrie baryd barye
+bel biot bit Bq Btu By byte C cal calorie candela candle cd Cel celsius circle clausius cmil coulomb
+d darcy day dB decibel deg degC degF degK degR degRe degree degreeC degreeF degreeK degreeR degreeRe
+drachm dram eV F fahrenheit farad faraday feet feetHg foot ftHg g galileo gallon gon grad grade
+gradian grain gram gray Gy H h hbar henry hertz horsepower hour Hz inch inches inchesHg J joule K
+kat katal kelvin kilogram kmh knot L l liter litre lm lumen lux lx m meter metre mho micron mil mile
+min minim minute mo mol molar mole molec molecule month mph N newton Np Ohm ohm ounce Pa parsec
+pascal percent pole pond pound poundal ppm psi rad radian rads rev revolution rod S s sec second
+section siemens slinch sqdeg sr statampere statcoulomb statfarad stathenry steradian stone strain Sv
+T t tesla thou ton tonne Torr torr turn V volt W watt Wb wb weber week wk yard year
+"""
+_NAMES = frozenset(_WORDS.split())
+_PREFIX_WORDS = """
+Y Z E P T G M k h da d c m u µ n p f a z y Ki Mi Gi Ti yotta zetta exa peta tera giga mega kilo
+hecto deca deka deci centi milli micro nano pico femto atto zepto yocto kibi mebi gibi tebi Δ delta_
+"""
+_PREFIXES = tuple(_PREFIX_WORDS.split())
+_NEAR = 0.75
+_SHORTEST = 4  # letters; shorter ones are near to too much
 # An annotation says nothing in UCUM; but a turn is an angle to whoever writes it.
 _TURNS = frozenset({"{rev}", "{revolution}", "{revolutions}", "{turn}", "{turns}"})
 _TOKEN = re.compile(
@@ -113,10 +137,13 @@ def conversion(one: str, other: str) -> Conversion | None:
 
 
 def unit_mistake(unit: str) -> str:
-    """Return what is wrong with a unit; where pint is not installed, with its spelling alone."""
+    """Return what is wrong with a unit; where pint is not installed, with its spelling alone.
+
+    Without pint, a unit that is neither known nor near to one that is passes.
+    """
     try:
         if missing_for_units():
-            _powers(unit)
+            _require_no_misspelling(unit)
         else:
             _read(unit)
     except UnitError as error:
@@ -144,7 +171,37 @@ def _registry() -> Any:
     return pint.UnitRegistry(non_int_type=Fraction)
 
 
+def _require_no_misspelling(text: str) -> None:
+    for name in _powers(text):
+        hint = "" if isinstance(name, Fraction) else _near(name)
+        if hint:
+            raise UnitError(f"the unit {text!r} is not known: nothing is named {name!r}{hint}")
+
+
+def _near(name: str) -> str:
+    """Return which unit a name may be meant to be; nothing where it is known, or near to none."""
+    known = _NAMES | _IN_PINT.keys() | _EXPRESSIONS.keys()
+    if "_" in name or len(name) < _SHORTEST or _is_in(name, known):
+        return ""
+    words = sorted(one for one in known if len(one) >= _SHORTEST - 1)
+    close = difflib.get_close_matches(name, words, n=1, cutoff=_NEAR)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _is_in(name: str, known: Collection[str]) -> bool:
+    """Say whether a name is a unit, one with a prefix, or several of it."""
+    one = name.removesuffix("s") if len(name) >= _SHORTEST else name
+    return any(
+        part in known
+        for whole in {name, one}
+        for prefix in ("", *_PREFIXES)
+        if (part := whole.removeprefix(prefix)) != whole or not prefix
+    )
+
+
 def _read(text: str) -> _Unit:
+    if missing_for_units():
+        _require_no_misspelling(text)
     found = _known.get(text)
     if found is None:
         with _LOCK:  # pint's registry fills itself as it is asked
@@ -185,7 +242,8 @@ def _atom(name: str, text: str) -> _Unit:
         values = [Fraction(item.magnitude) for item in (zero, unity, two)]
     except Exception as error:  # pint raises whatever its parts do
         if type(error).__name__ == "UndefinedUnitError":
-            raise UnitError(f"the unit {text!r} is not known: nothing is named {name!r}") from None
+            told = f"the unit {text!r} is not known: nothing is named {name!r}{_near(name)}"
+            raise UnitError(told) from None
         raise UnitError(f"the unit {text!r} is not proportional to others") from error
     if values[2] - values[1] != values[1] - values[0]:
         raise UnitError(f"the unit {text!r} is not proportional to others")

@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from uoarm.errors import ControlMessageError
@@ -32,6 +33,7 @@ _QUICK = {"op", "type", "id", "jsonMessage"}
 _MAX_ID = 128
 _MAX_NAME = 256
 _SHOWN = 200
+_MOST_TOLD = 5
 # Of a control message without the message in it: the schema check takes its time, and quotes.
 _MAX_FIELDS = 64
 _MAX_OCTETS = 1_048_576
@@ -62,11 +64,12 @@ def check_asked(fields: Mapping[str, Any]) -> ControlMessage:
         if len(envelope) > _MAX_FIELDS or message_octets(envelope, most=_MAX_OCTETS) > _MAX_OCTETS:
             allowed = f"{_MAX_FIELDS} fields and {_MAX_OCTETS:,} octets are allowed"
             raise ControlMessageError(f"{op}: too much beside a message: {allowed}")
-        error = next(_validator(op).iter_errors(envelope), None)
-        if error is not None:
-            path = ".".join(str(part) for part in error.absolute_path)
-            text = error.message[:_SHOWN]
-            raise ControlMessageError(f"{op}: {path}: {text}" if path else f"{op}: {text}")
+        told = [
+            ": ".join(filter(None, (".".join(map(str, one.absolute_path)), one.message[:_SHOWN])))
+            for one in islice(_validator(op).iter_errors(envelope), _MOST_TOLD)
+        ]
+        if told:
+            raise ControlMessageError(f"{op}: {'; '.join(told)}")
     return ControlMessage(
         op=Op(op),
         type=fields.get("type", ""),
